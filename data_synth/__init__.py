@@ -1,0 +1,1 @@
+"""Synthetic measurements with known truth, drawn by code that no estimator shares."""

@@ -1,0 +1,69 @@
+"""Why a sample is missing or doubtful: one registry for code, files and reports."""
+
+from enum import IntFlag
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.validate import FlagArray
+
+
+class SampleFlag(IntFlag):
+    """Reasons, one bit each. A sample with any bit of `REJECTED` has no value (NaN)."""
+
+    OUTSIDE_MIRROR = 1 << 0
+    MIRROR_EDGE = 1 << 1
+    LOW_MODULATION = 1 << 2
+    SATURATED = 1 << 3
+    FRAMES_DISAGREE = 1 << 4
+    FRINGE_ORDER_UNCERTAIN = 1 << 5
+    OFF_SCREEN = 1 << 6
+    NO_INTERSECTION = 1 << 7
+    OUTLIER = 1 << 8
+    NOT_SEEN = 1 << 9
+    SMOOTHED_GAP = 1 << 10
+    INPUT_NOT_FINITE = 1 << 11
+
+
+FLAG_TEXTS: dict[SampleFlag, str] = {
+    SampleFlag.OUTSIDE_MIRROR: "outside the mirror's outline",
+    SampleFlag.MIRROR_EDGE: "the pixel mixes the mirror with its surroundings",
+    SampleFlag.LOW_MODULATION: "fringe contrast too low against the noise",
+    SampleFlag.SATURATED: "at least one frame saturated",
+    SampleFlag.FRAMES_DISAGREE: "the frames do not follow one sinusoid within the noise",
+    SampleFlag.FRINGE_ORDER_UNCERTAIN: "the fringe order may be wrong",
+    SampleFlag.OFF_SCREEN: "the reflected ray misses the screen",
+    SampleFlag.NO_INTERSECTION: "the line of sight does not meet the surface",
+    SampleFlag.OUTLIER: "far from its neighbours or from the fit",
+    SampleFlag.NOT_SEEN: "no image shows this point",
+    SampleFlag.SMOOTHED_GAP: "value bridged from neighbours (height only)",
+    SampleFlag.INPUT_NOT_FINITE: "an input value was not finite",
+}
+
+#: Bits that leave a sample without a value.
+REJECTED = SampleFlag(sum(flag for flag in SampleFlag if flag is not SampleFlag.SMOOTHED_GAP))
+
+
+def count_flags(flags: FlagArray, within: npt.NDArray[np.bool_] | None = None) -> dict[SampleFlag, int]:
+    """Count the samples that carry each flag.
+
+    Parameters
+    ----------
+    flags : ndarray of uint32
+        Bit masks of `SampleFlag`.
+    within : ndarray of bool, optional
+        Count only these samples.
+
+    Returns
+    -------
+    dict of SampleFlag to int
+        Flags that occur, with the number of samples.
+
+    Examples
+    --------
+    >>> count_flags(np.array([0, 4, 12], dtype=np.uint32))
+    {<SampleFlag.LOW_MODULATION: 4>: 2, <SampleFlag.SATURATED: 8>: 1}
+    """
+    chosen = flags if within is None else flags[within]
+    counts = {flag: int(np.count_nonzero(chosen & np.uint32(flag))) for flag in SampleFlag}
+    return {flag: count for flag, count in counts.items() if count}

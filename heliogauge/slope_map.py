@@ -1,0 +1,188 @@
+"""SlopeMap: the common product of every method, with its uncertainty in two shares."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.flags import REJECTED
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonModes:
+    """Slope errors that the whole map shares: one smooth mode for one sigma of each independent source.
+
+    Parameters
+    ----------
+    sources : tuple of str, length k
+        Where each mode comes from ("mirror pose", "screen pose", "camera", ...); a name may repeat.
+    coefficients : ndarray, shape (k, 2, n_terms)
+        Coefficients of the slope change in x and y for +1 sigma of the source [rad], on the monomials
+        ``u**i * v**j`` with ``i + j <= degree``, ``u = (x - center_x) / scale``, ``v = (y - center_y) / scale``,
+        ordered by ``i + j`` and then by ``j``.
+    center_m : ndarray, shape (2,)
+        Centre of the polynomials [m].
+    scale_m : float
+        Length that becomes 1 [m].
+
+    Notes
+    -----
+    The covariance of all slopes of a map is ``diag(sigma_random**2) + sum_k mode_k mode_k^T``: modes are independent.
+    """
+
+    sources: tuple[str, ...]
+    coefficients: FloatArray
+    center_m: FloatArray
+    scale_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", float_array("coefficients", self.coefficients, (None, 2, None)))
+        object.__setattr__(self, "center_m", float_array("center_m", self.center_m, (2,)))
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return int((np.sqrt(8 * self.coefficients.shape[2] + 1) - 3) / 2)
+
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Evaluate the modes at points.
+
+        Parameters
+        ----------
+        x_m, y_m : ndarray, shape (...)
+            Positions [m].
+
+        Returns
+        -------
+        ndarray, shape (k, 2, ...)
+            Change of slope_x and slope_y for +1 sigma of each source [rad].
+        """
+        terms = monomials(
+            (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree
+        )
+        return np.tensordot(self.coefficients, terms, axes=(2, 0))
+
+
+def no_common_modes() -> CommonModes:
+    """Return the empty set of modes, for maps whose errors are all random."""
+    return CommonModes((), np.zeros((0, 2, 1)), np.zeros(2), 1.0)
+
+
+def monomials(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
+    """Stack the monomials of two variables.
+
+    Parameters
+    ----------
+    u, v : ndarray, shape (...)
+        The variables.
+    degree : int
+        Highest total degree.
+
+    Returns
+    -------
+    ndarray, shape (n_terms, ...)
+        ``u**(n - j) * v**j`` for n = 0 .. degree, j = 0 .. n.
+
+    Examples
+    --------
+    >>> monomials(np.array(2.0), np.array(3.0), 2)
+    array([1., 2., 3., 4., 6., 9.])
+    """
+    return np.stack([u ** (n - j) * v**j for n in range(degree + 1) for j in range(n + 1)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeMap:
+    """Slopes of a mirror on a regular grid, beside the design's.
+
+    Parameters
+    ----------
+    x_m : ndarray, shape (nx,)
+        Grid columns, ascending, across the facet, to the right seen from the front [m].
+    y_m : ndarray, shape (ny,)
+        Grid rows, ascending, upwards [m].
+    slope_x, slope_y : ndarray, shape (ny, nx)
+        Measured dz/dx and dz/dy of the surface; NaN where not measured.
+    design_slope_x, design_slope_y : ndarray, shape (ny, nx)
+        The design's slopes at the same nodes.
+    sigma_random_x, sigma_random_y : ndarray, shape (ny, nx)
+        Random share of the uncertainty, independent from node to node [rad].
+    common : CommonModes
+        Share of the uncertainty that the whole map has in common.
+    height_m : ndarray, shape (ny, nx)
+        Height of the surface over the plane z = 0 [m]; NaN where not integrated.
+    flags : ndarray of uint32, shape (ny, nx)
+        Why a node is missing or doubtful, bits of `heliogauge.flags.SampleFlag`.
+    aperture : ndarray of bool, shape (ny, nx)
+        Nodes that belong to the mirror, measured or not.
+    design : str
+        The design shape in words with its numbers.
+    frame : str
+        The frame of x, y, z in words.
+    removed : str
+        What was taken out of the measured slopes ("nothing", "tilt by rotation about ...").
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    slope_x: FloatArray
+    slope_y: FloatArray
+    design_slope_x: FloatArray
+    design_slope_y: FloatArray
+    sigma_random_x: FloatArray
+    sigma_random_y: FloatArray
+    common: CommonModes
+    height_m: FloatArray
+    flags: FlagArray
+    aperture: BoolArray
+    design: str
+    frame: str
+    removed: str
+
+    def __post_init__(self) -> None:
+        for name in ("x_m", "y_m"):
+            object.__setattr__(self, name, float_array(name, getattr(self, name), (None,)))
+        shape = self.shape
+        for name in (
+            "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m",
+        ):  # fmt: skip
+            object.__setattr__(self, name, float_array(name, getattr(self, name), shape, finite=False))
+        for name, dtype in (("flags", np.uint32), ("aperture", np.bool_)):
+            array = np.array(getattr(self, name), dtype=dtype).reshape(shape)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows (y) and columns (x)."""
+        return self.y_m.size, self.x_m.size
+
+    @property
+    def valid(self) -> BoolArray:
+        """Nodes of the mirror that carry a measured value, shape (ny, nx)."""
+        return self.aperture & np.isfinite(self.slope_x) & ((self.flags & np.uint32(REJECTED)) == 0)
+
+    @property
+    def measured_share(self) -> float:
+        """Share of the mirror's area that was measured."""
+        return float(np.count_nonzero(self.valid) / max(np.count_nonzero(self.aperture), 1))
+
+    @property
+    def slope_error_x(self) -> FloatArray:
+        """Measured minus design dz/dx, shape (ny, nx)."""
+        return self.slope_x - self.design_slope_x
+
+    @property
+    def slope_error_y(self) -> FloatArray:
+        """Measured minus design dz/dy, shape (ny, nx)."""
+        return self.slope_y - self.design_slope_y
+
+    def common_variance(self) -> FloatArray:
+        """Return the variance of slope_x and slope_y from common sources, shape (2, ny, nx) [rad^2]."""
+        modes = self.common.evaluate(*np.meshgrid(self.x_m, self.y_m))
+        return np.asarray(np.einsum("kaij,kaij->aij", modes, modes))
+
+    def sigma_slope(self) -> tuple[FloatArray, FloatArray]:
+        """Return the whole standard deviation of slope_x and of slope_y, each of shape (ny, nx) [rad]."""
+        variance_x, variance_y = self.common_variance()
+        return np.hypot(self.sigma_random_x, np.sqrt(variance_x)), np.hypot(self.sigma_random_y, np.sqrt(variance_y))

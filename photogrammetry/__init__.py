@@ -1,0 +1,1 @@
+"""Photogrammetry: photos of targets to poses and coordinates with standard deviations."""
