@@ -1,0 +1,351 @@
+"""DESCRIPTION of the displayed fringes: which frames were shown, in which order, with which steps."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import accumulate
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import InputError
+from heliogauge.validate import FloatArray, float_array, positive
+
+#: Smallest singular value of (1, cos s, sin s) / sqrt(n) that still counts as rank 3. Steps typed in degrees with
+#: three decimals that coincide are 1e-5 apart at most; the closest steps anyone uses (three within 20 deg) give 4e-3.
+_SMALLEST_SINGULAR_VALUE = 1e-4
+
+
+class Axis(StrEnum):
+    """Direction in which the fringes vary: X along u (left to right), Y along v (top to bottom)."""
+
+    X = "x"
+    Y = "y"
+
+
+def design_matrix(steps_rad: npt.ArrayLike) -> FloatArray:
+    """Return the linear model of one set of frames: columns 1, cos(step), sin(step).
+
+    Parameters
+    ----------
+    steps_rad : array_like, shape (n,)
+        Phase steps [rad].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        ``I = M @ (a, b cos(phi), b sin(phi))``.
+    """
+    steps = float_array("steps_rad", steps_rad, (None,))
+    return np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)], axis=1)
+
+
+def determines_phase(steps_rad: npt.ArrayLike) -> bool:
+    """Tell whether frames with these steps determine offset, modulation and phase.
+
+    Parameters
+    ----------
+    steps_rad : array_like, shape (n,)
+        Phase steps [rad].
+
+    Returns
+    -------
+    bool
+        True when at least three of the steps differ modulo 2 pi.
+
+    Examples
+    --------
+    >>> determines_phase([0, 2.0, 4.0]), determines_phase([0, np.pi, 0, np.pi])
+    (True, False)
+    """
+    matrix = design_matrix(steps_rad)
+    if len(matrix) < 3:
+        return False
+    return bool(np.linalg.svd(matrix, compute_uv=False)[2] > _SMALLEST_SINGULAR_VALUE * np.sqrt(len(matrix)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FringeSet:
+    """Frames of one fringe period in one direction: ``I_k = a + b cos(2 pi periods w - steps_k)``, w = u or v.
+
+    Parameters
+    ----------
+    axis : Axis
+        Direction in which the fringes vary.
+    periods : float
+        Number of periods over the whole displayed image; need not be whole, may be below 1.
+    steps_rad : array_like, shape (n,), n >= 3
+        Phase steps in the order of the frames, any values that determine the phase [rad].
+
+    Raises
+    ------
+    InputError
+        Periods not positive, or steps that do not determine the phase.
+    """
+
+    axis: Axis
+    periods: float
+    steps_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axis", Axis(self.axis))
+        object.__setattr__(self, "periods", positive("periods", self.periods, "fringe periods"))
+        object.__setattr__(self, "steps_rad", float_array("steps_rad", self.steps_rad, (None,)))
+        if not determines_phase(self.steps_rad):
+            degrees = ", ".join(f"{step:.6g}" for step in np.degrees(self.steps_rad))
+            raise InputError(
+                f"fringe set {self.axis}, {self.periods:g} periods: the steps {degrees} deg do not determine the phase; "
+                "at least three steps that differ modulo 360 deg are needed"
+            )
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of the set."""
+        return int(self.steps_rad.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FringePattern:
+    """All frames of a measurement, in the order in which they were taken.
+
+    Parameters
+    ----------
+    sets : tuple of FringeSet
+        The sets in the order of their frames; both axes occur, in any order.
+
+    Raises
+    ------
+    InputError
+        No set for one of the axes.
+    """
+
+    sets: tuple[FringeSet, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sets", tuple(self.sets))
+        for axis in Axis:
+            if not any(fringes.axis is axis for fringes in self.sets):
+                raise InputError(f"pattern: no fringe set with axis = {axis.value!r}; both axes are needed")
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of all sets."""
+        return sum(fringes.n_frames for fringes in self.sets)
+
+    @property
+    def frame_slices(self) -> tuple[slice, ...]:
+        """Position of each set among the frames."""
+        ends = list(accumulate(fringes.n_frames for fringes in self.sets))
+        return tuple(slice(end - fringes.n_frames, end) for end, fringes in zip(ends, self.sets, strict=True))
+
+    def sets_of(self, axis: Axis) -> tuple[tuple[FringeSet, slice], ...]:
+        """Return the sets of one axis with the position of their frames.
+
+        Parameters
+        ----------
+        axis : Axis
+            Which axis.
+
+        Returns
+        -------
+        tuple of (FringeSet, slice)
+            In the order of the frames.
+        """
+        pairs = zip(self.sets, self.frame_slices, strict=True)
+        return tuple((fringes, position) for fringes, position in pairs if fringes.axis is axis)
+
+    def describe_frame(self, index: int) -> str:
+        """Say in words what a frame shows.
+
+        Parameters
+        ----------
+        index : int
+            Position of the frame, from 0.
+
+        Returns
+        -------
+        str
+            Such as "frame 5 (y fringes, 3.9 periods, step 90 deg)".
+
+        Raises
+        ------
+        InputError
+            The pattern has no such frame.
+        """
+        for fringes, position in zip(self.sets, self.frame_slices, strict=True):
+            if position.start <= index < position.stop:
+                step = np.degrees(fringes.steps_rad[index - position.start])
+                return f"frame {index} ({fringes.axis} fringes, {fringes.periods:g} periods, step {step:.4g} deg)"
+        raise InputError(f"frame {index}: the pattern has frames 0 to {self.n_frames - 1}")
+
+
+def equal_steps(n: int) -> FloatArray:
+    """Return n steps of 2 pi / n, from 0.
+
+    Parameters
+    ----------
+    n : int
+        Number of frames, at least 3.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Steps [rad].
+
+    Raises
+    ------
+    InputError
+        Fewer than 3.
+
+    Examples
+    --------
+    >>> np.degrees(equal_steps(4))
+    array([  0.,  90., 180., 270.])
+    """
+    if n < 3:
+        raise InputError(f"steps: at least 3 frames determine a phase, not {n}")
+    return np.asarray(np.arange(n) * (2 * np.pi / n), dtype=np.float64)
+
+
+def make_pattern(
+    periods_x: Sequence[float], periods_y: Sequence[float], steps: int = 4, first: Axis = Axis.Y
+) -> FringePattern:
+    """Make a pattern with equal steps of 2 pi / n for every period.
+
+    Parameters
+    ----------
+    periods_x, periods_y : sequence of float
+        Periods over the width and over the height of the displayed image.
+    steps : int, optional
+        Frames of each set, at least 3.
+    first : Axis, optional
+        Which axis comes first.
+
+    Returns
+    -------
+    FringePattern
+        All sets of the first axis, then all of the other.
+
+    Raises
+    ------
+    InputError
+        An axis without periods, periods not positive, fewer than 3 steps.
+
+    Examples
+    --------
+    >>> make_pattern([0.9, 3.9], [0.9, 3.9]).n_frames
+    16
+    """
+    steps_rad = equal_steps(steps)
+    order = (Axis.Y, Axis.X) if first is Axis.Y else (Axis.X, Axis.Y)
+    wanted = {Axis.X: periods_x, Axis.Y: periods_y}
+    return FringePattern(tuple(FringeSet(axis, periods, steps_rad) for axis in order for periods in wanted[axis]))
+
+
+def _identity_table() -> FloatArray:
+    return np.array([0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplayLevels:
+    """Levels a display may use, and the level it needs for a wanted light.
+
+    Parameters
+    ----------
+    minimum, maximum : float, optional
+        Levels of the dark and the bright fringe as fractions of the display's range.
+    bits : int, optional
+        Bit depth of the frames, 8 to 16; above 8 the frames are uint16.
+    level_from_light : array_like, shape (n,), optional
+        Level fraction for equally spaced fractions 0..1 of the light (the inverse of the display's response),
+        ascending from 0 to 1; without it the display is taken as linear. `gamma_table` makes one for a power law.
+
+    Raises
+    ------
+    InputError
+        Levels outside 0..1 or not ascending, an odd bit depth, a table that does not ascend from 0 to 1.
+    """
+
+    minimum: float = 0.0
+    maximum: float = 1.0
+    bits: int = 8
+    level_from_light: FloatArray = field(default_factory=_identity_table)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.minimum < self.maximum <= 1:
+            raise InputError(f"display levels: 0 <= minimum < maximum <= 1 is needed, not {self.minimum}, {self.maximum}")
+        if not 8 <= self.bits <= 16:
+            raise InputError(f"display levels: a bit depth of 8 to 16 is needed, not {self.bits}")
+        table = float_array("level_from_light", self.level_from_light, (None,))
+        if table.size < 2 or np.any(np.diff(table) <= 0) or abs(table[0]) > 1e-9 or abs(table[-1] - 1) > 1e-9:
+            raise InputError("level_from_light: at least two values ascending from 0 to 1 are needed")
+        object.__setattr__(self, "level_from_light", table)
+
+
+def gamma_table(gamma: float, n: int = 1025) -> FloatArray:
+    """Return the levels that make a display with light = level**gamma linear.
+
+    Parameters
+    ----------
+    gamma : float
+        Exponent of the display, about 2.2 for monitors.
+    n : int, optional
+        Number of nodes; 1025 keeps the error below 8e-4 of the range next to black at 2.2 and 1e-5 above 2 % light.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Level fraction for light fractions 0..1, for `DisplayLevels.level_from_light`.
+
+    Raises
+    ------
+    InputError
+        Gamma not positive.
+    """
+    return np.asarray(np.linspace(0.0, 1.0, n) ** (1.0 / positive("gamma", gamma, "the display's exponent")))
+
+
+def render_frames(
+    pattern: FringePattern, width_px: int, height_px: int, levels: DisplayLevels | None = None
+) -> Iterator[npt.NDArray[np.uint8] | npt.NDArray[np.uint16]]:
+    """Yield the frames to display, in order.
+
+    Parameters
+    ----------
+    pattern : FringePattern
+        What to show.
+    width_px, height_px : int
+        Size of the displayed image [px].
+    levels : DisplayLevels, optional
+        Range, bit depth and compensation of the display; full range, 8 bit, linear without it.
+
+    Yields
+    ------
+    ndarray of uint8 or uint16, shape (height_px, width_px)
+        Read-only frames (one line repeated; copy before changing).
+
+    Raises
+    ------
+    InputError
+        Size not positive.
+
+    Notes
+    -----
+    Column c shows u = (c + 0.5) / width and row r shows v = (r + 0.5) / height: the level of a display pixel is the
+    sinusoid at its centre. The light the pixel's area sends is then a staircase whose fundamental has that phase
+    exactly and a modulation smaller by sinc(periods / width), 0.2 % at 64 periods on 1920 px.
+    """
+    size = {Axis.X: int(positive("width_px", width_px, "px")), Axis.Y: int(positive("height_px", height_px, "px"))}
+    chosen = levels if levels is not None else DisplayLevels()
+    light_nodes = np.linspace(0.0, 1.0, chosen.level_from_light.size)
+    # minimum and maximum are levels; the sinusoid lives in light, between what those two levels give.
+    dark, bright = np.interp([chosen.minimum, chosen.maximum], chosen.level_from_light, light_nodes)
+    dtype = np.uint8 if chosen.bits == 8 else np.uint16
+    for fringes in pattern.sets:
+        position = (np.arange(size[fringes.axis]) + 0.5) / size[fringes.axis]
+        for step in fringes.steps_rad:
+            wave = 0.5 + 0.5 * np.cos(2 * np.pi * fringes.periods * position - step)
+            level = np.interp(dark + (bright - dark) * wave, light_nodes, chosen.level_from_light)
+            line = np.rint(level * (2**chosen.bits - 1)).astype(dtype)
+            line = line[None, :] if fringes.axis is Axis.X else line[:, None]
+            yield np.broadcast_to(line, (size[Axis.Y], size[Axis.X]))
