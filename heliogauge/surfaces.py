@@ -238,7 +238,8 @@ class Quadric:
         a += q[2, 2] * dz * dz
         # Going up, dF/dt > 0; going down, dF/dt < 0: reverse the line so that the same root serves.
         turn = np.where(dz > 0, 1.0, -1.0)
-        return np.asarray(shift + turn * _upper_root(a, turn * b, c)[0])
+        t = shift + turn * _upper_root(a, turn * b, c)[0]
+        return np.where(np.isfinite(t), t, np.nan)
 
 
 def _upper_root(

@@ -1,0 +1,112 @@
+"""Reflection, refraction and intersection with planes, for arrays of rays."""
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.validate import FloatArray, positive
+
+
+def reflect(directions: npt.ArrayLike, normals: npt.ArrayLike) -> FloatArray:
+    """Reflect directions at a mirror.
+
+    Parameters
+    ----------
+    directions : array_like, shape (..., 3)
+        Directions of travel, of any length.
+    normals : array_like, shape (..., 3)
+        Mirror normals, of any length and either side; broadcast against the directions.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Reflected directions, of the same length as the incoming ones.
+
+    Notes
+    -----
+    ``r = d - 2 (d.n) n / (n.n)``. Dividing by n.n instead of normalising n keeps the length to round-off and lets
+    slopes be used as they are: ``n = (-dz/dx, -dz/dy, 1)``.
+
+    Examples
+    --------
+    >>> reflect([0.0, 0.0, -1.0], [0.0, 0.0, 5.0])
+    array([0., 0., 1.])
+    """
+    ray = np.asarray(directions, dtype=np.float64)
+    normal = np.asarray(normals, dtype=np.float64)
+    along = _dot(ray, normal) / _dot(normal, normal)
+    return np.asarray(ray - 2 * along[..., None] * normal)
+
+
+def refract(directions: npt.ArrayLike, normals: npt.ArrayLike, index_from: float, index_to: float) -> FloatArray:
+    """Refract directions at an interface (Snell's law in vector form).
+
+    Parameters
+    ----------
+    directions : array_like, shape (..., 3)
+        Directions of travel, of any length.
+    normals : array_like, shape (..., 3)
+        Interface normals, of any length and either side; broadcast against the directions.
+    index_from, index_to : float
+        Refractive index on the side the ray comes from, and on the other.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Unit directions behind the interface; NaN where the reflection is total.
+
+    Raises
+    ------
+    InputError
+        An index is not positive.
+
+    Notes
+    -----
+    The part of the direction along the interface is scaled by index_from / index_to and the part across it follows
+    from unit length; no angle is ever computed, so nothing is lost near normal incidence.
+    """
+    ratio = positive("index_from", index_from, "") / positive("index_to", index_to, "")
+    ray = _unit(np.asarray(directions, dtype=np.float64))
+    normal = _unit(np.asarray(normals, dtype=np.float64))
+    across = _dot(ray, normal)[..., None]
+    along = ratio * (ray - across * normal)
+    with np.errstate(invalid="ignore"):
+        remaining = np.sqrt(1 - _dot(along, along)[..., None])
+    return np.asarray(along + np.copysign(remaining, across) * normal)
+
+
+def intersect_plane(
+    origins_m: npt.ArrayLike, directions: npt.ArrayLike, point_m: npt.ArrayLike, normal: npt.ArrayLike
+) -> FloatArray:
+    """Intersect lines with a plane.
+
+    Parameters
+    ----------
+    origins_m : array_like, shape (..., 3)
+        A point of each line [m].
+    directions : array_like, shape (..., 3)
+        Directions of any length.
+    point_m : array_like, shape (..., 3)
+        A point of the plane [m].
+    normal : array_like, shape (..., 3)
+        The plane's normal, of any length and either side.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        t with ``origin + t * direction`` on the plane, in lengths of the direction; NaN where the line is parallel.
+    """
+    plane_normal = np.asarray(normal, dtype=np.float64)
+    offset = np.asarray(point_m, dtype=np.float64) - np.asarray(origins_m, dtype=np.float64)
+    approach = _dot(np.asarray(directions, dtype=np.float64), plane_normal)
+    return np.asarray(_dot(offset, plane_normal) / np.where(approach == 0, np.nan, approach))
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    # Three products by hand: einsum and sum(axis=-1) are 4 times slower on a last axis of three.
+    return np.asarray(
+        first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1] + first[..., 2] * second[..., 2]
+    )
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[..., None])
