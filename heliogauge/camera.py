@@ -1,0 +1,338 @@
+"""Camera: THE one camera model of every package - project points, cast rays, derivatives, uncertainty."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.brown_polynomial import BLOCK
+from heliogauge.distortion import BrownDistortion, InverseStart, coordinates
+from heliogauge.errors import InputError
+from heliogauge.rigid import RigidTransform, skew
+from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
+
+#: Order of the parameters in vectors, Jacobians and covariances.
+PARAMETER_NAMES = (
+    "focal_x_px", "focal_y_px", "center_x_px", "center_y_px", "skew", "k1", "k2", "p1", "p2", "k3",
+)  # fmt: skip
+
+
+class PosedProjection(NamedTuple):
+    """Image points of points in another frame, with derivatives (see `Camera.project_posed`)."""
+
+    pixels_px: FloatArray
+    d_pixel_d_point: FloatArray
+    d_pixel_d_pose: FloatArray
+    d_pixel_d_parameters: FloatArray
+
+
+class InvertibleRegion(NamedTuple):
+    """Where a lens model is one-to-one (see `Camera.invertible_region`)."""
+
+    whole_image: bool
+    radius: float
+    radius_px: float
+    farthest_corner_px: float
+    message: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A central camera with Brown distortion.
+
+    Parameters
+    ----------
+    width_px, height_px : int
+        Size of the image [px].
+    focal_x_px, focal_y_px : float
+        Focal length in columns and in rows [px].
+    center_x_px, center_y_px : float
+        Principal point; the centre of the top-left pixel is (0, 0) [px].
+    skew : float
+        Columns that a unit of the measured y/z adds [px].
+    distortion : BrownDistortion
+        The lens.
+    covariance : array_like, shape (10, 10)
+        Covariance of `PARAMETER_NAMES`; all zeros says "treated as exact".
+
+    Raises
+    ------
+    InputError
+        A size or focal length that is not positive, a number that is not finite, or no covariance matrix.
+
+    Notes
+    -----
+    Frame: x right, y down, z forward. ``u = focal_x x + skew y + center_x``, ``v = focal_y y + center_y`` with the
+    measured (distorted) coordinates x, y. A pixel or point for which the lens is not one-to-one gives NaN;
+    `invertible_region` tells whether the image has any.
+
+    Examples
+    --------
+    >>> camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    >>> camera.project([0.1, 0.0, 1.0])
+    array([369.5, 239.5])
+    """
+
+    width_px: int
+    height_px: int
+    focal_x_px: float
+    focal_y_px: float
+    center_x_px: float
+    center_y_px: float
+    skew: float = 0.0
+    distortion: BrownDistortion = field(default_factory=BrownDistortion)
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((10, 10)))
+
+    def __post_init__(self) -> None:
+        for name in ("width_px", "height_px"):
+            value = positive(name, getattr(self, name), "pixels")
+            if value != int(value):
+                raise InputError(f"{name}: a whole number of pixels is needed, not {value}")
+            object.__setattr__(self, name, int(value))
+        for name in ("focal_x_px", "focal_y_px"):
+            object.__setattr__(self, name, positive(name, getattr(self, name), "pixels"))
+        for name in ("center_x_px", "center_y_px", "skew"):
+            object.__setattr__(self, name, float(float_array(name, getattr(self, name), ())))
+        object.__setattr__(self, "covariance", covariance_matrix("camera covariance", self.covariance, 10))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The parameters in the order of `PARAMETER_NAMES`, shape (10,)."""
+        own = [getattr(self, name) for name in PARAMETER_NAMES[:5]]
+        return np.array([*own, *self.distortion.polynomial])
+
+    @property
+    def sigma_parameters(self) -> FloatArray:
+        """Standard deviations in the order of `PARAMETER_NAMES`, shape (10,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Camera matrix from measured normalised coordinates to pixels, shape (3, 3)."""
+        return np.array(
+            [[self.focal_x_px, self.skew, self.center_x_px], [0, self.focal_y_px, self.center_y_px], [0, 0, 1]]
+        )
+
+    def with_parameters(self, parameters: npt.ArrayLike) -> "Camera":
+        """Return the camera with other values of `PARAMETER_NAMES`, shape (10,); the covariance stays."""
+        vector = float_array("camera parameters", parameters, (10,))
+        own = dict(zip(PARAMETER_NAMES[:5], vector[:5].tolist(), strict=True))
+        return replace(self, **own, distortion=self.distortion.with_coefficients(vector[5:]))
+
+    def with_covariance(self, covariance: npt.ArrayLike) -> "Camera":
+        """Return the camera with another covariance of `PARAMETER_NAMES`, shape (10, 10)."""
+        return replace(self, covariance=covariance_matrix("camera covariance", covariance, 10))
+
+    def project(self, points_m: npt.ArrayLike) -> FloatArray:
+        """Project points.
+
+        Parameters
+        ----------
+        points_m : array_like, shape (..., 3)
+            Points in the camera frame [m].
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Image points, also outside the image [px]; NaN behind the camera and where the lens is not one-to-one.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have three elements.
+        """
+        points = coordinates("points_m", points_m, 3)
+        flat = points.reshape(-1, 3)
+        pixels = np.empty((flat.shape[0], 2))
+        start: InverseStart | None = None
+        if not self.distortion.distorts_in_closed_form:
+            # The image corners and what lies a little beyond bound what is worth a good start value.
+            start = self.distortion.inverse_start(1.5 * self._corner_radius())
+        for first in range(0, flat.shape[0], BLOCK):
+            rows = slice(first, first + BLOCK)
+            x, y = self.distortion.distort_components(*_over_depth(flat[rows]), start)
+            pixels[rows, 0] = self.focal_x_px * x + (self.center_x_px + self.skew * y)
+            pixels[rows, 1] = self.focal_y_px * y + self.center_y_px
+        return pixels.reshape(*points.shape[:-1], 2)
+
+    def cast_rays(self, pixels_px: npt.ArrayLike) -> FloatArray:
+        """Cast the lines of sight of image points.
+
+        Parameters
+        ----------
+        pixels_px : array_like, shape (..., 2)
+            Image points [px].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            Unit directions in the camera frame; NaN where the lens is not one-to-one.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have two elements.
+        """
+        pixels = coordinates("pixels_px", pixels_px, 2)
+        flat = pixels.reshape(-1, 2)
+        rays = np.empty((flat.shape[0], 3))
+        start = self._start_for_image()
+        for first in range(0, flat.shape[0], BLOCK):
+            rows = slice(first, first + BLOCK)
+            self._cast(flat[rows, 0], flat[rows, 1], start, rays[rows])
+        return rays.reshape(*pixels.shape[:-1], 3)
+
+    def ray_grid(self, step: int = 1) -> FloatArray:
+        """Cast the lines of sight of the image's pixel centres.
+
+        Parameters
+        ----------
+        step : int, optional
+            Take every step-th column and row, from pixel (0, 0) on.
+
+        Returns
+        -------
+        ndarray, shape (rows, columns, 3)
+            Unit directions in the camera frame; NaN where the lens is not one-to-one.
+
+        Raises
+        ------
+        InputError
+            The step is not a positive whole number.
+        """
+        if step != int(step) or step < 1:
+            raise InputError(f"step: a positive whole number of pixels is needed, not {step}")
+        columns = np.arange(0, self.width_px, step, dtype=np.float64)
+        rows = np.arange(0, self.height_px, step, dtype=np.float64)
+        rays = np.empty((rows.size, columns.size, 3))
+        start = self._start_for_image()
+        at_once = max(1, BLOCK // columns.size)
+        for first in range(0, rows.size, at_once):
+            some = rows[first : first + at_once]
+            target = rays[first : first + at_once].reshape(-1, 3)
+            self._cast(np.tile(columns, some.size), np.repeat(some, columns.size), start, target)
+        return rays
+
+    def project_with_jacobians(self, points_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Project points, with derivatives.
+
+        Parameters
+        ----------
+        points_m : array_like, shape (..., 3)
+            Points in the camera frame [m].
+
+        Returns
+        -------
+        pixels_px : ndarray, shape (..., 2)
+            Image points [px].
+        d_pixel_d_point : ndarray, shape (..., 2, 3)
+            Derivative with respect to the point [px/m].
+        d_pixel_d_parameters : ndarray, shape (..., 2, 10)
+            Derivative with respect to `PARAMETER_NAMES`.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have three elements.
+        """
+        points = coordinates("points_m", points_m, 3)
+        ideal = np.stack(_over_depth(points), axis=-1)
+        measured, d_ideal, d_coefficients = self.distortion.distort_with_jacobians(ideal)
+        d_pixel_d_measured = self.matrix[:2, :2]
+        d_pixel_d_ideal = d_pixel_d_measured @ d_ideal
+        d_point = np.empty((*points.shape[:-1], 2, 3))
+        inverse_depth = 1 / points[..., 2, None, None]
+        d_point[..., :2] = d_pixel_d_ideal * inverse_depth
+        d_point[..., 2:] = -(d_pixel_d_ideal @ ideal[..., None]) * inverse_depth
+        d_parameters = np.zeros((*points.shape[:-1], 2, 10))
+        d_parameters[..., 0, 0] = measured[..., 0]
+        d_parameters[..., 0, 4] = d_parameters[..., 1, 1] = measured[..., 1]
+        d_parameters[..., 0, 2] = d_parameters[..., 1, 3] = 1.0
+        d_parameters[..., 5:] = d_pixel_d_measured @ d_coefficients
+        pixels = measured @ d_pixel_d_measured.T + [self.center_x_px, self.center_y_px]
+        return pixels, d_point, d_parameters
+
+    def cast_rays_with_jacobians(self, pixels_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Cast lines of sight, with derivatives.
+
+        Parameters
+        ----------
+        pixels_px : array_like, shape (..., 2)
+            Image points [px].
+
+        Returns
+        -------
+        rays : ndarray, shape (..., 3)
+            Unit directions in the camera frame.
+        d_ray_d_pixel : ndarray, shape (..., 3, 2)
+            Derivative with respect to the image point [1/px].
+        d_ray_d_parameters : ndarray, shape (..., 3, 10)
+            Derivative with respect to `PARAMETER_NAMES`.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have two elements.
+        """
+        pixels = coordinates("pixels_px", pixels_px, 2)
+        measured = np.stack(self._normalised(pixels[..., 0], pixels[..., 1]), axis=-1)
+        ideal, d_measured, d_coefficients = self.distortion.undistort_with_jacobians(measured)
+        length = np.sqrt(1 + (ideal * ideal).sum(axis=-1))[..., None]
+        rays = np.concatenate((ideal / length, 1 / length), axis=-1)
+        # d(v/|v|) = (I - ray ray^T) dv / |v|, where v = (x, y, 1) moves in x and y only.
+        d_ideal = (np.eye(3)[:, :2] - rays[..., :, None] * rays[..., None, :2]) / length[..., None]
+        d_pixel_d_measured = self.matrix[:2, :2]
+        inverse = np.array(
+            [[1 / self.focal_x_px, -self.skew / (self.focal_x_px * self.focal_y_px)], [0, 1 / self.focal_y_px]]
+        )
+        d_pixel_d_own = np.zeros((*pixels.shape[:-1], 2, 5))
+        d_pixel_d_own[..., 0, 0] = measured[..., 0]
+        d_pixel_d_own[..., 0, 4] = d_pixel_d_own[..., 1, 1] = measured[..., 1]
+        d_pixel_d_own[..., 0, 2] = d_pixel_d_own[..., 1, 3] = 1.0
+        d_ray_d_pixel = d_ideal @ d_measured @ inverse
+        d_parameters = np.concatenate((-d_ray_d_pixel @ d_pixel_d_own, d_ideal @ d_coefficients), axis=-1)
+        return rays, d_ray_d_pixel, d_parameters
+
+    def _normalised(self, column_px: FloatArray, row_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        y = (row_px - self.center_y_px) * (1 / self.focal_y_px)
+        x = column_px - self.center_x_px
+        if self.skew:
+            x = x - self.skew * y
+        x *= 1 / self.focal_x_px
+        return x, y
+
+    def _cast(self, column_px: FloatArray, row_px: FloatArray, start: InverseStart | None, rays: FloatArray) -> None:
+        x, y = self.distortion.undistort_components(*self._normalised(column_px, row_px), start)
+        scale = x * x
+        scale += y * y
+        scale += 1.0
+        np.sqrt(scale, out=scale)
+        np.divide(1.0, scale, out=scale)
+        np.multiply(x, scale, out=rays[:, 0])
+        np.multiply(y, scale, out=rays[:, 1])
+        rays[:, 2] = scale
+
+    def _border_px(self, per_side: int) -> FloatArray:
+        """Return points on the outer border of the image, corners included, shape (4 * per_side, 2)."""
+        share = np.linspace(0, 1, per_side, endpoint=False)
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+        sides = corners[:, None] + share[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
+        return np.asarray(sides.reshape(-1, 2) * [self.width_px, self.height_px] - 0.5)
+
+    def _corner_radius(self) -> float:
+        corners = self._border_px(1)
+        return float(np.hypot(*self._normalised(corners[:, 0], corners[:, 1])).max())
+
+    def _start_for_image(self) -> InverseStart | None:
+        if self.distortion.is_zero or not self.distortion.distorts_in_closed_form:
+            return None
+        return self.distortion.inverse_start(self._corner_radius())
+
+
+def _over_depth(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return x/z and y/z, NaN where z is not positive."""
+    inverse_depth = np.full(points_m.shape[:-1], np.nan)
+    np.divide(1.0, points_m[..., 2], out=inverse_depth, where=points_m[..., 2] > 0)
+    return points_m[..., 0] * inverse_depth, points_m[..., 1] * inverse_depth
