@@ -8,7 +8,15 @@ import numpy as np
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
 from heliogauge.rigid import RigidTransform
-from heliogauge.validate import FloatArray, covariance_matrix, float_array, freeze, positive
+from heliogauge.validate import (
+    AnyFloatArray,
+    Float32Array,
+    FloatArray,
+    covariance_matrix,
+    float_array,
+    freeze,
+    positive,
+)
 
 
 class Screen(Protocol):
@@ -20,7 +28,7 @@ class Screen(Protocol):
     frame has x to the right and y up as a viewer sees the screen, z towards the viewer.
     """
 
-    def points_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
+    def points_m(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
         """Return the points that show display coordinates (u, v), shape (..., 3) [m]."""
 
     def describe(self) -> str:
@@ -44,11 +52,11 @@ class RectangularScreen:
         positive("screen width_m", self.width_m, "metres")
         positive("screen height_m", self.height_m, "metres")
 
-    def points_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
+    def points_m(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
         """Return the points that show display coordinates (u, v), shape (..., 3) [m]."""
         points = np.zeros((*np.shape(u), 3))
-        points[..., 0] = (np.asarray(u, dtype=np.float64) - 0.5) * self.width_m
-        points[..., 1] = (0.5 - np.asarray(v, dtype=np.float64)) * self.height_m
+        np.multiply(np.subtract(u, 0.5, dtype=np.float64), self.width_m, out=points[..., 0])
+        np.multiply(np.subtract(0.5, v, dtype=np.float64), self.height_m, out=points[..., 1])
         return points
 
     def describe(self) -> str:
@@ -56,9 +64,14 @@ class RectangularScreen:
         return f"flat rectangular screen {self.width_m:g} m x {self.height_m:g} m"
 
 
+#: Nodes per side of the lattice that holds an interpolated screen table. Bilinear interpolation between them follows
+#: the spline of a wall that is 5 mm off over a tenth of its width to 4 um, a slope of 0.2 urad at 10 m.
+LATTICE_NODES = 129
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TabulatedScreen:
-    """A screen known by measured points; linear interpolation between them (Delaunay triangles).
+    """A screen known by measured points, with the thin-plate spline through them in between.
 
     Parameters
     ----------
@@ -66,39 +79,78 @@ class TabulatedScreen:
         Display coordinates of the measured points.
     xyz_m : array_like, shape (n, 3)
         Where these points are in the screen frame [m].
-    lattice : int
-        Nodes per side of the regular lattice that holds the interpolated table. With 513 the lattice of the
-        9 m x 3.5 m reference wall follows its triangles to 0.01 mm.
 
     Raises
     ------
     InputError
-        Fewer than 3 points, or all on one line.
+        Fewer than 4 points, two points at the same display coordinates, or all on one line.
+
+    Notes
+    -----
+    The spline runs through every point and has no kinks: linear facets between measured points put steps into the
+    curvature map (0.1 mm RMS of difference on a 121-point table of a 9 m wall, 5 urad of slope at 10 m).
     """
 
     u: FloatArray
     v: FloatArray
     xyz_m: FloatArray
-    lattice: int = 513
-    _table: FloatArray = field(init=False, repr=False)
+    _affine: FloatArray = field(init=False, repr=False)
+    _deviation_m: Float32Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("u", "v"):
             object.__setattr__(self, name, float_array(f"screen table {name}", getattr(self, name), (None,)))
         object.__setattr__(self, "xyz_m", float_array("screen table xyz_m", self.xyz_m, (self.u.size, 3)))
-        object.__setattr__(self, "_table", freeze(self._interpolate_table()))
+        affine, deviation = _thin_plate_lattice(np.stack([self.u, self.v], axis=1), self.xyz_m)
+        object.__setattr__(self, "_affine", freeze(affine))
+        object.__setattr__(self, "_deviation_m", freeze(deviation))
 
-    def _interpolate_table(self) -> FloatArray:
-        raise InputError("screen table: replaced below")
-
-    def points_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the points that show display coordinates (u, v), shape (..., 3) [m]; NaN outside the table."""
-        raise InputError("screen table: replaced below")
+    def points_m(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
+        """Return the points that show display coordinates (u, v), shape (..., 3) [m]; NaN off the display."""
+        columns, rows = np.atleast_1d(u) * (LATTICE_NODES - 1.0), np.atleast_1d(v) * (LATTICE_NODES - 1.0)
+        inside = (columns >= 0) & (columns <= LATTICE_NODES - 1) & (rows >= 0) & (rows <= LATTICE_NODES - 1)
+        columns, rows = np.where(inside, columns, 0.0), np.where(inside, rows, 0.0)
+        column = np.minimum(columns.astype(np.int32), LATTICE_NODES - 2)
+        row = np.minimum(rows.astype(np.int32), LATTICE_NODES - 2)
+        to_right = (columns - column).astype(np.float32)[..., None]
+        down = (rows - row).astype(np.float32)[..., None]
+        node = row * LATTICE_NODES + column
+        corner = [self._deviation_m.take(node + step, axis=0) for step in (0, 1, LATTICE_NODES, LATTICE_NODES + 1)]
+        upper = corner[0] + to_right * (corner[1] - corner[0])
+        lower = corner[2] + to_right * (corner[3] - corner[2])
+        points = (upper + down * (lower - upper)).astype(np.float64)
+        points += self._affine[0]
+        points += np.asarray(u, dtype=np.float64)[..., None] * self._affine[1]
+        points += np.asarray(v, dtype=np.float64)[..., None] * self._affine[2]
+        points[~inside] = np.nan
+        return np.asarray(points.reshape(*np.shape(u), 3))
 
     def describe(self) -> str:
         """Return the screen in words."""
-        extent = self.xyz_m.max(axis=0) - self.xyz_m.min(axis=0)
+        extent = np.ptp(self.xyz_m, axis=0)
         return f"screen of {self.u.size} measured points over {extent[0]:.3f} m x {extent[1]:.3f} m"
+
+
+def _thin_plate_lattice(nodes: FloatArray, values: FloatArray) -> tuple[FloatArray, Float32Array]:
+    """Fit the thin-plate spline through nodes (n, 2) -> values (n, 3); affine part (3, 3) and the rest on a lattice."""
+    count = len(nodes)
+    polynomial = np.column_stack([np.ones(count), nodes])
+    if count < 4 or np.linalg.matrix_rank(polynomial, tol=1e-6) < 3:
+        raise InputError(f"screen table: {count} points given; at least 4 are needed that are not on one line")
+    if len(np.unique(nodes, axis=0)) < count:
+        raise InputError("screen table: two points have the same display coordinates u, v; remove one")
+    kernel = _thin_plate_kernel(nodes, nodes)
+    system = np.block([[kernel, polynomial], [polynomial.T, np.zeros((3, 3))]])
+    solution = np.linalg.solve(system, np.vstack([values, np.zeros((3, 3))]))
+    axis = np.linspace(0.0, 1.0, LATTICE_NODES)
+    lattice = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    blocks = [_thin_plate_kernel(part, nodes) @ solution[:count] for part in np.array_split(lattice, LATTICE_NODES)]
+    return solution[count:], np.concatenate(blocks).astype(np.float32)
+
+
+def _thin_plate_kernel(points: FloatArray, nodes: FloatArray) -> FloatArray:
+    squared = ((points[:, None, :] - nodes[None, :, :]) ** 2).sum(axis=-1)
+    return np.asarray(squared * np.log(np.where(squared == 0, 1.0, squared)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
