@@ -106,7 +106,10 @@ class SlopeMap:
     design_slope_x, design_slope_y : ndarray, shape (ny, nx)
         The design's slopes at the same nodes.
     sigma_random_x, sigma_random_y : ndarray, shape (ny, nx)
-        Random share of the uncertainty, independent from node to node [rad].
+        Random share of the uncertainty of each node [rad].
+    noise_correlation : float
+        Variance of the sum of many neighbouring nodes over the sum of their variances: 1 where nodes are independent,
+        above 1 where they share pixels by interpolation. Multiplies the random variance of means and fits.
     common : CommonModes
         Share of the uncertainty that the whole map has in common.
     height_m : ndarray, shape (ny, nx)
@@ -131,6 +134,7 @@ class SlopeMap:
     design_slope_y: FloatArray
     sigma_random_x: FloatArray
     sigma_random_y: FloatArray
+    noise_correlation: float
     common: CommonModes
     height_m: FloatArray
     flags: FlagArray

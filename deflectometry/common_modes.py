@@ -1,0 +1,229 @@
+"""The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deflectometry.setup import Setup
+from deflectometry.slopes import FacetSamples, ShapeSolution, slopes_at, solve_shape
+from heliogauge.rigid import RigidTransform
+from heliogauge.slope_map import CommonModes, monomials
+from heliogauge.surfaces import Facet
+from heliogauge.validate import Float32Array, FloatArray
+
+#: Degree of the polynomials that hold a mode: what pose, lens and screen do to a map is smooth, a cubic leaves
+#: less than 2 % of it on the setups tried.
+MODE_DEGREE = 3
+#: Modes below this RMS slope carry nothing [rad].
+NEGLIGIBLE_RAD = 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelSamples:
+    """Some pixels of one facet as they were measured.
+
+    Parameters
+    ----------
+    facet : Facet
+        The facet.
+    pixels_px : ndarray, shape (n, 2)
+        Pixel positions (x, y) [px].
+    u, v : ndarray, shape (n,)
+        Display coordinates seen there.
+    """
+
+    facet: Facet
+    pixels_px: FloatArray
+    u: Float32Array | FloatArray
+    v: Float32Array | FloatArray
+
+
+Warp = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | None = None) -> list[FacetSamples]:
+    """Turn pixels and display coordinates into lines of sight and screen points.
+
+    Parameters
+    ----------
+    setup : Setup
+        Camera and screen.
+    samples : sequence of PixelSamples
+        Pixels of each facet.
+    warp : callable, optional
+        Shift of the screen's points as a function of (u, v), shape (n, 3) [m].
+
+    Returns
+    -------
+    list of FacetSamples
+        The same pixels in the camera frame.
+    """
+    traced = []
+    for sample in samples:
+        points = setup.screen.points_m(sample.u, sample.v)
+        if warp is not None:
+            points = points + warp(np.asarray(sample.u, dtype=np.float64), np.asarray(sample.v, dtype=np.float64))
+        rays = setup.camera.cast_rays(sample.pixels_px)
+        traced.append(
+            FacetSamples(sample.facet, np.ascontiguousarray(rays.T), setup.cam_from_screen.apply(points).T.copy())
+        )
+    return traced
+
+
+def common_modes(
+    setup: Setup,
+    samples: Sequence[PixelSamples],
+    solution: ShapeSolution,
+    covariance_cam_from_mirror: FloatArray,
+    *,
+    align: bool,
+) -> list[CommonModes]:
+    """Propagate the uncertainty of pose, screen and camera into the slopes of each facet.
+
+    Parameters
+    ----------
+    setup : Setup
+        Camera and screen with their covariances.
+    samples : sequence of PixelSamples
+        Pixels of each facet.
+    solution : ShapeSolution
+        The shape found with the values as given.
+    covariance_cam_from_mirror : ndarray, shape (6, 6)
+        Covariance of the mirror's pose for steps of `RigidTransform.moved` [rad, m].
+    align : bool
+        As in `deflectometry.slopes.solve_shape`.
+
+    Returns
+    -------
+    list of CommonModes
+        One mode for each independent direction of each covariance, for each facet.
+
+    Notes
+    -----
+    Each covariance is split into its principal directions; the whole solution (shape and alignment included) is
+    repeated with the input moved by one sigma along each, and the change of the slope errors is fitted by a cubic.
+    Mirror pose, screen and camera count as independent of each other.
+    """
+    base = _slope_errors(trace_samples(setup, samples), solution)
+    sources: list[str] = []
+    changes: list[list[FloatArray]] = []
+    for source, moved, pose, warp in _perturbations(setup, solution.cam_from_mirror, covariance_cam_from_mirror):
+        traced = trace_samples(moved, samples, warp)
+        shape = solve_shape(traced, pose, align=align, start=solution, max_iterations=4)
+        sources.append(source)
+        changes.append([after[1] - before[1] for after, before in zip(_slope_errors(traced, shape), base, strict=True)])
+    return [_as_modes(sources, [change[k] for change in changes], base[k][0], samples[k]) for k in range(len(samples))]
+
+
+def _slope_errors(samples: Sequence[FacetSamples], solution: ShapeSolution) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the positions and the slope errors against the design of each facet's samples."""
+    results = []
+    for sample, surface in zip(samples, solution.surfaces, strict=True):
+        facet_from_cam = (solution.cam_from_mirror @ sample.facet.ensemble_from_facet).inverse()
+        camera = facet_from_cam.translation_m
+        points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
+        screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
+        slopes = np.stack(slopes_at(points, camera, screen))
+        results.append((points[:2], slopes - np.stack(surface.design.gradient(points[0], points[1]))))
+    return results
+
+
+def _perturbations(
+    setup: Setup, cam_from_mirror: RigidTransform, covariance_pose: FloatArray
+) -> Iterator[tuple[str, Setup, RigidTransform, Warp | None]]:
+    """Yield the inputs moved by one sigma along each principal direction of each covariance."""
+    for step in principal_steps(covariance_pose):
+        yield "mirror pose", setup, cam_from_mirror.moved(step), None
+    for step in principal_steps(setup.covariance_cam_from_screen):
+        moved = replace(setup, cam_from_screen=setup.cam_from_screen.moved(step))
+        yield "screen pose", moved, cam_from_mirror, None
+    for step in principal_steps(setup.camera.covariance):
+        camera = setup.camera.with_parameters(setup.camera.parameters + step)
+        yield "camera", replace(setup, camera=camera), cam_from_mirror, None
+    if setup.sigma_screen_points_m > 0:
+        for warp in _screen_warps(setup.sigma_screen_points_m):
+            yield "screen shape", setup, cam_from_mirror, warp
+
+
+def principal_steps(covariance: FloatArray) -> FloatArray:
+    """Return one-sigma steps along the principal directions of a covariance.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+        Covariance matrix; parameters may differ in unit.
+
+    Returns
+    -------
+    ndarray, shape (k, n)
+        Independent steps whose outer products add up to the covariance; k is its rank.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    used = scale > 0
+    if not used.any():
+        return np.zeros((0, scale.size))
+    correlation = covariance[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+    values, vectors = np.linalg.eigh(correlation)
+    keep = values > 1e-12 * values[-1]
+    steps = np.zeros((int(np.count_nonzero(keep)), scale.size))
+    steps[:, used] = (vectors[:, keep] * np.sqrt(values[keep])).T * scale[used]
+    return steps
+
+
+def _screen_warps(sigma_m: float) -> Iterator[Warp]:
+    """Smooth shapes a surveyed screen may have wrong: stretch and shear in its plane, bows out of it.
+
+    Each has the RMS sigma over the display, so that together they stand for a smooth error of every point.
+    """
+    shapes: list[tuple[int, Warp]] = [
+        (axis, shape)
+        for axis, shapes_of_axis in ((0, (_first, _second)), (1, (_first, _second)), (2, (_bow_u, _twist, _bow_v)))
+        for shape in shapes_of_axis
+    ]
+    share = sigma_m / np.sqrt(2.0)
+    for axis, shape in shapes:
+
+        def warp(u: FloatArray, v: FloatArray, axis: int = axis, shape: Warp = shape) -> FloatArray:
+            shift = np.zeros((u.size, 3))
+            shift[:, axis] = share * shape(u, v)
+            return shift
+
+        yield warp
+
+
+def _first(u: FloatArray, _v: FloatArray) -> FloatArray:
+    return np.sqrt(12.0) * (u - 0.5)
+
+
+def _second(_u: FloatArray, v: FloatArray) -> FloatArray:
+    return np.sqrt(12.0) * (v - 0.5)
+
+
+def _bow_u(u: FloatArray, _v: FloatArray) -> FloatArray:
+    return np.sqrt(5.0) * (6.0 * u * u - 6.0 * u + 1.0)
+
+
+def _bow_v(_u: FloatArray, v: FloatArray) -> FloatArray:
+    return np.sqrt(5.0) * (6.0 * v * v - 6.0 * v + 1.0)
+
+
+def _twist(u: FloatArray, v: FloatArray) -> FloatArray:
+    return 12.0 * (u - 0.5) * (v - 0.5)
+
+
+def _as_modes(
+    sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples
+) -> CommonModes:
+    """Fit each change of slopes by polynomials over the facet."""
+    center = np.asarray(sample.facet.reference_point_m)
+    scale = 0.5 * float(np.ptp(sample.facet.outline_m, axis=0).max())
+    terms = (MODE_DEGREE + 1) * (MODE_DEGREE + 2) // 2
+    usable = np.isfinite(points_m).all(axis=0)
+    for change in changes:
+        usable &= np.isfinite(change).all(axis=0)
+    matrix = monomials(*((points_m[:, usable] - center[:, None]) / scale), MODE_DEGREE)
+    solver = np.linalg.solve(matrix @ matrix.T, matrix)
+    kept = [k for k, change in enumerate(changes) if np.sqrt(np.mean(change[:, usable] ** 2)) > NEGLIGIBLE_RAD]
+    coefficients = np.array([(solver @ changes[k][:, usable].T).T for k in kept]).reshape(-1, 2, terms)
+    return CommonModes(tuple(sources[k] for k in kept), coefficients, center, scale)

@@ -1,0 +1,211 @@
+"""From the pixels of a facet to the regular grid of a slope map."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from deflectometry.integrate import integrate_slopes
+from deflectometry.slope_image import SlopeImage
+from deflectometry.slopes import FittedSurface
+from heliogauge.camera import Camera
+from heliogauge.errors import EstimationError
+from heliogauge.flags import REJECTED, SampleFlag
+from heliogauge.rigid import RigidTransform
+from heliogauge.slope_map import CommonModes, SlopeMap
+from heliogauge.surfaces import Facet
+from heliogauge.validate import FlagArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapLabels:
+    """What a slope map says about itself in words.
+
+    Parameters
+    ----------
+    frame : str
+        The frame of x, y, z.
+    removed : str
+        What was taken out of the measured slopes.
+    """
+
+    frame: str
+    removed: str
+
+
+def default_step_m(footprint_m: float) -> float:
+    """Return the grid step for a pixel footprint: half of it, rounded down to two digits.
+
+    Parameters
+    ----------
+    footprint_m : float
+        Spacing of the pixels on the mirror [m].
+
+    Returns
+    -------
+    float
+        Step [m]. Half a footprint keeps what the pixels show: reading the map between its nodes then differs from
+        the pixels themselves by less than their noise.
+
+    Examples
+    --------
+    >>> default_step_m(0.01412)
+    0.007
+    """
+    half = 0.5 * footprint_m
+    unit = 10.0 ** (np.floor(np.log10(half)) - 1)
+    return float(np.round(np.floor(half / unit + 1e-9) * unit, 12))
+
+
+def grid_axis(low_m: float, high_m: float, step_m: float) -> FloatArray:
+    """Return grid positions at whole multiples of the step that cover an interval [m]."""
+    first, last = np.floor(low_m / step_m + 1e-9), np.ceil(high_m / step_m - 1e-9)
+    return np.asarray(np.arange(first, last + 1) * step_m)
+
+
+def grid_slopes(
+    image: SlopeImage,
+    surface: FittedSurface,
+    view: tuple[Camera, RigidTransform],
+    facet: Facet,
+    *,
+    step_m: float,
+    common: CommonModes,
+    labels: MapLabels,
+) -> SlopeMap:
+    """Read the slopes of a facet at the nodes of a regular grid.
+
+    Parameters
+    ----------
+    image : SlopeImage
+        Slopes of the pixels.
+    surface : FittedSurface
+        Smooth shape of the facet.
+    view : tuple of Camera and RigidTransform
+        The camera and cam_from_facet.
+    facet : Facet
+        Outline and design.
+    step_m : float
+        Grid step [m].
+    common : CommonModes
+        Common share of the uncertainty, kept with the map.
+    labels : MapLabels
+        Words for the map's attributes.
+
+    Returns
+    -------
+    SlopeMap
+        Slopes, sigma, integrated height and flags at the nodes.
+
+    Raises
+    ------
+    EstimationError
+        No node carries a slope.
+
+    Notes
+    -----
+    Every node is projected into the image, and what the pixels differ from the smooth shape there is interpolated
+    bilinearly; the smooth shape itself is added exactly at the node. On grids coarser than the pixels the differences
+    are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over the pixels used.
+    """
+    low, high = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0)
+    x_m, y_m = grid_axis(low[0], high[0], step_m), grid_axis(low[1], high[1], step_m)
+    grid_x, grid_y = np.meshgrid(x_m, y_m)
+    aperture = facet.contains(grid_x, grid_y)
+    if not aperture.any():
+        raise EstimationError(f"grid: no node of a {step_m * 1e3:g} mm grid lies on facet {facet.name}; use a finer step")
+    nodes = np.stack([grid_x[aperture], grid_y[aperture]])
+    points = np.stack([*nodes, surface.height(*nodes)], axis=-1)
+    camera, cam_from_facet = view
+    pixels = camera.project(cam_from_facet.apply(points)) - np.array([image.column, image.row])
+    residual, sigma, flag = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
+    smooth = np.stack(surface.gradient(*nodes))
+    design = np.stack(surface.design.gradient(*nodes))
+    fields = np.full((7, *aperture.shape), np.nan)
+    fields[:, aperture] = np.concatenate([smooth + residual, design, sigma, surface.height(*nodes)[None]])
+    flags = np.full(aperture.shape, SampleFlag.OUTSIDE_MIRROR, dtype=np.uint32)
+    flags[aperture] = flag
+    if not np.isfinite(residual).any():
+        raise EstimationError(f"grid: no pixel of facet {facet.name} carries a slope; see the flags of pixels.nc")
+    remainder = np.full((2, *aperture.shape), np.nan)
+    remainder[:, aperture] = residual
+    height = fields[6] + integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
+    return SlopeMap(
+        x_m=x_m, y_m=y_m,
+        slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
+        sigma_random_x=fields[4], sigma_random_y=fields[5],
+        noise_correlation=_noise_correlation(image, sigma), common=common,
+        height_m=height, flags=flags, aperture=aperture,
+        design=facet.design.describe(), frame=labels.frame, removed=labels.removed,
+    )  # fmt: skip
+
+
+def _sample(
+    image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int
+) -> tuple[FloatArray, FloatArray, FlagArray]:
+    """Interpolate differences from the smooth shape, their sigma, and the flag of the nearest pixel."""
+    smooth_x, smooth_y = surface.gradient(image.x_m, image.y_m)
+    usable = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
+    weight = usable.astype(np.float64)
+    planes = [
+        np.where(usable, plane, 0.0)
+        for plane in (image.slope_x - smooth_x, image.slope_y - smooth_y, image.sigma_x**2.0, image.sigma_y**2.0)
+    ]
+    if width > 1:
+        count = _box_sum(weight, width)
+        planes = [_box_sum(plane, width) for plane in planes]
+        planes = [plane / np.maximum(count, 1) for plane in planes[:2]] + [
+            plane / np.maximum(count, 1) ** 2 for plane in planes[2:]
+        ]
+        # Half a cell must be seen for its mean to stand for it.
+        weight = (count >= 0.5 * width * width).astype(np.float64)
+        planes = [plane * weight for plane in planes]
+    rows, columns = weight.shape
+    near_column, near_row = np.rint(pixels[:, 0]).astype(int), np.rint(pixels[:, 1]).astype(int)
+    inside = (near_column >= 0) & (near_column < columns) & (near_row >= 0) & (near_row < rows)
+    nearest = np.where(inside, near_row * columns + near_column, 0)
+    flags = np.where(inside, image.flags.ravel()[nearest], np.uint32(SampleFlag.NOT_SEEN)).astype(np.uint32)
+    usable_node = inside & (weight.ravel()[nearest] > 0)
+    # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
+    flags[usable_node] &= ~np.uint32(REJECTED)
+    total, residual, variance = _bilinear(pixels, weight, planes)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        residual = np.where(usable_node, residual / total, np.nan)
+        sigma = np.where(usable_node, np.sqrt(variance) / total, np.nan)
+    return residual, sigma, flags
+
+
+def _box_sum(plane: FloatArray, width: int) -> FloatArray:
+    return np.asarray(
+        cv2.boxFilter(plane, cv2.CV_64F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    )
+
+
+def _bilinear(
+    pixels: FloatArray, weight: FloatArray, planes: list[FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sum the four neighbours of each position: weights, weighted differences, squared-weight variances."""
+    rows, columns = weight.shape
+    column, row = np.floor(pixels[:, 0]), np.floor(pixels[:, 1])
+    to_right, down = pixels[:, 0] - column, pixels[:, 1] - row
+    total, residual, variance = np.zeros(len(pixels)), np.zeros((2, len(pixels))), np.zeros((2, len(pixels)))
+    for step_column, share_column in ((0, 1 - to_right), (1, to_right)):
+        for step_row, share_row in ((0, 1 - down), (1, down)):
+            at_column = np.clip(column + step_column, 0, columns - 1).astype(int)
+            at_row = np.clip(row + step_row, 0, rows - 1).astype(int)
+            at = at_row * columns + at_column
+            share = share_column * share_row * weight.ravel()[at]
+            total += share
+            for axis in (0, 1):
+                residual[axis] += share * planes[axis].ravel()[at]
+                variance[axis] += share * share * planes[axis + 2].ravel()[at]
+    return total, residual, variance
+
+
+def _noise_correlation(image: SlopeImage, sigma: FloatArray) -> float:
+    """Compare the variance of the mean over pixels with that over nodes taken as independent."""
+    usable = np.isfinite(image.sigma_x)
+    pixel_variance = float(np.mean(image.sigma_x[usable].astype(np.float64) ** 2)) / np.count_nonzero(usable)
+    finite = np.isfinite(sigma[0])
+    node_variance = float(np.mean(sigma[0][finite] ** 2)) / np.count_nonzero(finite)
+    return max(1.0, pixel_variance / node_variance) if node_variance > 0 else 1.0
