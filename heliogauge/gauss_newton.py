@@ -1,0 +1,250 @@
+"""Damped Gauss-Newton descent over any state, with an honest stop; the linear algebra is the caller's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import FloatArray, positive
+
+StateT = TypeVar("StateT")
+EvaluationT = TypeVar("EvaluationT", bound="Evaluation")
+EPSILON = float(np.finfo(np.float64).eps)
+
+
+class LinearSystem(Protocol):
+    """One linearised problem ``min |r + J step|``, scaled by column; dense, sparse or by Schur complement."""
+
+    @property
+    def scale(self) -> FloatArray:
+        """Column scale used by the damping, shape (n,)."""
+        ...
+
+    @property
+    def decrement(self) -> float:
+        """Length of the part of the residuals that the undamped step would remove, ``|J step|``."""
+        ...
+
+    @property
+    def rounding(self) -> float:
+        """Rounding error of the residual vector's length; 0 if unknown."""
+        ...
+
+    @property
+    def rank(self) -> int:
+        """Number of parameter combinations that the observations determine."""
+        ...
+
+    def step(self, damping: float) -> tuple[FloatArray, float]:
+        """Return the step of ``(J^T J + damping scale**2) step = -J^T r`` and the decrease of cost it promises."""
+        ...
+
+
+class Evaluation(Protocol):
+    """Residuals at one state; the linear system is built only where the descent goes on from."""
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of the loss; not finite where the model cannot be evaluated."""
+        ...
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of residuals, priors and constraints included."""
+        ...
+
+    def system(self, scale_floor: FloatArray | None) -> LinearSystem:
+        """Linearise here; columns are scaled by their norm, or by ``scale_floor`` where that is larger."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to iterate.
+
+    Parameters
+    ----------
+    max_iterations : int, optional
+        Accepted or tried steps before the descent gives up.
+    tolerance : float, optional
+        Relative offset at which the descent has converged: the remaining step, in units of the parameters' own
+        standard deviations (Bates and Watts 1981).
+    initial_damping : float, optional
+        Damping of the first step, relative to the squared column norms; 0 starts with a pure Gauss-Newton step.
+    rank_tolerance : float, optional
+        Singular values of the column-scaled Jacobian below this share of the largest count as zero.
+
+    Raises
+    ------
+    InputError
+        A number is out of its range.
+    """
+
+    max_iterations: int = 100
+    tolerance: float = 1e-8
+    initial_damping: float = 1e-6
+    rank_tolerance: float = 1e-11
+
+    def __post_init__(self) -> None:
+        positive("tolerance", self.tolerance, "sigma")
+        positive("rank_tolerance", self.rank_tolerance, "the largest singular value")
+        if self.max_iterations < 1 or self.initial_damping < 0:
+            raise InputError(
+                f"max_iterations: at least 1 is needed, not {self.max_iterations}; "
+                f"initial_damping: at least 0 is needed, not {self.initial_damping}"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descent(Generic[StateT, EvaluationT]):
+    """Where a descent ended and why.
+
+    Parameters
+    ----------
+    state : object
+        The last accepted state.
+    evaluation : Evaluation
+        The residuals there.
+    converged : bool
+        Whether the stop is a minimum to the stated tolerance.
+    reason : str
+        Why the descent stopped, with numbers.
+    iterations : int
+        Steps tried.
+    """
+
+    state: StateT
+    evaluation: EvaluationT
+    converged: bool
+    reason: str
+    iterations: int
+
+
+def relative_offset(system: LinearSystem, cost: float, n_residuals: int) -> float:
+    """Return the remaining step in units of the parameters' standard deviations.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The linearised problem.
+    cost : float
+        Half the sum of squares at the same place.
+    n_residuals : int
+        Number of residuals.
+
+    Returns
+    -------
+    float
+        ``|J step| / sqrt(rank)`` over ``|r + J step| / sqrt(n_residuals - rank)``; infinite without redundancy.
+
+    Notes
+    -----
+    Bates and Watts, Technometrics 23 (1981) 179: unlike a small step or a small change of the cost this cannot be
+    met by a heavily damped crawl, because the undamped step enters.
+    """
+    rest = max(2 * cost - system.decrement**2, 0.0)
+    freedom = n_residuals - system.rank
+    if system.decrement == 0:
+        return 0.0
+    if freedom <= 0 or rest == 0:
+        return float("inf")
+    return float(system.decrement / np.sqrt(max(system.rank, 1)) / np.sqrt(rest / freedom))
+
+
+def minimise(
+    start: StateT,
+    evaluate: Callable[[StateT], EvaluationT],
+    retract: Callable[[StateT, FloatArray], StateT],
+    *,
+    options: Options | None = None,
+) -> Descent[StateT, EvaluationT]:
+    """Descend to a minimum of the cost with Levenberg-Marquardt steps.
+
+    Parameters
+    ----------
+    start : object
+        Start state.
+    evaluate : callable
+        State to `Evaluation`.
+    retract : callable
+        State and step, shape (n,), to the moved state.
+    options : Options, optional
+        How to iterate.
+
+    Returns
+    -------
+    Descent
+        The last state; ``converged`` is False with the reason when it is not a minimum.
+
+    Raises
+    ------
+    EstimationError
+        The model cannot be evaluated at the start.
+
+    Notes
+    -----
+    Damping after Marquardt (scaled by column, scales never shrink) with Nielsen's update from the ratio of the real to
+    the promised decrease. Where the promised decrease is below the rounding error of the cost the step is accepted
+    unless the cost rises beyond rounding, so the gradient and not the noise of the cost decides about the end.
+    """
+    options = options or Options()
+    state, here = start, evaluate(start)
+    if not np.isfinite(here.cost):
+        raise EstimationError(
+            "least squares: the model gives values that are not finite at the start; give other start values"
+        )
+    first_cost, damping, growth = here.cost, options.initial_damping, 2.0
+    system = here.system(None)
+    reason = _stop(system, here, first_cost, options)
+    for iteration in range(options.max_iterations):
+        if reason:
+            return Descent(state, here, True, reason, iteration)
+        step, promised = system.step(damping)
+        trial_state = retract(state, step)
+        there = evaluate(trial_state)
+        gain = _gain(here.cost, there.cost, promised)
+        if gain > 1e-4:
+            state, here = trial_state, there
+            damping, growth = damping * max(0.1, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
+            system = here.system(system.scale)
+            reason = _stop(system, here, first_cost, options)
+        elif damping > 1e12:
+            return _stalled(state, here, system, iteration + 1)
+        else:
+            damping, growth = max(damping, 1e-6) * growth, growth * 2
+    offset = relative_offset(system, here.cost, here.n_residuals)
+    done = bool(reason)
+    text = reason or f"not converged after {options.max_iterations} iterations: {offset:.1e} sigma still to go"
+    return Descent(state, here, done, text, options.max_iterations)
+
+
+def _gain(cost: float, trial_cost: float, promised: float) -> float:
+    """Real over promised decrease; 1 where both are below the rounding error of the cost."""
+    if not np.isfinite(trial_cost):
+        return -1.0
+    noise = 1e-13 * cost
+    if promised <= noise:
+        return 1.0 if trial_cost - cost <= noise else -1.0
+    return (cost - trial_cost) / promised
+
+
+def _stop(system: LinearSystem, here: Evaluation, first_cost: float, options: Options) -> str:
+    """Reason to stop at a minimum, or an empty string."""
+    if here.cost <= (16 * EPSILON) ** 2 * first_cost:
+        return "the residuals are zero to rounding"
+    if system.decrement <= 4 * system.rounding:
+        return "the remaining step is below the rounding error of the observations"
+    offset = relative_offset(system, here.cost, here.n_residuals)
+    if offset <= options.tolerance:
+        return f"the remaining step is {offset:.1e} sigma"
+    return ""
+
+
+def _stalled(state: StateT, here: EvaluationT, system: LinearSystem, iteration: int) -> Descent[StateT, EvaluationT]:
+    offset = relative_offset(system, here.cost, here.n_residuals)
+    # 1e-4 sigma is far below what any user of the estimate can notice, and above the noise of single-precision models.
+    fine = offset <= 1e-4
+    text = f"no step lowers the cost, the linear model promises {offset:.1e} sigma"
+    return Descent(state, here, fine, text if fine else f"stalled: {text}; check the derivatives", iteration)
