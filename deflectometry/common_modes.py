@@ -105,12 +105,14 @@ def common_modes(
     repeated with the input moved by one sigma along each, and the change of the slope errors is fitted by a cubic.
     Mirror pose, screen and camera count as independent of each other.
     """
+    # The base must be at rest on these very samples, or the first step would move it too.
+    solution = solve_shape(trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution)
     base = _slope_errors(trace_samples(setup, samples), solution)
     sources: list[str] = []
     changes: list[list[FloatArray]] = []
     for source, moved, pose, warp in _perturbations(setup, solution.cam_from_mirror, covariance_cam_from_mirror):
         traced = trace_samples(moved, samples, warp)
-        shape = solve_shape(traced, pose, align=align, start=solution, max_iterations=4)
+        shape = solve_shape(traced, pose, align=align, start=solution, max_iterations=2)
         sources.append(source)
         changes.append([after[1] - before[1] for after, before in zip(_slope_errors(traced, shape), base, strict=True)])
     return [_as_modes(sources, [change[k] for change in changes], base[k][0], samples[k]) for k in range(len(samples))]

@@ -101,7 +101,7 @@ def measure_slopes(
     x_m, y_m, slope_x, slope_y = (np.full(shape, np.nan) for _ in range(4))
     sigma_x, sigma_y = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
     flags = screen_map.flags[rows, columns].copy()
-    flags[~region[rows, columns]] |= SampleFlag.OUTSIDE_MIRROR
+    flags[~region[rows, columns]] |= np.uint32(SampleFlag.OUTSIDE_MIRROR)
     u, v, sigma_u, sigma_v = (
         image[rows, columns] for image in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v)
     )
@@ -131,9 +131,9 @@ def _reject(
     x_m: FloatArray,
 ) -> None:
     """Flag pixels whose ray misses, and blank everything that carries a rejecting flag."""
-    flags[region & np.isnan(x_m)] |= SampleFlag.NO_INTERSECTION
+    flags[region & np.isnan(x_m)] |= np.uint32(SampleFlag.NO_INTERSECTION)
     missing = region & np.isnan(values[0]) & ((flags & np.uint32(REJECTED)) == 0)
-    flags[missing] |= SampleFlag.OFF_SCREEN
+    flags[missing] |= np.uint32(SampleFlag.OFF_SCREEN)
     rejected = (flags & np.uint32(REJECTED)) != 0
     for image in values:
         image[rejected] = np.nan
