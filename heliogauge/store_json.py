@@ -1,0 +1,71 @@
+"""JSON files that hold one object: readable, UTF-8, never with NaN."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from heliogauge.errors import InputError
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file, readable, UTF-8, never with NaN.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    content : mapping
+        What to write.
+
+    Raises
+    ------
+    InputError
+        A number is not finite, or the file cannot be written.
+    """
+    try:
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False, default=_python_number)
+    except ValueError as error:
+        raise InputError(
+            f"{path.name}: NaN or infinity cannot be written as JSON; null and a reason are needed"
+        ) from error
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error})") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file that holds an object.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Its content.
+
+    Raises
+    ------
+    InputError
+        No such file, not JSON, or not an object.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not valid JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: a JSON object is needed, not a {type(content).__name__}")
+    return content
+
+
+def _python_number(value: Any) -> Any:
+    # numpy scalars and arrays, without importing numpy here.
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise InputError(f"a {type(value).__name__} cannot be written as JSON")
