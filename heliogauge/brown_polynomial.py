@@ -9,8 +9,9 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: Points handled at once: some twenty temporaries of 64 KiB stay in a 1 MiB level-2 cache.
 BLOCK = 8192
-#: Newton stops when the last step is below this share of the image radius; the error left is its square.
-_STEP_LIMIT = 1e-9
+#: Newton stops when the last step is below this share of the image radius. What is left is its square over the smallest
+#: derivative: a tenth of round-off, which the same derivative amplifies.
+_STEP_LIMIT = 5e-9
 _FAST_ITERATIONS = 6
 _SAFE_ITERATIONS = 100
 _START_DEGREE = 7
@@ -101,10 +102,10 @@ def invertible_radius(c: BrownCoefficients) -> float:
 
     Notes
     -----
-    P is the gradient of a scalar, so its derivative is symmetric; where that is positive definite on a convex region, P
-    is one-to-one there. In polar directions the derivative is ``[[a + 3 u cos, u sin], [u sin, b + u cos]]`` with
-    ``b = 1 + k1 s + k2 s^2 + k3 s^3``, ``a = b + 2 s db/ds``, ``u = 2 r sqrt(p1^2 + p2^2)``. Its smallest eigenvalue over
-    all directions is the minimum over ``w`` in [1, 3] of ``b + (a - b) (w^2 - 1)/8 - u w``, met at
+    P is the gradient of a scalar, so its derivative is symmetric; where that is positive definite on a convex region,
+    P is one-to-one there. In polar directions the derivative is ``[[a + 3 u cos, u sin], [u sin, b + u cos]]`` with
+    ``b = 1 + k1 s + k2 s^2 + k3 s^3``, ``a = b + 2 s db/ds``, ``u = 2 r sqrt(p1^2 + p2^2)``. Its smallest eigenvalue
+    over all directions is the minimum over ``w`` in [1, 3] of ``b + (a - b) (w^2 - 1)/8 - u w``, met at
     ``w = 4 u / (a - b)`` or at an end; each of the three cases vanishes at the roots of a polynomial in r.
     """
     tangential = 2 * math.hypot(c.p1, c.p2)
@@ -178,7 +179,8 @@ def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) ->
     image = s * factor * factor
     scale = float(image.max())
     powers = np.vander(image / scale, _START_DEGREE + 1, increasing=True)
-    return np.linalg.lstsq(powers, 1 / factor, rcond=None)[0], scale
+    coefficients: FloatArray = np.linalg.lstsq(powers, 1 / factor, rcond=None)[0].astype(np.float64)
+    return coefficients, scale
 
 
 def solve(

@@ -1,6 +1,5 @@
 """Camera: THE one camera model of every package - project points, cast rays, derivatives, uncertainty."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -10,7 +9,8 @@ import numpy.typing as npt
 from heliogauge.brown_polynomial import BLOCK
 from heliogauge.distortion import BrownDistortion, InverseStart, coordinates
 from heliogauge.errors import InputError
-from heliogauge.rigid import RigidTransform, skew
+from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import skew as skew_matrices
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
 
 #: Order of the parameters in vectors, Jacobians and covariances.
@@ -240,19 +240,42 @@ class Camera:
         points = coordinates("points_m", points_m, 3)
         ideal = np.stack(_over_depth(points), axis=-1)
         measured, d_ideal, d_coefficients = self.distortion.distort_with_jacobians(ideal)
-        d_pixel_d_measured = self.matrix[:2, :2]
-        d_pixel_d_ideal = d_pixel_d_measured @ d_ideal
         d_point = np.empty((*points.shape[:-1], 2, 3))
-        inverse_depth = 1 / points[..., 2, None, None]
-        d_point[..., :2] = d_pixel_d_ideal * inverse_depth
-        d_point[..., 2:] = -(d_pixel_d_ideal @ ideal[..., None]) * inverse_depth
+        d_point[..., :2] = self._times_matrix(d_ideal)
+        d_point[..., 2] = -(d_point[..., 0] * ideal[..., :1] + d_point[..., 1] * ideal[..., 1:])
+        d_point /= np.where(points[..., 2] > 0, points[..., 2], np.nan)[..., None, None]
         d_parameters = np.zeros((*points.shape[:-1], 2, 10))
-        d_parameters[..., 0, 0] = measured[..., 0]
-        d_parameters[..., 0, 4] = d_parameters[..., 1, 1] = measured[..., 1]
-        d_parameters[..., 0, 2] = d_parameters[..., 1, 3] = 1.0
-        d_parameters[..., 5:] = d_pixel_d_measured @ d_coefficients
-        pixels = measured @ d_pixel_d_measured.T + [self.center_x_px, self.center_y_px]
+        d_parameters[..., :5] = _own_derivatives(measured)
+        d_parameters[..., 5:] = self._times_matrix(d_coefficients)
+        pixels = self._times_matrix(measured[..., None])[..., 0] + [self.center_x_px, self.center_y_px]
         return pixels, d_point, d_parameters
+
+    def project_posed(self, points_m: npt.ArrayLike, cam_from_frame: RigidTransform) -> PosedProjection:
+        """Project points of another frame, with derivatives also for the pose.
+
+        Parameters
+        ----------
+        points_m : array_like, shape (..., 3)
+            Points in that frame [m].
+        cam_from_frame : RigidTransform
+            Pose of the frame in the camera's.
+
+        Returns
+        -------
+        PosedProjection
+            ``pixels_px`` (..., 2) [px], ``d_pixel_d_point`` (..., 2, 3) for the point in its own frame,
+            ``d_pixel_d_pose`` (..., 2, 6) for the steps of `RigidTransform.moved` (rotation vector [rad], shift [m]),
+            ``d_pixel_d_parameters`` (..., 2, 10).
+
+        Raises
+        ------
+        InputError
+            The last axis does not have three elements.
+        """
+        turned = cam_from_frame.rotate(coordinates("points_m", points_m, 3))
+        pixels, d_point, d_parameters = self.project_with_jacobians(turned + cam_from_frame.translation_m)
+        d_pose = np.concatenate((-d_point @ skew_matrices(turned), d_point), axis=-1)
+        return PosedProjection(pixels, d_point @ cam_from_frame.rotation, d_pose, d_parameters)
 
     def cast_rays_with_jacobians(self, pixels_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Cast lines of sight, with derivatives.
@@ -283,17 +306,84 @@ class Camera:
         rays = np.concatenate((ideal / length, 1 / length), axis=-1)
         # d(v/|v|) = (I - ray ray^T) dv / |v|, where v = (x, y, 1) moves in x and y only.
         d_ideal = (np.eye(3)[:, :2] - rays[..., :, None] * rays[..., None, :2]) / length[..., None]
-        d_pixel_d_measured = self.matrix[:2, :2]
         inverse = np.array(
             [[1 / self.focal_x_px, -self.skew / (self.focal_x_px * self.focal_y_px)], [0, 1 / self.focal_y_px]]
         )
-        d_pixel_d_own = np.zeros((*pixels.shape[:-1], 2, 5))
-        d_pixel_d_own[..., 0, 0] = measured[..., 0]
-        d_pixel_d_own[..., 0, 4] = d_pixel_d_own[..., 1, 1] = measured[..., 1]
-        d_pixel_d_own[..., 0, 2] = d_pixel_d_own[..., 1, 3] = 1.0
-        d_ray_d_pixel = d_ideal @ d_measured @ inverse
-        d_parameters = np.concatenate((-d_ray_d_pixel @ d_pixel_d_own, d_ideal @ d_coefficients), axis=-1)
-        return rays, d_ray_d_pixel, d_parameters
+        d_pixel = d_ideal @ (d_measured @ inverse)
+        # A parameter that would move the image point by d needs the opposite move to keep the point where it is.
+        d_parameters = np.concatenate((-d_pixel @ _own_derivatives(measured), d_ideal @ d_coefficients), axis=-1)
+        return rays, d_pixel, d_parameters
+
+    def projection_covariance_px2(self, points_m: npt.ArrayLike) -> FloatArray:
+        """Carry the covariance of the parameters to image points.
+
+        Parameters
+        ----------
+        points_m : array_like, shape (..., 3)
+            Points in the camera frame [m], taken as exact.
+
+        Returns
+        -------
+        ndarray, shape (..., 2, 2)
+            Covariance of the image point [px^2]; the roots of its diagonal are the sigma in columns and rows.
+        """
+        return _carried(self.project_with_jacobians(points_m)[2], self.covariance)
+
+    def ray_covariance(self, pixels_px: npt.ArrayLike, sigma_pixel_px: float = 0.0) -> FloatArray:
+        """Carry the covariance of the parameters, and the noise of an image point, to its line of sight.
+
+        Parameters
+        ----------
+        pixels_px : array_like, shape (..., 2)
+            Image points [px].
+        sigma_pixel_px : float, optional
+            Standard deviation of each coordinate of the image points [px].
+
+        Returns
+        -------
+        ndarray, shape (..., 3, 3)
+            Covariance of the unit direction [rad^2], without a part along the direction.
+        """
+        _, d_pixel, d_parameters = self.cast_rays_with_jacobians(pixels_px)
+        noise = (sigma_pixel_px**2) * (d_pixel @ np.swapaxes(d_pixel, -1, -2))
+        return np.asarray(_carried(d_parameters, self.covariance) + noise)
+
+    def sigma_ray_rad(self, pixels_px: npt.ArrayLike, sigma_pixel_px: float = 0.0) -> FloatArray:
+        """Return the uncertainty of a line of sight's angle, both directions added in squares, shape (...) [rad]."""
+        return np.asarray(np.sqrt(np.trace(self.ray_covariance(pixels_px, sigma_pixel_px), axis1=-2, axis2=-1)))
+
+    def invertible_region(self) -> InvertibleRegion:
+        """Tell where the lens model is one-to-one, and whether that covers the image.
+
+        Returns
+        -------
+        InvertibleRegion
+            ``whole_image``; ``radius`` in normalised coordinates (ideal ones if the polynomial starts from those, see
+            `BrownDistortion.invertible_radius`); ``radius_px``, the smallest distance from the principal point to the
+            edge of the region in the image [px]; ``farthest_corner_px``, the distance of the farthest image corner
+            [px]; ``message`` in words. Radii are infinite where the model never folds.
+
+        Notes
+        -----
+        The region has no holes, so it covers the image when it covers the image's border.
+        """
+        border = self._border_px(64)
+        whole = bool(np.isfinite(self.cast_rays(border)).all())
+        center = np.array([self.center_x_px, self.center_y_px])
+        farthest_px = float(np.hypot(*(self._border_px(1) - center).T).max())
+        radius, radius_px = self.distortion.invertible_radius, np.inf
+        if np.isfinite(radius):
+            angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+            edge = (1 - 1e-12) * radius * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+            measured = self.distortion.distort(edge) if self.distortion.distorts_in_closed_form else edge
+            radius_px = float(np.hypot(*self._times_matrix(measured[..., None])[..., 0].T).min())
+        limit = "everywhere" if np.isinf(radius_px) else f"up to {radius_px:.1f} px from the principal point"
+        reach = "covers the whole image" if whole else "leaves out part of the image"
+        message = (
+            f"the lens model is one-to-one {limit} (normalised radius {radius:.4f}), which {reach} "
+            f"(farthest corner {farthest_px:.1f} px)"
+        )
+        return InvertibleRegion(whole, radius, radius_px, farthest_px, message)
 
     def _normalised(self, column_px: FloatArray, row_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         y = (row_px - self.center_y_px) * (1 / self.focal_y_px)
@@ -313,6 +403,13 @@ class Camera:
         np.multiply(x, scale, out=rays[:, 0])
         np.multiply(y, scale, out=rays[:, 1])
         rays[:, 2] = scale
+
+    def _times_matrix(self, derivative: FloatArray) -> FloatArray:
+        """Multiply by the upper-left 2 x 2 of the camera matrix, shape (..., 2, n); its zero stays a true zero."""
+        result = derivative * np.array([[self.focal_x_px], [self.focal_y_px]])
+        if self.skew:
+            result[..., 0, :] += self.skew * derivative[..., 1, :]
+        return np.asarray(result)
 
     def _border_px(self, per_side: int) -> FloatArray:
         """Return points on the outer border of the image, corners included, shape (4 * per_side, 2)."""
@@ -336,3 +433,16 @@ def _over_depth(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     inverse_depth = np.full(points_m.shape[:-1], np.nan)
     np.divide(1.0, points_m[..., 2], out=inverse_depth, where=points_m[..., 2] > 0)
     return points_m[..., 0] * inverse_depth, points_m[..., 1] * inverse_depth
+
+
+def _own_derivatives(measured_xy: FloatArray) -> FloatArray:
+    """Return the derivative of pixels with respect to the first five parameters, shape (..., 2, 5)."""
+    derivative = np.zeros((*measured_xy.shape, 5))
+    derivative[..., 0, 0] = measured_xy[..., 0]
+    derivative[..., 0, 4] = derivative[..., 1, 1] = measured_xy[..., 1]
+    derivative[..., 0, 2] = derivative[..., 1, 3] = 1.0
+    return derivative
+
+
+def _carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+    return np.asarray((jacobian @ covariance) @ np.swapaxes(jacobian, -1, -2))
