@@ -1,0 +1,306 @@
+"""Read measurement.toml and check it before any work is done.
+
+`load_measurement` is the border: whatever it returns is complete, in range, and names files that exist. Everything
+else ends as one `InputError` that names file, key, value and remedy.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from heliogauge.errors import InputError
+from heliogauge.measurement_models import DeflectometryModel
+
+MEASUREMENT_FILE = "measurement.toml"
+KINDS: dict[str, type[DeflectometryModel]] = {"deflectometry": DeflectometryModel}
+#: More than this many faults at once say that the file is of another kind; the first ones are enough to see that.
+_MOST_FAULTS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeflectometryMeasurement:
+    """A checked deflectometry measurement: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : DeflectometryModel
+        What measurement.toml says.
+    fringe_files : tuple of Path
+        Image of each frame, in the order of the pattern.
+    """
+
+    folder: Path
+    model: DeflectometryModel
+    fringe_files: tuple[Path, ...]
+
+    def path(self, text: str) -> Path:
+        """Return the path of a file named in measurement.toml."""
+        return self.folder / text
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        named = (self.path(text) for _, text in self.model.named_files())
+        return (self.folder / MEASUREMENT_FILE, *named, *self.fringe_files)
+
+
+def load_measurement(folder: Path) -> DeflectometryMeasurement:
+    """Read and check a measurement folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    DeflectometryMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type or out
+        of range, a file that does not exist, or a number of frames that does not fit the pattern.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder), file)
+    for key, text in model.named_files():
+        if not (folder / text).is_file():
+            raise InputError(f"{file}: {key} = {text!r}: there is no such file in {folder}")
+    fringe_files = _fringe_files(folder, model.images.fringes)
+    needed = model.pattern.n_frames
+    if len(fringe_files) != needed:
+        raise InputError(
+            f"{file}: images.fringes = {model.images.fringes!r} gives {len(fringe_files)} files, but the pattern has "
+            f"{needed} frames ({len(model.pattern.set)} sets); name the files in the order of the pattern"
+        )
+    return DeflectometryMeasurement(folder, model, fringe_files)
+
+
+def parse_measurement(content: dict[str, Any], file: Path) -> DeflectometryModel:
+    """Check the content of a measurement.toml, without looking for the files it names.
+
+    Parameters
+    ----------
+    content : dict
+        The tables of the file.
+    file : Path
+        Where they come from, for messages.
+
+    Returns
+    -------
+    DeflectometryModel
+        The checked content.
+
+    Raises
+    ------
+    InputError
+        Another kind, an unknown or missing key, or a value that cannot be meant.
+    """
+    model_type = KINDS[_kind(content, file)]
+    try:
+        return model_type.model_validate(content)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        places = [fault["loc"] for fault in faults]
+        # A list with one wrong entry is also "too short": what is said of the entry is enough.
+        causes = [fault for fault in faults if not any(_is_inside(place, fault["loc"]) for place in places)]
+        texts = list(dict.fromkeys(_fault_text(fault, model_type) for fault in causes))
+        lines = texts[:_MOST_FAULTS]
+        if len(texts) > _MOST_FAULTS:
+            lines.append(f"... and {len(texts) - _MOST_FAULTS} more")
+        separator = " " if len(lines) == 1 else "\n  "
+        raise InputError(f"{file}:{separator}" + "\n  ".join(lines)) from None
+
+
+def natural_order(name: str) -> list[tuple[int, int | str]]:
+    """Return a sort key that counts: ``frame_2`` comes before ``frame_10``.
+
+    Parameters
+    ----------
+    name : str
+        A file's name.
+
+    Returns
+    -------
+    list of tuple
+        Key for `sorted`.
+
+    Examples
+    --------
+    >>> sorted(["b10", "b9", "a"], key=natural_order)
+    ['a', 'b9', 'b10']
+    """
+    parts = re.split(r"(\d+)", name.casefold())
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+
+
+def _read_toml(folder: Path) -> dict[str, Any]:
+    file = folder / MEASUREMENT_FILE
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; give a folder with {MEASUREMENT_FILE} and its images")
+    if not file.is_file():
+        raise InputError(
+            f"{file}: there is no such file; write one with `heliogauge init deflectometry {folder}` and fill it in"
+        )
+    try:
+        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not valid TOML: {error}; correct that line") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); check its permissions") from None
+
+
+def _kind(content: dict[str, Any], file: Path) -> str:
+    known = ", ".join(f'"{kind}"' for kind in KINDS)
+    kind = content.get("kind")
+    if kind is None:
+        raise InputError(f"{file}: kind is missing; say one of {known} at the top of the file")
+    if not isinstance(kind, str) or kind not in KINDS:
+        near = get_close_matches(str(kind), KINDS, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"this version measures {known}"
+        raise InputError(f"{file}: kind = {kind!r} is not known; {hint}")
+    return kind
+
+
+def _fringe_files(folder: Path, fringes: str | Sequence[str]) -> tuple[Path, ...]:
+    file = folder / MEASUREMENT_FILE
+    if isinstance(fringes, str):
+        if Path(fringes).is_absolute() or not any(sign in fringes for sign in "*?["):
+            raise InputError(
+                f"{file}: images.fringes = {fringes!r}: give a list of files, or a pattern such as 'fringe_*.png'"
+            )
+        found = sorted(folder.glob(fringes), key=lambda path: natural_order(str(path.relative_to(folder))))
+        if not found:
+            raise InputError(f"{file}: images.fringes = {fringes!r}: no file in {folder} matches")
+        return tuple(found)
+    missing = [text for text in fringes if not (folder / text).is_file()]
+    if missing:
+        others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+        raise InputError(f"{file}: images.fringes: there is no file {missing[0]!r}{others} in {folder}")
+    return tuple(folder / text for text in fringes)
+
+
+# --- from pydantic's faults to sentences ----------------------------------------------------------------------------
+
+
+def _models_within(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_within(part)
+
+
+def _keys_by_section(models: Sequence[type[BaseModel]], section: str = "") -> dict[str, set[str]]:
+    """Map each section ("mirror.pose") to the keys that any of its forms knows."""
+    found: dict[str, set[str]] = {section: set()}
+    for model in models:
+        for key, field in model.model_fields.items():
+            found[section].add(key)
+            inner = list(_models_within(field.annotation)) + [
+                m for part in field.metadata for m in _models_within(part)
+            ]
+            if inner:
+                path = f"{section}.{key}" if section else key
+                for name, keys in _keys_by_section(inner, path).items():
+                    found.setdefault(name, set()).update(keys)
+    return found
+
+
+def _is_inside(place: Sequence[int | str], other: Sequence[int | str]) -> bool:
+    return len(place) > len(other) and tuple(place[: len(other)]) == tuple(other)
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a fault is: section, last key, the path to show, and which form of a section was taken ("table")."""
+
+    section: str
+    key: str
+    shown: str
+    form: str
+
+
+def _place(location: Sequence[int | str], sections: dict[str, set[str]], *, is_unknown: bool) -> _Place:
+    section, shown, key, form = "", "", "", ""
+    for position, part in enumerate(location):
+        path = f"{section}.{part}" if section else str(part)
+        if isinstance(part, int):
+            shown += f"[{part + 1}]"
+        elif part in sections.get(section, ()) or (is_unknown and position == len(location) - 1):
+            shown += f".{part}" if shown else part
+            section, key = (path, part) if path in sections else (section, part)
+        else:
+            # Not a key: the name of the form that pydantic chose.
+            form = part
+    return _Place(section, key, shown, form)
+
+
+def _unknown_key_text(place: _Place, sections: dict[str, set[str]]) -> str:
+    known = sections.get(place.section, set())
+    if place.key in known:
+        section = place.shown.rpartition(".")[0]
+        return f"{section}: keys of two forms are mixed, {place.form!r} and another; leave out the keys of one"
+    said = f"{place.shown} is not a key here"
+    near = get_close_matches(place.key, sorted(known), n=1, cutoff=0.6)
+    if near:
+        return f"{said}; did you mean {near[0]!r}?"
+    homes = [name for name, keys in sections.items() if place.key in keys]
+    if homes:
+        return f"{said}; it belongs to {f'[{homes[0]}]' if homes[0] else 'the top of the file'}"
+    return f"{said}; known are {', '.join(sorted(known))}"
+
+
+def _fault_text(fault: Any, model: type[BaseModel]) -> str:
+    sections = _keys_by_section([model])
+    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
+    place = _place(fault["loc"], sections, is_unknown=kind == "extra_forbidden")
+    if kind == "extra_forbidden":
+        return _unknown_key_text(place, sections)
+    if kind == "missing":
+        return f"{place.shown} is missing; `heliogauge init` writes a template that explains it"
+    if kind == "union_tag_not_found":
+        return f'{place.shown}.shape is missing; say "rectangle" or "table"'
+    if kind == "union_tag_invalid":
+        return f"{place.shown}.shape = {context['tag']!r} is not known; say {context['expected_tags']}"
+    if kind == "value_error":
+        return f"{place.shown}: {context['error']}"
+    return f"{place.shown} = {_short(value)}: {_need(kind, context, fault)}"
+
+
+def _need(kind: str, context: dict[str, Any], fault: Any) -> str:
+    if kind == "finite_number":
+        return "a finite number is needed (not nan, not inf)"
+    if kind in {"float_type", "int_type"}:
+        return f"{'a number' if kind == 'float_type' else 'a whole number'} is needed, without quotes"
+    if kind == "greater_than":
+        return f"a value above {context['gt']:g} is needed"
+    if kind == "greater_than_equal":
+        return f"a value not below {context['ge']:g} is needed"
+    if kind == "literal_error":
+        return f"say {context['expected']}"
+    if kind in {"too_short", "too_long"}:
+        wanted = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"{wanted} entries are needed, there are {context['actual_length']}"
+    if kind == "tuple_type":
+        is_table = isinstance(fault["input"], dict)
+        return "a list of tables is needed; write its name in double brackets" if is_table else "a list is needed"
+    if kind in {"model_type", "dict_type", "model_attributes_type"}:
+        return "a table is needed"
+    return str(fault["msg"][:1].lower() + fault["msg"][1:])
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,169 @@
+"""Commented measurement.toml files to start from."""
+
+from difflib import get_close_matches
+from pathlib import Path
+
+from heliogauge.errors import InputError
+from heliogauge.measurement import MEASUREMENT_FILE
+from heliogauge.measurement_writer import write_text
+
+_DEFLECTOMETRY = """\
+# A deflectometry measurement: images of fringes on a screen, seen in a mirror.
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+# Units are in the key names. Lengths in metres, angles of rotation vectors in radians, sigma = 1 standard deviation.
+
+kind = "deflectometry"
+name = "facet 1"
+#: date = 2026-01-31
+#: notes = "after cleaning, 21 degrees Celsius"
+
+# The camera. Either a file from a calibration, or the parameters themselves. Pixel (0, 0) is the centre of the top-left
+# pixel; x to the right, y down, z forward. Distortion: Brown's model on normalised coordinates.
+[camera]
+#: file = "camera.json"          # instead of all the keys below
+width_px = 1624
+height_px = 1232
+focal_x_px = 2400.0
+focal_y_px = 2400.0
+center_x_px = 811.5
+center_y_px = 615.5
+k1 = 0.0
+k2 = 0.0
+k3 = 0.0
+p1 = 0.0
+p2 = 0.0
+distortion_direction = "ideal_to_measured"    # as in OpenCV; or "measured_to_ideal" as in photogrammetry
+# Without sigmas the camera counts as exactly known.
+#: sigma_focal_px = 1.0
+#: sigma_center_px = 1.0
+#: sigma_k1 = 0.001
+
+# The screen and its pose cam_from_screen: x_cam = R(rotation_vector) x_screen + translation. The screen's frame has its
+# origin in the middle, x to the right and y up as a viewer sees the screen, z towards the viewer.
+[screen]
+shape = "rectangle"             # or "table"
+width_m = 1.2                   # size of the displayed image, not of the housing
+height_m = 0.7
+#: file = "screen_points.csv"    # for shape = "table", instead of the size: columns u, v, x_m, y_m, z_m
+rotation_vector_rad = [3.141592653589793, 0.0, 0.0]
+translation_m = [0.0, -0.6, 0.0]
+sigma_rotation_mrad = 1.0       # one number, or one for each axis: [1.0, 1.0, 2.0]
+sigma_translation_mm = 1.0
+#: sigma_points_mm = 0.1         # how far points of the screen are off its shape
+#: response_file = "response.csv"    # columns camera_dn, display_level: what the camera sees of each level
+
+# The pattern: sets of frames in the order in which they were taken. axis "x": fringes change from left to right,
+# "y": from top to bottom. Frame k shows a + b cos(2 pi periods w - step_k), w from 0 to 1 over the displayed image.
+[[pattern.set]]
+axis = "y"
+periods = 0.9
+steps_deg = [0, 90, 180, 270]
+
+[[pattern.set]]
+axis = "y"
+periods = 15.9
+steps_deg = [0, 90, 180, 270]
+
+[[pattern.set]]
+axis = "x"
+periods = 0.9
+steps_deg = [0, 90, 180, 270]
+
+[[pattern.set]]
+axis = "x"
+periods = 15.9
+steps_deg = [0, 90, 180, 270]
+
+# The images: JPEG, PNG or TIFF, 8 or 16 bit, mono or colour, all of one size. A text with * takes all files that match,
+# sorted so that fringe_2 comes before fringe_10; or list them: ["a.png", "b.png"].
+[images]
+fringes = "fringe_*.png"
+#: dark = "dark.png"             # screen black: helps to find the mirror
+#: bright = "bright.png"         # screen white
+#: saturation_dn = 250           # the level that counts as saturated; default: the largest the file format can hold
+#: pixel_noise_dn = 1.0          # standard deviation of a pixel; default: estimated from the frames
+
+# The mirror. Facet frame: x width and y height seen from the front, z out of the mirror.
+# Designs: plane | paraboloid (focal_length_m) | paraboloid_xy (focal_length_x_m, focal_length_y_m) | sphere (radius_m)
+#          trough (focal_length_m, z = x^2 / 4 f)
+#          quadric (coefficients = [A, B, C, D, E, F] of z = A x^2 + B y^2 + C x + D y + E x y + F)
+[mirror]
+design = "paraboloid"
+focal_length_m = 10.0
+# Corners in the facet frame, counter-clockwise seen from the front. Leave out for an undefined outline.
+outline_m = [[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]]
+#: design_center_m = [0.0, 0.0]     # where on the optic the facet's origin sits: not [0, 0] for an off-axis facet
+#: design_orientation = "normal"    # facet z along the surface's normal there, or "axis": along the optic's axis
+#: reference_point_m = [0.0, 0.0]   # the point the results refer to; default: the outline's centroid
+
+# The measured distance from a point of the mirror to the middle of the screen. It enters one adjustment together with
+# the outline, weighted by its sigma.
+[mirror.distance]
+distance_m = 10.0
+sigma_mm = 2.0
+point_m = [0.0, 0.0, 0.0]
+
+# A pose that is known otherwise (cam_from_facet) replaces the adjustment to the outline.
+#: [mirror.pose]
+#: rotation_vector_rad = [3.141592653589793, 0.0, 0.0]
+#: translation_m = [0.0, 0.0, 10.0]
+#: sigma_rotation_mrad = 0.5
+#: sigma_translation_mm = 1.0
+
+# Points with known coordinates that were measured in the image, any number.
+#: [[mirror.known_point]]
+#: point_m = [0.6, 0.6, 0.0]
+#: image_px = [1200.5, 300.25]
+#: sigma_px = 0.2
+
+# Several facets in one image: take outline_m out above and describe each facet. position_m and rotation_vector_rad are
+# ensemble_from_facet; [mirror.pose] and the distance then belong to the ensemble's frame.
+#: [[mirror.facet]]
+#: name = "A1"
+#: outline_m = [[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]]
+#: position_m = [0.0, 0.0, 0.0]
+#: rotation_vector_rad = [0.0, 0.0, 0.0]
+
+[evaluation]
+align = "normal"                # turn the mirror so that its mean normal is the design's; "outline" keeps the pose
+remove = "nothing"              # what the headline numbers leave out: nothing | tilt | focus | quadratic
+#: grid_step_mm = 5.0            # default: about one image pixel on the mirror
+"""
+
+_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY}
+
+
+def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:
+    """Write a commented measurement.toml for one kind of measurement.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of measurement.
+    folder : Path
+        Where; made if absent.
+    force : bool, optional
+        Replace a file that is there.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The kind is not available, the file exists already, or the folder cannot be made.
+    """
+    if kind not in _TEMPLATES:
+        near = get_close_matches(kind, _TEMPLATES, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"available are: {', '.join(_TEMPLATES)}"
+        raise InputError(f"init: kind {kind!r} is not available in this version; {hint}")
+    file = folder / MEASUREMENT_FILE
+    if file.exists() and not force:
+        raise InputError(f"{file}: the file exists already; add --force to replace it, or give another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made a folder ({error.strerror}); give another one") from error
+    return write_text(file, _TEMPLATES[kind])
