@@ -94,8 +94,8 @@ class FringeSet:
         if not determines_phase(self.steps_rad):
             degrees = ", ".join(f"{step:.6g}" for step in np.degrees(self.steps_rad))
             raise InputError(
-                f"fringe set {self.axis}, {self.periods:g} periods: the steps {degrees} deg do not determine the phase; "
-                "at least three steps that differ modulo 360 deg are needed"
+                f"fringe set {self.axis}, {self.periods:g} periods: the steps {degrees} deg do not determine the "
+                "phase; at least three steps that differ modulo 360 deg are needed"
             )
 
     @property
@@ -273,7 +273,9 @@ class DisplayLevels:
 
     def __post_init__(self) -> None:
         if not 0 <= self.minimum < self.maximum <= 1:
-            raise InputError(f"display levels: 0 <= minimum < maximum <= 1 is needed, not {self.minimum}, {self.maximum}")
+            raise InputError(
+                f"display levels: 0 <= minimum < maximum <= 1 is needed, not {self.minimum}, {self.maximum}"
+            )
         if not 8 <= self.bits <= 16:
             raise InputError(f"display levels: a bit depth of 8 to 16 is needed, not {self.bits}")
         table = float_array("level_from_light", self.level_from_light, (None,))

@@ -1,4 +1,4 @@
-"""Phase of fringes with its uncertainty: least squares over any steps, pixel noise, and the single-image method."""
+"""Phase of fringes with its uncertainty: least squares over any steps, and the pixel noise pooled over an image."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from deflectometry.patterns import design_matrix, determines_phase
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import AnyFloatArray, BoolArray, FloatArray, float_array, freeze
+from heliogauge.validate import FloatArray, float_array, freeze
 
 TURN_RAD = 2 * np.pi
 
@@ -283,6 +283,7 @@ def estimate_noise(
     Each residual r of weights q has the expected square ``sum_k q_k**2 slope_k**2 (read**2 + gain I_k)``, linear in
     both unknowns: weighted regression of the squares, readings beyond 4 sigma left out (they carry 0.1 % of a normal
     variance). Pixels that show fringes decide where there are enough: dark pixels clip at zero and would look quiet.
+    What harmonics of the display leave (`residual_distortion`) is taken out first: it is no noise.
     """
     squares, constant, linear, seen = _squared_residuals(readings, solvers, response)
     if squares.size == 0:
@@ -304,9 +305,12 @@ def estimate_noise(
         if not kept.any():
             break
         read, gain = _regress(squares[kept], constant[kept], linear[kept], expected[kept])
-        if gain == 0.0:
-            read = max(read, floor_dn2)
-    return NoiseModel(float(np.sqrt(max(read, 0.0 if gain > 0 else floor_dn2))), float(gain))
+        if read < floor_dn2:
+            weight = linear[kept] / expected[kept] ** 2
+            excess = squares[kept] - floor_dn2 * constant[kept]
+            read = floor_dn2
+            gain = max(0.0, float(weight @ excess) / (float(weight @ linear[kept]) + 1e-300))
+    return NoiseModel(math.sqrt(read), gain)
 
 
 def _squared_residuals(
@@ -324,8 +328,9 @@ def _squared_residuals(
             continue
         light, slope_squared = _linear_light(chosen, response)
         weights = solver.residual**2
-        squares = (solver.residual @ light) ** 2
-        modulation = np.sum((solver.estimate[1:] @ light) ** 2, axis=0)
+        _, cosine, sine = solver.estimate @ light
+        modulation = cosine**2 + sine**2
+        squares = (solver.residual @ light - residual_distortion(light, solver) @ _harmonics(cosine, sine)) ** 2
         parts.append((
             squares.ravel(),
             (weights @ slope_squared).ravel(),
@@ -337,6 +342,40 @@ def _squared_residuals(
         return empty, empty, empty, empty
     squares, constant, linear, seen = (np.concatenate(column) for column in zip(*parts, strict=True))
     return squares, constant, linear, seen
+
+
+def residual_distortion(light: FloatArray, solver: StepSolver) -> FloatArray:
+    """Fit what the second and third harmonic of the fringes leave in the residuals of one set, pooled over pixels.
+
+    Parameters
+    ----------
+    light : ndarray, shape (n, n_pixels)
+        Linear readings of the set [DN, or the response's unit].
+    solver : StepSolver
+        Solution for the set's steps.
+
+    Returns
+    -------
+    ndarray, shape (n - 3, 4)
+        Residual for each DN of modulation, on the cosine and sine of twice and three times the phase.
+
+    Notes
+    -----
+    Four equal steps show the second harmonic only (the third falls on the fundamental), five or more show both;
+    combinations that the steps cannot show come out as zero.
+    """
+    _, cosine, sine = solver.estimate @ light
+    basis = _harmonics(cosine, sine)
+    scale = np.sqrt((basis**2).sum(axis=1)) + 1e-300
+    normal = (basis / scale[:, None]) @ (basis / scale[:, None]).T
+    right = (basis / scale[:, None]) @ (solver.residual @ light).T
+    return np.asarray((np.linalg.lstsq(normal, right, rcond=1e-9)[0] / scale[:, None]).T)
+
+
+def _harmonics(cosine: FloatArray, sine: FloatArray) -> FloatArray:
+    """Return modulation times cos 2 phi, sin 2 phi, cos 3 phi, sin 3 phi, shape (4, n_pixels)."""
+    modulation, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
+    return np.stack([modulation * wave(order * phase) for order in (2, 3) for wave in (np.cos, np.sin)])
 
 
 def _regress(
@@ -396,91 +435,3 @@ def _chi_square_tail(value: float, redundancy: int) -> float:
         total += term
         term *= half / (index + (1.5 if odd else 1.0))
     return total
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FourierPhase:
-    """Phase from a single image with a carrier.
-
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (h, w)
-        Whole phase, carrier included, in (-pi, pi] [rad].
-    sigma_rad : ndarray, shape (h, w)
-        Standard deviation from white pixel noise [rad]; neighbours within the filter's width are correlated.
-    modulation_dn : ndarray, shape (h, w)
-        Amplitude of the fringes [DN].
-    trusted : ndarray of bool, shape (h, w)
-        False within one filter length of the two borders that the fringes run across.
-    """
-
-    phase_rad: FloatArray
-    sigma_rad: FloatArray
-    modulation_dn: FloatArray
-    trusted: BoolArray
-
-
-def fourier_phase(
-    image_dn: npt.ArrayLike, carrier_per_px: float, *, sigma_dn: float, along_x: bool = True, half_width: float = 0.5
-) -> FourierPhase:
-    """Find the phase of one image of close fringes by the Fourier method.
-
-    Parameters
-    ----------
-    image_dn : array_like, shape (h, w)
-        One image, ``a + b cos(2 pi f0 x + phi)`` with x across the columns [DN].
-    carrier_per_px : float
-        Carrier f0, 0.02 to 0.4 [periods per pixel].
-    sigma_dn : float
-        Noise of a reading [DN].
-    along_x : bool, optional
-        Whether the fringes vary along the columns' index; along the rows' index otherwise.
-    half_width : float, optional
-        Half width of the pass band as a share of the carrier, up to 1.
-
-    Returns
-    -------
-    FourierPhase
-        Phase, sigma, modulation and where they may be used.
-
-    Raises
-    ------
-    InputError
-        Not an image of finite numbers, or carrier and band impossible.
-
-    Notes
-    -----
-    Spec 003 C-31, Takeda: spectrum along the carrier, Hann-shaped band around f0, inverse transform, argument.
-    Two limits. Band: the local frequency ``f0 + dphi/dx / 2 pi`` must stay within ``f0 (1 +- half_width)`` and the
-    background's variation below it, else phase is lost without a sign of it. Border: the image is not periodic, so one
-    filter length ``1 / (half_width f0)`` from each border is disturbed (`trusted` is False there), and each fringe
-    defect smears as far. A band that keeps the share W of the noise power gives ``sigma_phi = sqrt(2 W) sigma / b``,
-    the bound of a fit to 1 / W pixels.
-    """
-    image = float_array("image_dn", image_dn, (None, None))
-    if not (0.02 <= carrier_per_px <= 0.4 and 0 < half_width <= 1 and carrier_per_px * (1 + half_width) < 0.5):
-        raise InputError(
-            f"fourier_phase: carrier {carrier_per_px} per px with half width {half_width} is impossible; "
-            "0.02 <= carrier <= 0.4 and carrier * (1 + half_width) < 0.5 are needed"
-        )
-    lines = image if along_x else image.T
-    length = lines.shape[1]
-    frequency = np.fft.fftfreq(length)
-    distance = np.abs(frequency - carrier_per_px) / (half_width * carrier_per_px)
-    band = np.where(distance < 1, 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance, 1.0)), 0.0)
-    analytic = np.fft.ifft(np.fft.fft(lines - lines.mean(axis=1, keepdims=True), axis=1) * band, axis=1)
-    modulation = 2 * np.abs(analytic)
-    with np.errstate(divide="ignore"):
-        sigma = np.sqrt(2 * np.mean(band**2)) * sigma_dn / modulation
-    border = math.ceil(1 / (half_width * carrier_per_px))
-    column = np.arange(length)
-    trusted = np.broadcast_to((column >= border) & (column < length - border), lines.shape)
-    parts = (np.angle(analytic), sigma, modulation)
-    phase, sigma, modulation = (freeze(part if along_x else part.T) for part in parts)
-    return FourierPhase(phase, sigma, modulation, np.ascontiguousarray(trusted if along_x else trusted.T))
-
-
-__all__ = [
-    "QUANTISATION_VARIANCE_DN2", "AnyFloatArray", "FourierPhase", "LightResponse", "NoiseModel", "PhaseFit",
-    "StepSolver", "chi_square_limit", "estimate_noise", "fit_phase", "fourier_phase", "solve_steps", "wrap_phase",
-]  # fmt: skip

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,10 @@ from deflectometry.phase import (
     StepSolver,
     chi_square_limit,
     estimate_noise,
+    residual_distortion,
     solve_steps,
 )
-from deflectometry.unwrap import OrderSearch, combine_orders, search_orders
+from deflectometry.unwrap import OrderSearch, combine_orders, estimate_systematic_phase, search_orders
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, freeze
@@ -73,13 +74,15 @@ class ScreenMap:
     u, v : ndarray of float32, shape (h, w)
         Fractions of the displayed image from its left and from its top edge; NaN where flagged.
     sigma_u, sigma_v : ndarray of float32, shape (h, w)
-        Standard deviations from pixel noise; NaN where flagged.
+        Standard deviations from pixel noise and the systematic phase; NaN where flagged.
     modulation_dn : ndarray of float32, shape (h, w)
         Mean amplitude of all sets [DN, or the response's unit].
     flags : ndarray of uint32, shape (h, w)
         Bits of `heliogauge.flags.SampleFlag`.
     noise : NoiseModel
         Noise of the readings that the sigmas rest on.
+    systematic_phase_rad : ndarray, shape (2,)
+        Phase error beyond noise of every x set and every y set, from how well the periods agree; mostly 0 [rad].
     """
 
     u: Float32Array
@@ -89,6 +92,7 @@ class ScreenMap:
     modulation_dn: Float32Array
     flags: FlagArray
     noise: NoiseModel
+    systematic_phase_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +106,8 @@ class _SetPlan:
     variance: Float32Array
     information_scale: float
     least_information: float
+    systematic_variance: float = 0.0
+    distortion_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,11 +174,18 @@ def measure_screen_map(
     _check_frames(frames, pattern, region)
     chosen = limits if limits is not None else ScreenMapLimits()
     window = _bounding_window(region, frames.shape[1:])
-    model = noise if noise is not None else _estimate_noise(frames, pattern, response, region, chosen)
+    sample = _sample(frames, region, _saturation(frames.dtype, chosen))
+    model = noise if noise is not None else _estimate_noise(sample, pattern, response)
     plan = _make_plan(frames.dtype, pattern, response, model, chosen)
+    systematic = _systematic_phases(plan, sample)
+    plan = _with_systematic(plan, systematic, sample)
     shape = frames.shape[1:]
-    values = [np.full(shape, np.nan, dtype=np.float32) for _ in range(5)]
-    flags = np.full(shape, np.uint32(SampleFlag.OUTSIDE_MIRROR), dtype=np.uint32)
+    values = [np.empty(shape, dtype=np.float32) for _ in range(5)]
+    flags = np.empty(shape, dtype=np.uint32)
+    if region is not None:
+        for value in values:
+            value.fill(np.nan)
+        flags.fill(SampleFlag.OUTSIDE_MIRROR)
     for block in _blocks(window):
         part, part_flags = _measure_block(plan, frames[:, block[0], block[1]])
         if region is not None:
@@ -185,7 +198,7 @@ def measure_screen_map(
             target[block] = value
         flags[block] = part_flags
     u, v, sigma_u, sigma_v, modulation = (freeze(value) for value in values)
-    return ScreenMap(u, v, sigma_u, sigma_v, modulation, freeze(flags), model)
+    return ScreenMap(u, v, sigma_u, sigma_v, modulation, freeze(flags), model, freeze(systematic))
 
 
 def modulation_image(
@@ -268,28 +281,62 @@ def _saturation(dtype: np.dtype[Any], limits: ScreenMapLimits) -> float:
     return min(limits.saturation_dn, float(np.iinfo(dtype).max)) if dtype.kind in "ui" else limits.saturation_dn
 
 
-def _estimate_noise(
-    frames: npt.NDArray[Any],
-    pattern: FringePattern,
-    response: LightResponse | None,
-    region: BoolArray | None,
-    limits: ScreenMapLimits,
-) -> NoiseModel:
-    """Estimate the noise from pixels spread over the region."""
+def _sample(frames: npt.NDArray[Any], region: BoolArray | None, saturation_dn: float) -> npt.NDArray[Any]:
+    """Return finite, unsaturated pixels spread over the region, shape (n, pixels), in the frames' own type."""
     rows, columns = _bounding_window(region, frames.shape[1:])
     pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
     stride = max(1, math.isqrt(pixels // _NOISE_PIXELS))
     chosen = (slice(rows.start, rows.stop, stride), slice(columns.start, columns.stop, stride))
-    readings = frames[:, chosen[0], chosen[1]].astype(np.float64).reshape(len(frames), -1)
-    usable = readings.max(axis=0) < _saturation(frames.dtype, limits)
+    readings = frames[:, chosen[0], chosen[1]].reshape(len(frames), -1)
+    usable = np.isfinite(readings).all(axis=0) & (readings.max(axis=0) < saturation_dn)
     if region is not None:
         usable &= region[chosen].ravel()
-    integer = frames.dtype.kind in "ui"
-    floor = QUANTISATION_VARIANCE_DN2 if integer else 1e-12 * max(float(np.nanmax(np.abs(readings), initial=1.0)), 1.0)
+    return np.asarray(readings[:, usable])
+
+
+def _estimate_noise(
+    sample: npt.NDArray[Any], pattern: FringePattern, response: LightResponse | None
+) -> NoiseModel:
+    """Estimate the noise from a sample of pixels."""
+    floor = QUANTISATION_VARIANCE_DN2
+    if sample.dtype.kind == "f":
+        # float32 keeps 6e-8 of the reading; less noise than that cannot be meant.
+        floor = (1e-7 * max(float(np.abs(sample).max(initial=0.0)), 1e-6)) ** 2
     solvers = [solve_steps(fringes.steps_rad) for fringes in pattern.sets]
-    if not usable.any():
+    if sample.shape[1] == 0:
         return NoiseModel(math.sqrt(floor))
-    return estimate_noise(readings[:, usable], solvers, response=response, floor_dn2=floor)
+    return estimate_noise(sample.astype(np.float64), solvers, response=response, floor_dn2=floor)
+
+
+def _systematic_phases(plan: _Plan, sample: npt.NDArray[Any]) -> FloatArray:
+    """Estimate the phase error beyond noise of each axis from a sample of pixels [rad]."""
+    readings = sample.astype(np.float32)
+    light = _light(sample, readings, plan.response, plan.light_table)
+    variance = _reading_variance(plan, sample, readings)
+    unused = np.zeros((2, sample.shape[1]), dtype=np.float32)
+    found = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for search, sets in plan.axes:
+            fits = [_fit_set(plan, fringes, light, variance, unused[0], unused[1]) for fringes in sets]
+            cycles = [turns.astype(np.float64) for turns, _ in fits]
+            found.append(estimate_systematic_phase(search, cycles, [weight.astype(np.float64) for _, weight in fits]))
+    return np.array(found)
+
+
+def _with_systematic(plan: _Plan, systematic_rad: FloatArray, sample: npt.NDArray[Any]) -> _Plan:
+    """Return the plan with each axis's systematic phase and each set's harmonics in the variances."""
+    light = _light(sample, sample.astype(np.float32), plan.response, plan.light_table).astype(np.float64)
+    axes = []
+    for (search, sets), phase in zip(plan.axes, systematic_rad, strict=True):
+        known = []
+        for one in sets:
+            distortion = residual_distortion(light[one.position], one.solver)
+            # Mean square over the phase of a residual, for each squared DN of modulation.
+            share = 0.5 * float((distortion**2).sum()) / max(one.solver.redundancy, 1)
+            variance = float(phase) ** 2 / one.information_scale
+            known.append(replace(one, systematic_variance=variance, distortion_share=share))
+        axes.append((search, tuple(known)))
+    return replace(plan, axes=tuple(axes))
 
 
 def _tables(
@@ -433,7 +480,9 @@ def _fit_set(
         information = np.float32(fringes.information_scale) * power * (power / across)
     if fringes.solver.redundancy:
         left = fringes.residual @ chosen
-        disagreement += np.einsum("ij,ij->j", left, left) / single
+        disagreement += np.einsum("ij,ij->j", left, left) / (single + power * np.float32(fringes.distortion_share))
     # Not (>=) rather than <: a pixel that is not finite is left out too.
     information[~(information >= fringes.least_information)] = 0.0
+    if fringes.systematic_variance > 0:
+        information /= np.float32(1.0) + information * np.float32(fringes.systematic_variance)
     return np.arctan2(sine, cosine) * np.float32(1 / TURN_RAD), information
