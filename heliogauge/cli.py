@@ -8,6 +8,7 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 143; both unwind the stack, so that a result that is being written is removed.
 """
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -168,6 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         Always: 0 success, 2 a user's mistake or an undetermined measurement, 130 Ctrl-C, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
+    # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
         typer.main.get_command(app).main(args=arguments, prog_name="heliogauge")
     except MetrologyError as error:
