@@ -103,9 +103,7 @@ def intersect_plane(
 
 def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
     # Three products by hand: einsum and sum(axis=-1) are 4 times slower on a last axis of three.
-    return np.asarray(
-        first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1] + first[..., 2] * second[..., 2]
-    )
+    return np.asarray(first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1] + first[..., 2] * second[..., 2])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

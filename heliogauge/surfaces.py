@@ -242,9 +242,7 @@ class Quadric:
         return np.where(np.isfinite(t), t, np.nan)
 
 
-def _upper_root(
-    a: FloatArray | float, b: FloatArray | float, c: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _upper_root(a: FloatArray | float, b: FloatArray | float, c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve ``a z^2 + 2 b z + c = 0`` for the root with ``a z + b >= 0``; also return that half derivative."""
     half_derivative = np.sqrt(b * b - a * c) if np.any(a) else np.abs(b) + 0.0 * c
     root = -c / (b + half_derivative)
