@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deflectometry.setup import Setup
-from deflectometry.slopes import FacetSamples, ShapeSolution, slopes_at, solve_shape
+from deflectometry.slopes import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, monomials
 from heliogauge.surfaces import Facet
@@ -106,13 +106,15 @@ def common_modes(
     Mirror pose, screen and camera count as independent of each other.
     """
     # The base must be at rest on these very samples, or the first step would move it too.
-    solution = solve_shape(trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution)
-    base = _slope_errors(trace_samples(setup, samples), solution)
+    start = solve_shape(
+        trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution, rounds=RoundLimits(30, 1)
+    )
+    base = _slope_errors(trace_samples(setup, samples), start)
     sources: list[str] = []
     changes: list[list[FloatArray]] = []
-    for source, moved, pose, warp in _perturbations(setup, solution.cam_from_mirror, covariance_cam_from_mirror):
+    for source, moved, pose, warp in _perturbations(setup, start.cam_from_mirror, covariance_cam_from_mirror):
         traced = trace_samples(moved, samples, warp)
-        shape = solve_shape(traced, pose, align=align, start=solution, max_iterations=2)
+        shape = solve_shape(traced, pose, align=align, start=start, rounds=RoundLimits(2, 1, must_settle=False))
         sources.append(source)
         changes.append([after[1] - before[1] for after, before in zip(_slope_errors(traced, shape), base, strict=True)])
     return [_as_modes(sources, [change[k] for change in changes], base[k][0], samples[k]) for k in range(len(samples))]
@@ -214,9 +216,7 @@ def _twist(u: FloatArray, v: FloatArray) -> FloatArray:
     return 12.0 * (u - 0.5) * (v - 0.5)
 
 
-def _as_modes(
-    sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples
-) -> CommonModes:
+def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:
     """Fit each change of slopes by polynomials over the facet."""
     center = np.asarray(sample.facet.reference_point_m)
     scale = 0.5 * float(np.ptp(sample.facet.outline_m, axis=0).max())

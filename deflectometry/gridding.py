@@ -118,7 +118,9 @@ def grid_slopes(
     grid_x, grid_y = np.meshgrid(x_m, y_m)
     aperture = facet.contains(grid_x, grid_y)
     if not aperture.any():
-        raise EstimationError(f"grid: no node of a {step_m * 1e3:g} mm grid lies on facet {facet.name}; use a finer step")
+        raise EstimationError(
+            f"grid: no node of a {step_m * 1e3:g} mm grid lies on facet {facet.name}; use a finer step"
+        )
     nodes = np.stack([grid_x[aperture], grid_y[aperture]])
     points = np.stack([*nodes, surface.height(*nodes)], axis=-1)
     camera, cam_from_facet = view
@@ -181,9 +183,7 @@ def _sample(
 
 
 def _box_sum(plane: FloatArray, width: int) -> FloatArray:
-    return np.asarray(
-        cv2.boxFilter(plane, cv2.CV_64F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    )
+    return np.asarray(cv2.boxFilter(plane, cv2.CV_64F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT))
 
 
 def _interpolate(
@@ -219,9 +219,7 @@ def _tap_weights(fraction: FloatArray, cubic: BoolArray) -> FloatArray:
     """Return the weights of the pixels at -1, 0, 1, 2: Catmull and Rom's cubic, or linear, shape (4, n)."""
     t = fraction
     linear = np.stack([np.zeros_like(t), 1 - t, t, np.zeros_like(t)])
-    curved = 0.5 * np.stack(
-        [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3]
-    )
+    curved = 0.5 * np.stack([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3])
     return np.where(cubic, curved, linear)
 
 

@@ -17,9 +17,8 @@ from heliogauge.validate import FloatArray
 SHAPE_DEGREE = 4
 #: The shape and the tilt are converged when no slope changes by more than this [rad].
 SLOPE_TOLERANCE_RAD = 1e-9
+#: Newton rounds along a line of sight.
 MAX_ITERATIONS = 30
-#: Rounds of reweighting: the biweight settles to round-off within 12 on measured facets.
-IRLS_ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,6 +210,26 @@ class FacetSamples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RoundLimits:
+    """How long to look for the shape.
+
+    Parameters
+    ----------
+    outer : int
+        Rounds between shape and slopes.
+    reweighting : int
+        Rounds of reweighting in each fit; 1 is plain least squares. The biweight settles to round-off within 12 on
+        measured facets.
+    must_settle : bool
+        Raise when the last round still changes a slope.
+    """
+
+    outer: int = 30
+    reweighting: int = 12
+    must_settle: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ShapeSolution:
     """Pose and smooth shapes that agree with the slopes they give.
 
@@ -245,7 +264,7 @@ def solve_shape(
     *,
     align: bool,
     start: ShapeSolution | None = None,
-    max_iterations: int = MAX_ITERATIONS,
+    rounds: RoundLimits | None = None,
 ) -> ShapeSolution:
     """Find the smooth shape of each facet, and the tilt of the mirror, that the measured slopes themselves give.
 
@@ -260,8 +279,8 @@ def solve_shape(
         fixes the tilt only to some 10 mrad, the slopes to microradians.
     start : ShapeSolution, optional
         Shapes of a neighbouring problem to begin with.
-    max_iterations : int, optional
-        Rounds before giving up.
+    rounds : RoundLimits, optional
+        How many rounds, and whether the fits are robust.
 
     Returns
     -------
@@ -276,21 +295,25 @@ def solve_shape(
     Notes
     -----
     Each round: intersect the lines of sight with the current shapes, slopes there, least-squares polynomial of the
-    slope errors against the design (height zero at the reference point, which the pose fixes), new tilt. The design
+    slope errors against the design (height zero at the reference point, which the pose fixes), new tilt. The tilt is
+    the slope at the reference point of the best-fit quadratic ``dz/dx = 2 A x + C + E y``,
+    ``dz/dy = 2 B y + D + E x`` (spec 003 C-32: C and D), robust so that the frame follows the bulk of the mirror and
+    not a turned-down edge. The design
     normal at the reference point is compared with the measured one as directions, so facets away from the vertex of
     their optic, whose design is itself tilted there, are left where they are.
     """
     surfaces = tuple(start_surface(sample.facet) for sample in samples) if start is None else start.surfaces
     pose = cam_from_mirror
+    limits = rounds or RoundLimits()
     before = [np.zeros((2, sample.rays_cam.shape[1])) for sample in samples]
-    for iteration in range(1, max_iterations + 1):
-        rounds = [
-            _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet)
+    for iteration in range(1, limits.outer + 1):
+        fits = [
+            _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet, limits.reweighting)
             for sample, surface in zip(samples, surfaces, strict=True)
         ]
-        surfaces = tuple(surface for surface, _, _ in rounds)
-        errors = [error for _, error, _ in rounds]
-        tilts = np.array([tilt for _, _, tilt in rounds])
+        surfaces = tuple(surface for surface, _, _ in fits)
+        errors = [error for _, error, _ in fits]
+        tilts = np.array([tilt for _, _, tilt in fits])
         change = max(float(np.nanmax(np.abs(now - old))) for now, old in zip(errors, before, strict=True))
         before = errors
         if align:
@@ -298,16 +321,16 @@ def solve_shape(
             change = max(change, turned)
         if change < SLOPE_TOLERANCE_RAD:
             return ShapeSolution(pose, surfaces, tilts, iteration)
-    if start is not None:
-        return ShapeSolution(pose, surfaces, tilts, max_iterations)
+    if not limits.must_settle:
+        return ShapeSolution(pose, surfaces, tilts, limits.outer)
     raise EstimationError(
-        f"slopes: after {max_iterations} rounds a slope still changes by {change:.2g} rad between shape and slopes; "
+        f"slopes: after {limits.outer} rounds a slope still changes by {change:.2g} rad between shape and slopes; "
         "check the mirror's pose, distance and design focal length"
     )
 
 
 def _fit_facet(
-    sample: FacetSamples, surface: FittedSurface, cam_from_facet: RigidTransform
+    sample: FacetSamples, surface: FittedSurface, cam_from_facet: RigidTransform, reweighting: int
 ) -> tuple[FittedSurface, FloatArray, FloatArray]:
     """One round for one facet: its new shape, its slope errors and its tilt."""
     facet_from_cam = cam_from_facet.inverse()
@@ -315,17 +338,14 @@ def _fit_facet(
     points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
     screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
     error = np.stack(slopes_at(points, camera, screen)) - np.stack(surface.design.gradient(points[0], points[1]))
-    fitted = replace(surface, coefficients_m=_fit_correction(surface, points, error))
-    return fitted, error, fit_tilt(surface, points, error)
-
-
-def _fit_correction(surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray) -> FloatArray:
-    """Fit the polynomial whose slopes follow the slope errors; its height at the centre stays zero."""
-    return np.concatenate([[0.0], _fit_potential(surface, points_m, slope_error, SHAPE_DEGREE)])
+    shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting)
+    tilt = _fit_potential(surface, points, error, 2, reweighting)[:2] / surface.scale_m
+    # The height of the polynomial stays zero at the reference point.
+    return replace(surface, coefficients_m=np.concatenate([[0.0], shape])), error, tilt
 
 
 def _fit_potential(
-    surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray, degree: int
+    surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray, degree: int, reweighting: int
 ) -> FloatArray:
     """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient)."""
     usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
@@ -333,7 +353,7 @@ def _fit_potential(
     matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
     target = slope_error[:, usable]
     weight = np.ones(2 * u.size)
-    for _ in range(IRLS_ROUNDS):
+    for _ in range(reweighting):
         weighted = matrix * weight
         coefficients = np.linalg.solve(weighted @ matrix.T, weighted @ target.ravel())
         residual = target - (coefficients @ matrix).reshape(2, -1)
@@ -368,31 +388,6 @@ def gradient_terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
             if power_v > 0:
                 terms[1, first + power_v] = power_v * inner[below + power_v - 1]
     return terms[:, 1:]
-
-
-def fit_tilt(surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray) -> FloatArray:
-    """Return the tilt of a facet: the slope error of its best-fit quadratic surface at the reference point.
-
-    Parameters
-    ----------
-    surface : FittedSurface
-        Gives the reference point and the scale.
-    points_m : ndarray, shape (3, n)
-        Points of the mirror [m].
-    slope_error : ndarray, shape (2, n)
-        Measured minus design slopes.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        Tilt in x and y [rad].
-
-    Notes
-    -----
-    ``dz/dx = 2 A x + C + E y``, ``dz/dy = 2 B y + D + E x`` (spec 003 C-32): C and D, fitted robustly, so that the
-    frame follows the bulk of the mirror and not its turned-down edge.
-    """
-    return _fit_potential(surface, points_m, slope_error, 2)[:2] / surface.scale_m
 
 
 def _aligned(
