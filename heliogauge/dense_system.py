@@ -72,6 +72,11 @@ class DenseSystem:
         root = self.basis @ (self.right[: self.rank].T / self.singular[: self.rank])
         return np.asarray(root / self.scale[:, None])
 
+    def cofactor(self) -> FloatArray:
+        """Return the (pseudo-)inverse of the normal matrix, shape (n, n)."""
+        root = self.cofactor_root()
+        return np.asarray(root @ root.T)
+
     def null_space(self) -> FloatArray:
         """Return the directions the observations do not see, shape (n, k - rank), unit length in scaled coordinates."""
         return np.asarray(self.basis @ self.right[self.rank :].T)

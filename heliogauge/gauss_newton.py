@@ -11,6 +11,7 @@ from heliogauge.validate import FloatArray, positive
 
 StateT = TypeVar("StateT")
 EvaluationT = TypeVar("EvaluationT", bound="Evaluation")
+EvaluationT_co = TypeVar("EvaluationT_co", bound="Evaluation", covariant=True)
 # Quick down, slow up (Transtrum and Sethna 2012). Of the 27 NIST problems from start 2 all converge with these numbers
 # (Bennett5 in 274 steps, the others in at most 283); Nielsen's rule stops short of Bennett5's minimum after 400.
 _DAMPING_DOWN, _DAMPING_UP = 0.1, 2.0
@@ -101,7 +102,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Descent(Generic[StateT, EvaluationT]):
+class Descent(Generic[StateT, EvaluationT_co]):
     """Where a descent ended and why.
 
     Parameters
@@ -119,7 +120,7 @@ class Descent(Generic[StateT, EvaluationT]):
     """
 
     state: StateT
-    evaluation: EvaluationT
+    evaluation: EvaluationT_co
     converged: bool
     reason: str
     iterations: int

@@ -8,9 +8,10 @@ import numpy as np
 
 from heliogauge.dense_system import DenseSystem, factorise
 from heliogauge.errors import InputError
-from heliogauge.gauss_newton import Descent, Options, StateT, minimise
+from heliogauge.gauss_newton import Options, StateT, minimise
+from heliogauge.precision import Facts, assemble
 from heliogauge.rigid import RigidTransform
-from heliogauge.robust_loss import Cauchy, Huber, Loss, LossMoments, Squares, Tukey, loss_moments, normal_moments
+from heliogauge.robust_loss import Cauchy, Huber, Loss, Squares, Tukey, block_lengths
 from heliogauge.solution import CovarianceScale, Solution
 from heliogauge.validate import BoolArray, FloatArray, positive
 
@@ -200,6 +201,14 @@ class _Rows:
         root = np.sqrt(self.weights)
         return self.factorised(root, scale_floor)
 
+    def leverages(self, root: FloatArray, system: DenseSystem) -> FloatArray:
+        spread = (self.jacobian * root[:, None]) @ system.cofactor_root()
+        return np.asarray(np.einsum("ij,ij->i", spread, spread))
+
+    @property
+    def extra_jacobian(self) -> FloatArray:
+        return self.jacobian[self.n_observations :]
+
     def factorised(self, root: FloatArray, scale_floor: FloatArray | None = None) -> DenseSystem:
         return factorise(
             self.jacobian * root[:, None],
@@ -309,7 +318,8 @@ def solve(
     """
     loss, options = loss or Squares(), options or Options()
     model = _Model(problem, loss, block_size, options.rank_tolerance)
-    return _solution(model, minimise(start, model.rows, model.retract, options=options), covariance_scale)
+    descent = minimise(start, model.rows, model.retract, options=options)
+    return assemble(descent, model.facts(descent.state), loss=(loss, block_size), covariance_scale=covariance_scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,6 +334,9 @@ class _Model(Generic[StateT]):
     @property
     def free(self) -> BoolArray:
         return np.array([name not in self.problem.held for name in self.problem.names], dtype=np.bool_)
+
+    def facts(self, state: StateT) -> Facts:
+        return Facts(self.problem.names, self.free, self.problem.chart.coordinates(state))
 
     def retract(self, state: StateT, step: FloatArray) -> StateT:
         if not self.problem.held:
@@ -345,7 +358,7 @@ class _Model(Generic[StateT]):
         values = problem.chart.coordinates(state)
         weights, cost = np.ones(n_observations), 0.5 * float(residuals @ residuals)
         if not isinstance(self.loss, Squares):
-            lengths = _lengths(residuals, self.block_size)
+            lengths = block_lengths(residuals, self.block_size)
             weights = np.repeat(self.loss.weight(lengths), self.block_size)
             cost = 0.5 * float(self.loss.rho(lengths).sum())
         if problem.extra:
@@ -362,10 +375,6 @@ class _Model(Generic[StateT]):
         return _Rows(residuals, jacobian, n_observations, weights, cost, values, constraints, self.rank_tolerance)
 
 
-def _lengths(residuals: FloatArray, block_size: int) -> FloatArray:
-    return np.abs(residuals) if block_size == 1 else np.linalg.norm(residuals.reshape(-1, block_size), axis=1)
-
-
 def _extra_rows(
     names: Sequence[str], item: Prior | Constraint[Any], state: Any, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -376,101 +385,3 @@ def _extra_rows(
         return np.array([(values[place] - item.value) / item.sigma]), row
     residuals, jacobian = item.evaluate(state)
     return np.atleast_1d(residuals) / item.sigma, np.atleast_2d(jacobian) / item.sigma
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Precision:
-    """Factors of the covariance ``A^-1 B A^-1``: ``A = slope N + P`` and ``B = influence N + prior P``.
-
-    N is the observations' share of the normal matrix, P that of priors and constraints.
-    """
-
-    slope: float
-    influence: float
-    prior: float
-
-
-def _solution(
-    model: _Model[StateT], descent: Descent[StateT, _Rows], covariance_scale: CovarianceScale
-) -> Solution[StateT]:
-    rows = descent.evaluation
-    observed = np.arange(rows.n_residuals) < rows.n_observations
-    expected = (
-        LossMoments(1.0, 1.0, 0.0) if isinstance(model.loss, Squares) else normal_moments(model.loss, model.block_size)
-    )
-    root, spread, system = _spread(rows, observed, expected.slope)
-    redundancy = rows.n_residuals - system.rank
-    lengths = _lengths(rows.residuals[observed], model.block_size)
-    controlled = 1.0 - np.einsum("ij,ij->i", spread, spread)
-    measured = loss_moments(model.loss, lengths, model.block_size) if lengths.size else expected
-    squares = lengths.size * model.block_size * measured.influence / expected.influence
-    squares += float(rows.residuals[~observed] @ rows.residuals[~observed])
-    factor = squares / redundancy if redundancy > 0 else float("nan")
-    share = float(controlled[observed].mean()) if lengths.size else 1.0
-    precision = _precision(model.loss, (expected, measured), share, factor, covariance_scale)
-    if precision.slope != expected.slope:
-        root, spread, system = _spread(rows, observed, precision.slope)
-    middle = np.where(observed, precision.influence / precision.slope, precision.prior)
-    covariance, null_space = _in_all_parameters(model.free, root @ ((spread.T * middle) @ spread) @ root.T, system)
-    return Solution(
-        state=descent.state,
-        parameters=model.problem.chart.coordinates(descent.state),
-        names=model.problem.names,
-        covariance=covariance,
-        covariance_scale=covariance_scale,
-        converged=descent.converged,
-        reason=descent.reason,
-        iterations=descent.iterations,
-        rank=system.rank,
-        null_space=null_space,
-        residuals=rows.residuals.copy(),
-        weights=rows.weights,
-        redundancy_numbers=np.clip(controlled, 0.0, 1.0),
-        redundancy=redundancy,
-        variance_factor=factor,
-    )
-
-
-def _spread(rows: _Rows, observed: BoolArray, slope: float) -> tuple[FloatArray, FloatArray, DenseSystem]:
-    """Root of the inverse normal matrix, the derivatives times it, and the factorisation."""
-    # The loss takes the same share of precision everywhere: one constant in place of each observation's own derivative.
-    weight_root = np.where(observed, np.sqrt(slope), 1.0)
-    system = rows.factorised(weight_root)
-    root = system.cofactor_root()
-    return root, (rows.jacobian * weight_root[:, None]) @ root, system
-
-
-def _precision(
-    loss: Loss, moments: tuple[LossMoments, LossMoments], share: float, factor: float, scale: CovarianceScale
-) -> _Precision:
-    """Choose the factors of the covariance; ``share`` is the mean redundancy number of the observations."""
-    posterior = scale is CovarianceScale.POSTERIOR
-    prior = factor if posterior else 1.0
-    if isinstance(loss, Squares):
-        return _Precision(1.0, prior, prior)
-    expected, measured = moments
-    # A redescending loss far from normal errors can have a mean slope near zero: 0.1 bounds the inflation at 100.
-    slope = max(measured.slope, 0.1)
-    correction = 1.0 + (1.0 - share) * measured.slope_variance / slope**2
-    influence = measured.influence / share * correction**2 if share > 1e-8 else float("nan")
-    if posterior or influence / slope**2 > expected.influence / expected.slope**2:
-        return _Precision(slope, influence, prior)
-    return _Precision(expected.slope, expected.influence, prior)
-
-
-def _in_all_parameters(free: BoolArray, covariance: FloatArray, system: DenseSystem) -> tuple[FloatArray, FloatArray]:
-    """Covariance and null space with the held parameters; NaN where nothing determines a parameter."""
-    lost = system.null_space()
-    # 1e-6 of a direction of unit length: below that the parameter is held to its sigma by the rest.
-    unknown = np.abs(lost).max(axis=1, initial=0.0) > 1e-6
-    covariance[unknown, :] = np.nan
-    covariance[:, unknown] = np.nan
-    directions = lost / system.scale[:, None]
-    if lost.shape[1]:
-        directions = directions / np.abs(directions).max(axis=0)
-    if free.all():
-        return covariance, directions
-    full, all_directions = np.zeros((free.size, free.size)), np.zeros((free.size, lost.shape[1]))
-    full[np.ix_(free, free)] = covariance
-    all_directions[free] = directions
-    return full, all_directions

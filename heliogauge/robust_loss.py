@@ -152,6 +152,26 @@ class Tukey:
         return np.asarray(np.maximum(1.0 - square, 0.0) * (1.0 - 5.0 * square) * (square < 1.0))
 
 
+def block_lengths(residuals: FloatArray, block_size: int) -> FloatArray:
+    """Return the lengths of consecutive blocks of whitened residuals.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (k * block_size,)
+        Whitened residuals.
+    block_size : int
+        Number of residuals in one block.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Length of each block [sigma].
+    """
+    if block_size == 1:
+        return np.abs(residuals)
+    return np.asarray(np.linalg.norm(residuals.reshape(-1, block_size), axis=1))
+
+
 @dataclass(frozen=True, slots=True)
 class LossMoments:
     """Averages of a loss over residual blocks, per residual component.
