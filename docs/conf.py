@@ -1,0 +1,32 @@
+"""Sphinx configuration; the build uses nothing but the source tree and the installed packages."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from heliogauge import __version__  # noqa: E402
+from heliogauge.templates import write_template  # noqa: E402
+
+# The page on measurement files shows the template that `heliogauge init` writes, not a copy that could grow old.
+write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
+
+project = "heliogauge"
+copyright = "the heliogauge contributors"
+release = __version__
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
+exclude_patterns = ["_build"]
+myst_heading_anchors = 3
+# The pages of the source tree that are included here link to each other by file name; those links work on disk.
+suppress_warnings = ["myst.xref_missing"]
+
+autosummary_generate = True
+autosummary_ignore_module_all = False
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+html_theme = "alabaster"
+html_theme_options = {"description": "Metrology of solar mirrors", "fixed_sidebar": True, "page_width": "1100px"}
+html_show_sourcelink = False
