@@ -5,8 +5,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from heliogauge import __version__  # noqa: E402
-from heliogauge.templates import write_template  # noqa: E402
+from heliogauge import __version__
+from heliogauge.templates import write_template
 
 # The page on measurement files shows the template that `heliogauge init` writes, not a copy that could grow old.
 write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
