@@ -367,6 +367,8 @@ class _Model(Generic[StateT]):
             jacobian = np.concatenate([jacobian, *(row for _, row in extra)])
             known = residuals[n_observations:]
             weights, cost = np.concatenate([weights, np.ones(known.size)]), cost + 0.5 * float(known @ known)
+        if not np.isfinite(jacobian).all():
+            cost = float("inf")
         constraints = None if problem.datum is None else problem.datum(state)
         if problem.held:
             free = self.free

@@ -260,6 +260,8 @@ class _SparseModel(Generic[StateT]):
             lengths = block_lengths(residuals[:n_observations], self.block_size)
             weights[:n_observations] = np.repeat(self.loss.weight(lengths), self.block_size)
             cost = 0.5 * float(self.loss.rho(lengths).sum() + known @ known)
+        if not np.isfinite(jacobian.data).all():
+            cost = float("inf")
         datum = self.problem.datum
         constraints = np.zeros((self.free.size, 0)) if datum is None else datum(state)
         values = self.problem.chart.coordinates(state)[self.free]

@@ -111,6 +111,17 @@ class TestStop:
         with pytest.raises(EstimationError, match="not finite at the start"):
             solve(problem, np.zeros(1))
 
+    def test_derivatives_not_finite(self):
+        problem = Problem(("x",), lambda x: (np.zeros(2), np.array([[1.0], [np.nan]])), VECTOR)
+        with pytest.raises(EstimationError, match="not finite at the start"):
+            solve(problem, np.zeros(1))
+
+    def test_nothing_but_priors(self):
+        problem = Problem(("x",), lambda x: (np.zeros(0), np.zeros((0, 1))), VECTOR, extra=(Prior("x", 2.0, 0.5),))
+        solution = solve(problem, np.zeros(1), loss=Huber()).require("prior")
+        assert (solution.value("x"), solution.sigma("x")) == (2.0, 0.5)
+        assert np.isnan(solution.variance_factor)
+
     def test_a_step_into_nan_is_taken_back(self):
         def evaluate(x):
             with np.errstate(invalid="ignore"):
