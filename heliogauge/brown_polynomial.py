@@ -15,6 +15,7 @@ _STEP_LIMIT = 5e-9
 _FAST_ITERATIONS = 6
 _SAFE_ITERATIONS = 100
 _START_DEGREE = 7
+_LARGEST_RADIUS = 1e6
 
 
 class BrownCoefficients(NamedTuple):
@@ -98,7 +99,8 @@ def invertible_radius(c: BrownCoefficients) -> float:
     Returns
     -------
     float
-        Radius in normalised coordinates of the polynomial's argument; infinite when it never folds.
+        Radius in normalised coordinates of the polynomial's argument; infinite when it never folds below 1e6
+        (0.0001 degrees from a right angle to the axis).
 
     Notes
     -----
@@ -127,10 +129,12 @@ def invertible_radius(c: BrownCoefficients) -> float:
 
 
 def _positive_roots(ascending: FloatArray) -> list[float]:
-    used = np.trim_zeros(ascending, "b")
-    # A constant has no root; a leading coefficient far below round-off of the rest only makes roots at infinity.
-    roots = np.roots(used[::-1]) if used.size > 1 else np.empty(0)
-    real = roots.real[(np.abs(roots.imag) <= 1e-7 * np.abs(roots)) & (roots.real > 0)]
+    # Solved for 1/r: the companion matrix then has 1 as its leading coefficient and is most accurate for small r. Solved
+    # for r, a k3 of 1e-53 spoils every root.
+    reciprocals = np.roots(np.trim_zeros(ascending, "f"))
+    # A double root comes out as a pair some 1e-8 off the real axis.
+    straight = np.abs(reciprocals.imag) <= 1e-7 * np.abs(reciprocals)
+    real = 1 / reciprocals.real[straight & (reciprocals.real > 1 / _LARGEST_RADIUS)]
     return [float(root) for root in real]
 
 
@@ -183,6 +187,8 @@ def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) ->
     return coefficients, scale
 
 
+# Points far outside the disc may run off to infinity on their way to NaN: that is no news.
+@np.errstate(divide="ignore", over="ignore", invalid="ignore")
 def solve(
     c: BrownCoefficients, limit: float, x: FloatArray, y: FloatArray, start: tuple[FloatArray, float]
 ) -> tuple[FloatArray, FloatArray]:

@@ -42,7 +42,7 @@ class PhotogrammetricParameters:
         Camera constant [mm].
     principal_mm : array_like, shape (2,)
         Principal point: from the outer corner of the first pixel to the right and down, or from the sensor's centre to
-        the right and up (down if not ``y_up``) [mm].
+        the right and up (down if not ``y_up``); both counted in units of ``pixel_mm``, see Notes [mm].
     radial : array_like, shape (3,)
         K1, K2, K3 [mm^-2, mm^-4, mm^-6].
     tangential : array_like, shape (2,)
@@ -67,7 +67,9 @@ class PhotogrammetricParameters:
     -----
     Owkes (2012) eq. 5.22, reduced by the principal point first: with measured x', y' [mm] and r^2 = x'^2 + y'^2,
     ``x = x' (1 + K1 r^2 + K2 r^4 + K3 r^6) + P1 (r^2 + 2 x'^2) + 2 P2 x' y'``, and for y with P1 and P2 exchanged.
-    PhotoModeler's and DBAT's printed parameters are the corner origin with y up; DBAT's "model 3" has this aspect.
+    DBAT prints the corner origin with y up. Its aspect stretches x' after the principal point has been subtracted, so
+    the printed principal point counts pixels of the height ``pixel_mm`` in both axes: with that reading its published
+    calibration gives back its sigma0 of 0.16148 px, with the other (width of a pixel in x) 0.351 px.
     The equation (6.2) of the same thesis, ``x_I = (x' + s_x/2) N_x/s_x``, counts pixels from the corner: its pixel
     coordinates are ours + 0.5.
     """
@@ -127,7 +129,7 @@ def from_photogrammetric(parameters: PhotogrammetricParameters) -> Camera:
         parameters.height_px,
         focal / pixel_width,
         focal / pixel,
-        origin_px[0] + parameters.principal_mm[0] / pixel_width - 0.5,
+        origin_px[0] + parameters.principal_mm[0] / pixel - 0.5,
         origin_px[1] + down * parameters.principal_mm[1] / pixel - 0.5,
         distortion=BrownDistortion(k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, direction=parameters.direction),
         covariance=_symmetric(jacobian @ parameters.covariance @ jacobian.T),
@@ -180,7 +182,7 @@ def to_photogrammetric(
         camera.height_px,
         pixel_mm,
         focal,
-        center * [pixel_mm * (1 + aspect), down * pixel_mm],
+        center * [pixel_mm, down * pixel_mm],
         np.array([lens.k1, lens.k2, lens.k3]) / focal ** np.array([2, 4, 6]),
         np.array([lens.p2, sign * lens.p1]) / focal,
         aspect=aspect,
@@ -203,9 +205,7 @@ def _camera_from_photogrammetric(parameters: PhotogrammetricParameters, down: fl
     jacobian = np.zeros((10, 9))
     jacobian[0, 0], jacobian[0, 3] = 1 / (pixel * widening), -focal / (pixel * widening**2)
     jacobian[1, 0] = 1 / pixel
-    jacobian[2, 1] = 1 / (pixel * widening)
-    jacobian[2, 3] = -parameters.principal_mm[0] / (pixel * widening**2)
-    jacobian[3, 2] = down / pixel
+    jacobian[2, 1], jacobian[3, 2] = 1 / pixel, down / pixel
     for power, (row, column) in zip((2, 4, 6), ((5, 4), (6, 5), (9, 6)), strict=True):
         jacobian[row, column] = focal**power
         jacobian[row, 0] = power * parameters.radial[power // 2 - 1] * focal ** (power - 1)

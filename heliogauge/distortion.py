@@ -232,7 +232,8 @@ class BrownDistortion:
     def _forward(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         if self.is_zero:
             return x, y
-        x_out, y_out = brown.evaluate(self.polynomial, x, y)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x_out, y_out = brown.evaluate(self.polynomial, x, y)
         if np.isfinite(self.invertible_radius):
             outside = ~(x * x + y * y < self.invertible_radius**2)
             x_out[outside] = y_out[outside] = np.nan
