@@ -56,7 +56,6 @@ clean:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed and was not found; install it or say make PYTHON=/path/to/python3" >&2; exit 1; }
 	@"$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null || { \
 		echo "$(PYTHON) cannot make virtual environments; install its venv package (Debian, Ubuntu: apt install python3-venv)" >&2; exit 1; }
-	@rm -rf $(VENV)
 	"$(PYTHON)" -m venv $(VENV)
 	@mkdir -p $(@D) && touch $@
 

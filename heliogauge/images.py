@@ -32,6 +32,8 @@ Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 #: Weights of red, green and blue in the luminance (ITU-R BT.709); they add up to 1, so grey keeps its value.
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 
+# OpenCV takes some of these for TIFF and returns the preview they carry.
+_CAMERA_RAW = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"})
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # A marker in JPEG's entropy-coded data: ff that is not stuffed (00), not a restart (d0-d7), not fill (ff).
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
@@ -203,6 +205,8 @@ def _read_with_orientation(path: Path) -> tuple[npt.NDArray[Any], int]:
 
 def _decode(path: Path, content: bytes) -> npt.NDArray[Any]:
     """Return the file's values as they are, shape (height, width) or (height, width, colours in OpenCV's order)."""
+    if path.suffix.lower() in _CAMERA_RAW:
+        raise InputError(f"{path}: camera raw files are not read; convert them to 16-bit TIFF, linear, all of one size")
     fault = _fault(content)
     if fault:
         raise InputError(f"{path}: {fault}; copy the file again from the camera")
