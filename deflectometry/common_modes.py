@@ -15,8 +15,6 @@ from heliogauge.validate import Float32Array, FloatArray
 #: Degree of the polynomials that hold a mode: what pose, lens and screen do to a map is smooth, a cubic leaves
 #: less than 2 % of it on the setups tried.
 MODE_DEGREE = 3
-#: Modes below this RMS slope carry nothing [rad].
-NEGLIGIBLE_RAD = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,6 +224,6 @@ def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArra
         usable &= np.isfinite(change).all(axis=0)
     matrix = monomials(*((points_m[:, usable] - center[:, None]) / scale), MODE_DEGREE)
     solver = np.linalg.solve(matrix @ matrix.T, matrix)
-    kept = [k for k, change in enumerate(changes) if np.sqrt(np.mean(change[:, usable] ** 2)) > NEGLIGIBLE_RAD]
-    coefficients = np.array([(solver @ changes[k][:, usable].T).T for k in kept]).reshape(-1, 2, terms)
-    return CommonModes(tuple(sources[k] for k in kept), coefficients, center, scale)
+    # Every facet keeps every mode, so that the modes of all facets belong together one by one.
+    coefficients = np.array([(solver @ change[:, usable].T).T for change in changes]).reshape(-1, 2, terms)
+    return CommonModes(tuple(sources), coefficients, center, scale)

@@ -21,17 +21,20 @@ MOST_NODES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapLabels:
-    """What a slope map says about itself in words.
+class GridPlan:
+    """The grid of a map, and what the map says about itself in words.
 
     Parameters
     ----------
+    step_m : float
+        Grid step [m].
     frame : str
         The frame of x, y, z.
     removed : str
         What was taken out of the measured slopes.
     """
 
+    step_m: float
     frame: str
     removed: str
 
@@ -74,9 +77,8 @@ def grid_slopes(
     view: tuple[Camera, RigidTransform],
     facet: Facet,
     *,
-    step_m: float,
+    plan: GridPlan,
     common: CommonModes,
-    labels: MapLabels,
 ) -> SlopeMap:
     """Read the slopes of a facet at the nodes of a regular grid.
 
@@ -90,12 +92,10 @@ def grid_slopes(
         The camera and cam_from_facet.
     facet : Facet
         Outline and design.
-    step_m : float
-        Grid step [m].
+    plan : GridPlan
+        Grid step and words for the map's attributes.
     common : CommonModes
         Common share of the uncertainty, kept with the map.
-    labels : MapLabels
-        Words for the map's attributes.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def grid_slopes(
     (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than the pixels the differences
     are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over the pixels used.
     """
-    low, high = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0)
+    low, high, step_m = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0), plan.step_m
     x_m, y_m = grid_axis(low[0], high[0], step_m), grid_axis(low[1], high[1], step_m)
     grid_x, grid_y = np.meshgrid(x_m, y_m)
     aperture = facet.contains(grid_x, grid_y)
@@ -143,7 +143,7 @@ def grid_slopes(
         sigma_random_x=fields[4], sigma_random_y=fields[5],
         noise_correlation=_noise_correlation(image, sigma), common=common,
         height_m=height, flags=flags, aperture=aperture,
-        design=facet.design.describe(), frame=labels.frame, removed=labels.removed,
+        design=facet.design.describe(), frame=plan.frame, removed=plan.removed,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.patterns import Axis, FringePattern, FringeSet
 from deflectometry.setup import RectangularScreen, Screen, Setup, TabulatedScreen
 from heliogauge.camera import Camera
@@ -230,3 +231,36 @@ def _facet(
 ) -> Facet:
     reference = np.full(2, np.nan) if reference_point_m is None else np.asarray(reference_point_m)
     return Facet(name, np.asarray(outline_m), design, place or RigidTransform.identity(), reference)
+
+
+def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
+    """Build what helps to find the pose: the measured distance and the known points.
+
+    Parameters
+    ----------
+    section : MirrorSection
+        The mirror.
+    setup : Setup
+        Gives the screen's origin in the camera frame.
+
+    Returns
+    -------
+    Knowledge
+        Distances and points with their sigmas.
+    """
+    distances = ()
+    if section.distance is not None:
+        measured = section.distance
+        distances = (
+            DistanceObservation(
+                measured.distance_m, measured.sigma_mm * 1e-3, np.asarray(measured.point_m),
+                setup.cam_from_screen.translation_m,
+            ),
+        )  # fmt: skip
+    points = section.known_point
+    known = KnownPoints(
+        np.array([one.point_m for one in points]).reshape(-1, 3),
+        np.array([one.image_px for one in points]).reshape(-1, 2),
+        np.array([one.sigma_px for one in points]),
+    )
+    return Knowledge(distances=distances, points=known)

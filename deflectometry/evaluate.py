@@ -1,0 +1,377 @@
+"""From frames in memory to slope maps: the stages of a measurement as functions that follow each other."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.common_modes import PixelSamples, common_modes, trace_samples
+from deflectometry.gridding import GridPlan, default_step_m, grid_slopes
+from deflectometry.mirror_outline import mirror_masks
+from deflectometry.mirror_pose import MirrorPose, locate_mirror
+from deflectometry.pose_observations import Knowledge
+from deflectometry.patterns import FringePattern
+from deflectometry.phase import LightResponse, NoiseModel
+from deflectometry.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
+from deflectometry.setup import Setup
+from deflectometry.slope_image import SlopeImage, measure_slopes
+from deflectometry.slopes import ShapeSolution, solve_shape
+from deflectometry.undefined_outline import outline_from_image
+from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
+from heliogauge.progress import Progress
+from heliogauge.rigid import RigidTransform
+from heliogauge.slope_map import CommonModes, SlopeMap
+from heliogauge.slope_removal import Removal, remove
+from heliogauge.surfaces import Facet, Quadric
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+
+#: Pixels that find the smooth shape of a facet, and those that carry the common modes: with 2000 and 400 the
+#: coefficients of degree 4 and 3 are known 30 times better than a single pixel.
+SHAPE_PIXELS = 2000
+MODE_PIXELS = 400
+#: A facet with fewer usable pixels than this determines no shape of degree 4.
+FEWEST_PIXELS = 60
+
+
+class Align(StrEnum):
+    """To which orientation the slopes refer."""
+
+    NORMAL = "normal"
+    OUTLINE = "outline"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """The images of one measurement.
+
+    Parameters
+    ----------
+    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
+        Fringe frames in the order of the pattern [DN].
+    pattern : FringePattern
+        What was shown.
+    response : LightResponse, optional
+        Makes readings linear in the display's level.
+    lit : ndarray of float32, shape (h, w), optional
+        Bright minus dark frame: shows the mirror against its surroundings [DN].
+    noise : NoiseModel, optional
+        Noise of a reading; estimated without it.
+    limits : ScreenMapLimits, optional
+        Error probabilities and saturation.
+    """
+
+    frames: npt.NDArray[Any]
+    pattern: FringePattern
+    response: LightResponse | None = None
+    lit: Float32Array | None = None
+    noise: NoiseModel | None = None
+    limits: ScreenMapLimits = field(default_factory=ScreenMapLimits)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorInput:
+    """What is known of the mirror before it is measured.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    facets : tuple of Facet
+        Facets with outline and design; empty where the outline is not known.
+    design : Quadric
+        Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
+    known_pose : tuple of RigidTransform and ndarray, optional
+        cam_from_mirror and its covariance, where it was measured otherwise.
+    knowledge : Knowledge
+        Distances, known points and roll that help to find the pose.
+    """
+
+    name: str
+    facets: tuple[Facet, ...]
+    design: Quadric
+    known_pose: tuple[RigidTransform, FloatArray] | None
+    knowledge: Knowledge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choices:
+    """How the slopes are to be reported.
+
+    Parameters
+    ----------
+    align : Align
+        Orientation the slopes refer to.
+    grid_step_m : float
+        Grid step of the maps; 0 takes half the spacing of the pixels [m].
+    removal : Removal
+        What is taken out of the maps.
+    """
+
+    align: Align = Align.NORMAL
+    grid_step_m: float = 0.0
+    removal: Removal = Removal.NOTHING
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedMirror:
+    """Where the mirror is.
+
+    Parameters
+    ----------
+    facets : tuple of Facet
+        Facets; of a mirror without outline the one made from its image.
+    cam_from_mirror : RigidTransform
+        Pose before alignment.
+    covariance : ndarray, shape (6, 6)
+        Its covariance for steps of `RigidTransform.moved` [rad, m].
+    margin_px : float
+        Distance to the outline below which pixels mix the mirror with its surroundings [px].
+    source : str
+        Where the pose comes from, in words with numbers.
+    evidence : MirrorPose, optional
+        The adjustment, where the outline gave the pose.
+    """
+
+    facets: tuple[Facet, ...]
+    cam_from_mirror: RigidTransform
+    covariance: FloatArray
+    margin_px: float
+    source: str
+    evidence: MirrorPose | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """Everything a measurement gave.
+
+    Parameters
+    ----------
+    located : LocatedMirror
+        Pose before alignment and its evidence.
+    screen_map : ScreenMap
+        Display point of each pixel.
+    facet_index : ndarray of int16, shape (h, w)
+        Facet of each pixel, -1 elsewhere.
+    solution : ShapeSolution
+        Aligned pose and smooth shapes of the facets that were measured.
+    images : dict of str to SlopeImage
+        Pixels of each measured facet.
+    maps : dict of str to SlopeMap
+        Slope map of each measured facet.
+    """
+
+    located: LocatedMirror
+    screen_map: ScreenMap
+    facet_index: npt.NDArray[np.int16]
+    solution: ShapeSolution
+    images: dict[str, SlopeImage]
+    maps: dict[str, SlopeMap]
+
+
+def evaluate_frames(
+    observation: Observation, setup: Setup, mirror: MirrorInput, choices: Choices, progress: Progress
+) -> Evaluation:
+    """Evaluate the frames of one measurement.
+
+    Parameters
+    ----------
+    observation : Observation
+        Frames and pattern.
+    setup : Setup
+        Camera and screen.
+    mirror : MirrorInput
+        Mirror with its design.
+    choices : Choices
+        How to report.
+    progress : Progress
+        Told of each stage.
+
+    Returns
+    -------
+    Evaluation
+        Slopes of pixels and maps.
+
+    Raises
+    ------
+    InputError
+        Frames that do not fit camera or pattern.
+    EstimationError
+        No mirror found, or none of its facets shows fringes.
+
+    Warns
+    -----
+    QualityWarning
+        Everything that makes the result doubtful.
+    """
+    height, width = observation.frames.shape[1:]
+    if (width, height) != (setup.camera.width_px, setup.camera.height_px):
+        raise InputError(
+            f"frames: {width} x {height} px, but the camera is for {setup.camera.width_px} x "
+            f"{setup.camera.height_px} px; give the camera of these images, or images that were not cut or scaled"
+        )
+    with progress.stage("find mirror"):
+        located = locate(observation, setup, mirror)
+        masks = mirror_masks(setup.camera, located.cam_from_mirror, located.facets, margin_px=located.margin_px)
+    with progress.stage("phase"):
+        screen_map = measure_screen_map(
+            observation.frames, observation.pattern, response=observation.response, region=masks.facet_index >= 0,
+            noise=observation.noise, limits=observation.limits,
+        )  # fmt: skip
+        flags = np.where(masks.flags != 0, masks.flags, screen_map.flags)
+        screen_map = replace(screen_map, flags=flags)
+    with progress.stage("slopes"):
+        measured, samples = _usable_facets(located, screen_map, masks.facet_index)
+        align = choices.align is Align.NORMAL
+        solution = solve_shape(trace_samples(setup, samples), located.cam_from_mirror, align=align)
+        images = {}
+        for index, sample, surface in zip(measured, samples, solution.surfaces, strict=True):
+            pose = solution.cam_from_mirror @ sample.facet.ensemble_from_facet
+            images[sample.facet.name] = measure_slopes(setup, screen_map, masks.facet_index == index, pose, surface)
+    with progress.stage("uncertainty"):
+        thinned = [_thin(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
+        modes = common_modes(setup, thinned, solution, located.covariance, align=align)
+    with progress.stage("maps", steps=len(images)) as stage:
+        maps = {}
+        for name, slope_map in _grid(images, samples, solution, modes, setup, choices):
+            maps[name] = slope_map
+            stage.advance()
+    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps)
+
+
+def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
+    """Find where the mirror is: from the pose as given, from its outline, or from its reflection alone.
+
+    Parameters
+    ----------
+    observation : Observation
+        Frames and pattern.
+    setup : Setup
+        Camera and screen.
+    mirror : MirrorInput
+        What is known of the mirror.
+
+    Returns
+    -------
+    LocatedMirror
+        Facets and pose.
+
+    Raises
+    ------
+    EstimationError
+        No mirror in view, or an outline that does not fit.
+    """
+    if mirror.facets and mirror.known_pose is not None:
+        pose, covariance = mirror.known_pose
+        # Half a pixel's diagonal: what a pixel needs to lie wholly on the mirror in a sharp image.
+        return LocatedMirror(mirror.facets, pose, covariance, 0.5 * np.sqrt(2.0), "given in measurement.toml")
+    image = observation.lit
+    if image is None:
+        image = modulation_image(observation.frames, observation.pattern, response=observation.response)
+    if not mirror.facets:
+        return _locate_without_outline(observation, image, setup, mirror)
+    evidence = locate_mirror(image, setup.camera, mirror.facets, mirror.knowledge)
+    source = (
+        f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
+        f"{evidence.n_rejected} rejected"
+    )
+    return LocatedMirror(
+        mirror.facets, evidence.cam_from_mirror, evidence.covariance, evidence.mask_margin_px, source, evidence
+    )
+
+
+def _locate_without_outline(
+    observation: Observation, image: Float32Array, setup: Setup, mirror: MirrorInput
+) -> LocatedMirror:
+    """Make a facet from what is seen: the outline from the image, the pose from the reflection and the distance."""
+    rough = outline_from_image(image)
+    screen_map = measure_screen_map(
+        observation.frames, observation.pattern, response=observation.response, region=rough.region,
+        noise=observation.noise, limits=observation.limits,
+    )  # fmt: skip
+    known = mirror.known_pose
+    if known is None:
+        known = rough.pose(setup, screen_map, mirror.knowledge.distances)
+        source = "reflection at the middle of the mirror and the measured distance (no outline given)"
+    else:
+        source = "given in measurement.toml (no outline given)"
+    facet = rough.facet(mirror.name, mirror.design, setup.camera, known[0])
+    return LocatedMirror((facet,), known[0], known[1], rough.margin_px, source)
+
+
+def _usable_facets(
+    located: LocatedMirror, screen_map: ScreenMap, facet_index: npt.NDArray[np.int16]
+) -> tuple[list[int], list[PixelSamples]]:
+    """Pick the facets that show fringes, with some of their pixels; warn of the others by name and reason."""
+    measured, samples = [], []
+    for index, facet in enumerate(located.facets):
+        region = facet_index == index
+        usable = np.flatnonzero(region & (screen_map.flags == 0))
+        if usable.size < FEWEST_PIXELS:
+            warnings.warn(_why_not(facet, region, screen_map), QualityWarning, stacklevel=2)
+            continue
+        chosen = usable[:: max(1, usable.size // SHAPE_PIXELS)]
+        row, column = np.divmod(chosen, facet_index.shape[1])
+        pixels = np.stack([column, row], axis=-1).astype(np.float64)
+        measured.append(index)
+        samples.append(PixelSamples(facet, pixels, screen_map.u.flat[chosen], screen_map.v.flat[chosen]))
+    if not samples:
+        raise EstimationError(_why_not(located.facets[0], facet_index == 0, screen_map))
+    return measured, samples
+
+
+def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
+    total = int(np.count_nonzero(region))
+    if total == 0:
+        return f"facet {facet.name} fills no pixel of the image; check the mirror's pose"
+    counts = count_flags(screen_map.flags, region)
+    reasons = ", ".join(f"{FLAG_TEXTS[flag]} ({count} px)" for flag, count in counts.items())
+    remedy = "show the pattern over a larger screen or move the mirror" if SampleFlag.OFF_SCREEN in counts else (
+        "check screen, exposure and pattern"
+    )  # fmt: skip
+    return f"facet {facet.name} was not measured: of its {total} px {reasons or 'none is flagged'}; {remedy}"
+
+
+def _thin(sample: PixelSamples, most: int) -> PixelSamples:
+    step = max(1, len(sample.pixels_px) // most)
+    return replace(sample, pixels_px=sample.pixels_px[::step], u=sample.u[::step], v=sample.v[::step])
+
+
+def _grid(
+    images: dict[str, SlopeImage],
+    samples: Sequence[PixelSamples],
+    solution: ShapeSolution,
+    modes: Sequence[CommonModes],
+    setup: Setup,
+    choices: Choices,
+) -> "list[tuple[str, SlopeMap]]":
+    """Read every facet at the nodes of one grid step, and take out what was asked."""
+    facets = [sample.facet for sample in samples]
+    step_m = choices.grid_step_m
+    if step_m == 0.0:
+        largest = max(facets, key=lambda facet: facet.area_m2)
+        extent = np.ptp(largest.outline_m, axis=0)
+        step_m = default_step_m(images[largest.name].footprint_m, (float(extent[0]), float(extent[1])))
+    plan = GridPlan(step_m, frame=_frame_words(len(facets)), removed=_removed_words(choices.align, len(facets)))
+    maps = []
+    for facet, surface, common in zip(facets, solution.surfaces, modes, strict=True):
+        view = (setup.camera, solution.cam_from_mirror @ facet.ensemble_from_facet)
+        slope_map = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
+        maps.append((facet.name, remove(slope_map, choices.removal)))
+    return maps
+
+
+def _frame_words(n_facets: int) -> str:
+    own = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
+    return own if n_facets == 1 else f"{own}; one frame for each facet, placed by the ensemble's definition"
+
+
+def _removed_words(align: Align, n_facets: int) -> str:
+    if align is Align.OUTLINE:
+        return "nothing; the orientation is that of the pose"
+    of = "the mirror" if n_facets == 1 else "the ensemble as a whole; canting of single facets is kept"
+    return f"mean tilt, by turning the frame of {of}, until the best-fit surface has the design's normal"

@@ -1,0 +1,345 @@
+"""A measurement folder to results: read, check, evaluate, write."""
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calibration.screen.response import ScreenResponse
+from deflectometry.assemble import assemble_maps
+from deflectometry.evaluate import Align, Choices, Evaluation, MirrorInput, Observation, evaluate_frames
+from deflectometry.frame_checks import check_frames
+from deflectometry.headline import canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
+from deflectometry.inputs import (
+    build_design,
+    build_facets,
+    build_knowledge,
+    build_pattern,
+    build_pose,
+    build_setup,
+    read_number_columns,
+)
+from deflectometry.patterns import FringePattern
+from deflectometry.phase import NoiseModel
+from deflectometry.screen_map import ScreenMapLimits
+from deflectometry.setup import Setup
+from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.images import read_frames
+from heliogauge.measurement import DeflectometryMeasurement
+from heliogauge.progress import Progress, SilentProgress
+from heliogauge.slope_map import SlopeMap
+from heliogauge.slope_removal import Removal
+from heliogauge.store import (
+    PhotoPose,
+    Summary,
+    hash_files,
+    write_cameras_json,
+    write_pixels,
+    write_slope_map,
+    write_summary,
+)
+from heliogauge.store_slope_map import ASSEMBLED
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices that override those of measurement.toml.
+
+    Parameters
+    ----------
+    align : Align or None
+        Orientation that the slopes refer to; None as measurement.toml says.
+    grid_step_mm : float or None
+        Grid step of the maps [mm]; None as measurement.toml says, else half the spacing of the pixels.
+    remove : Removal or None
+        What is taken out of the maps; None as measurement.toml says.
+    jobs : int or None
+        Threads that decode images; None for all processors.
+    """
+
+    align: Align | None = None
+    grid_step_mm: float | None = None
+    remove: Removal | None = None
+    jobs: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Everything a measurement gave, ready to be written.
+
+    Parameters
+    ----------
+    name : str
+        Name of the mirror.
+    setup : Setup
+        Camera and screen as used.
+    pattern : FringePattern
+        What was shown.
+    evaluation : Evaluation
+        Poses, pixels and the map of each facet.
+    assembled : SlopeMap
+        The map of the whole mirror; that of the only facet where there is one.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    setup: Setup
+    pattern: FringePattern
+    evaluation: Evaluation
+    assembled: SlopeMap
+    warnings: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+def run(
+    measurement: DeflectometryMeasurement, options: Options | None = None, progress: Progress | None = None
+) -> Result:
+    """Evaluate a measurement.
+
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        From `heliogauge.measurement.load_measurement`.
+    options : Options, optional
+        Choices that override the file's.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Maps, pixels, poses and warnings.
+
+    Raises
+    ------
+    InputError
+        Images or tables that cannot be used.
+    EstimationError
+        Frames that contradict the pattern, no mirror, or no slopes.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", QualityWarning)
+        setup, pattern = build_setup(measurement), build_pattern(measurement)
+        observation = read_observation(measurement, pattern, options, progress)
+        with progress.stage("check frames"):
+            refuse_faulty_frames(observation)
+        mirror = describe_mirror(measurement, setup)
+        evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
+        assembled = assemble_maps(evaluation)
+        with progress.stage("hash inputs"):
+            hashes = hash_files(measurement.input_files, measurement.folder)
+    said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
+    return Result(
+        measurement.model.name, setup, pattern, evaluation, assembled, said, dict(progress.durations_s), hashes
+    )
+
+
+def read_observation(
+    measurement: DeflectometryMeasurement, pattern: FringePattern, options: Options, progress: Progress
+) -> Observation:
+    """Read the images of a measurement.
+
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        The measurement.
+    pattern : FringePattern
+        Its pattern.
+    options : Options
+        How many threads decode.
+    progress : Progress
+        Told of each image.
+
+    Returns
+    -------
+    Observation
+        Frames, response, noise and limits.
+
+    Raises
+    ------
+    InputError
+        An image that cannot be read, or images of different sizes.
+    """
+    section = measurement.model.images
+    extra = [measurement.path(text) for text in (section.dark, section.bright) if text is not None]
+    files = (*measurement.fringe_files, *extra)
+    frames = read_frames(files, jobs=options.jobs, progress=progress)
+    fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
+    lit = None
+    if section.bright is not None:
+        lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
+    saturation = section.saturation_dn or float(frames.full_scale_dn)
+    return Observation(
+        frames=fringes,
+        pattern=pattern,
+        response=read_response(measurement),
+        lit=lit,
+        noise=None if section.pixel_noise_dn is None else NoiseModel(section.pixel_noise_dn),
+        limits=ScreenMapLimits(saturation_dn=saturation),
+    )
+
+
+def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | None:
+    """Read the response of camera and display, where there is one."""
+    name = measurement.model.screen.response_file
+    if name is None:
+        return None
+    camera_dn, level = read_number_columns(measurement.path(name), ("camera_dn", "display_level"))
+    return ScreenResponse(camera_dn, level)
+
+
+def refuse_faulty_frames(observation: Observation) -> None:
+    """Warn of doubtful frames; refuse frames that contradict the pattern.
+
+    Parameters
+    ----------
+    observation : Observation
+        The frames.
+
+    Raises
+    ------
+    EstimationError
+        At least one fault that makes the phases wrong, each with the frames and the remedy.
+    """
+    faults = check_frames(observation.frames, observation.pattern, response=observation.response)
+    for fault in faults:
+        if fault.severity == "warning":
+            warnings.warn(fault.message, QualityWarning, stacklevel=2)
+    errors = [fault.message for fault in faults if fault.severity == "error"]
+    if errors:
+        raise EstimationError("images.fringes: " + "\n  ".join(errors))
+
+
+def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
+    """Put together what the file says of the mirror."""
+    section = measurement.model.mirror
+    pose = None if section.pose is None else build_pose(section.pose)
+    return MirrorInput(
+        name=measurement.model.name,
+        facets=build_facets(section, measurement.model.name),
+        design=build_design(section),
+        known_pose=None if pose is None else (pose.cam_from_mirror, pose.covariance),
+        knowledge=build_knowledge(section, setup),
+    )
+
+
+def _choices(measurement: DeflectometryMeasurement, options: Options) -> Choices:
+    section = measurement.model.evaluation
+    step_mm = options.grid_step_mm if options.grid_step_mm is not None else section.grid_step_mm
+    if step_mm is not None and not step_mm > 0:
+        raise InputError(f"grid step: a positive number of mm is needed, not {step_mm}")
+    return Choices(
+        align=options.align or Align(section.align),
+        grid_step_m=0.0 if step_mm is None else step_mm * 1e-3,
+        removal=options.remove or Removal(section.remove),
+    )
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the files of a result into an existing folder.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to; usually the folder that `heliogauge.store.ResultFolder` gives.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    evaluation = result.evaluation
+    maps = dict(evaluation.maps)
+    if len(maps) > 1:
+        maps[ASSEMBLED] = result.assembled
+    attributes = {"name": result.name, "input_sha256": result.input_sha256, "pose": evaluation.located.source}
+    write_slope_map(folder / "slope_map.nc", maps, attributes)
+    write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": result.name})
+    poses = {
+        facet.name: PhotoPose(
+            "camera",
+            evaluation.solution.cam_from_mirror @ facet.ensemble_from_facet,
+            evaluation.located.covariance,
+            None if evaluation.located.evidence is None else evaluation.located.evidence.residual_rms_px,
+        )
+        for facet in evaluation.located.facets
+    }
+    write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, poses)
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
+    evaluation = result.evaluation
+    numbers = facet_numbers(result.assembled) | pose_numbers(evaluation.located, evaluation)
+    facets = {}
+    if len(evaluation.maps) > 1:
+        facets = {name: canting_numbers(one) | facet_numbers(one) for name, one in evaluation.maps.items()}
+    texts = {
+        "design": result.assembled.design,
+        "removed": result.assembled.removed,
+        "frame": result.assembled.frame,
+        "camera": f"{result.setup.camera.width_px} x {result.setup.camera.height_px} px",
+        "screen": result.setup.screen.describe(),
+        "pattern": _pattern_words(result.pattern),
+        "pose": evaluation.located.source,
+        "pixels": flag_words(evaluation),
+        "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
+    }
+    return Summary(
+        kind="deflectometry",
+        name=result.name,
+        numbers=numbers,
+        texts=texts,
+        warnings=result.warnings,
+        durations_s=result.durations_s,
+        input_sha256=result.input_sha256,
+        facets=facets,
+        geometry_m=geometry(result.setup, evaluation),
+    )
+
+
+def _pattern_words(pattern: FringePattern) -> str:
+    listed = ", ".join(f"{one.axis} {one.periods:g} periods x {one.n_frames} steps" for one in pattern.sets)
+    return f"{pattern.n_frames} frames: {listed}"
+
+
+def _pixel_arrays(evaluation: Evaluation) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
+    """Put the pixels of all facets into images of the camera's size."""
+    screen_map = evaluation.screen_map
+    shape = screen_map.flags.shape
+    arrays = {name: np.full(shape, np.nan) for name in ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")}
+    flags = screen_map.flags.copy()
+    surfaces = dict(zip(evaluation.images, evaluation.solution.surfaces, strict=True))
+    for name, image in evaluation.images.items():
+        index = [facet.name for facet in evaluation.located.facets].index(name)
+        rows = slice(image.row, image.row + image.x_m.shape[0])
+        columns = slice(image.column, image.column + image.x_m.shape[1])
+        own = evaluation.facet_index[rows, columns] == index
+        values = {
+            "x": image.x_m, "y": image.y_m, "z": surfaces[name].height(image.x_m, image.y_m),
+            "slope_x": image.slope_x, "slope_y": image.slope_y, "sigma_x": image.sigma_x, "sigma_y": image.sigma_y,
+        }  # fmt: skip
+        for key, value in values.items():
+            arrays[key][rows, columns][own] = value[own]
+        flags[rows, columns][own] = image.flags[own]
+    return {
+        **arrays,
+        "u": screen_map.u,
+        "v": screen_map.v,
+        "sigma_u": screen_map.sigma_u,
+        "sigma_v": screen_map.sigma_v,
+        "modulation_dn": screen_map.modulation_dn,
+        "facet": (evaluation.facet_index + 1).astype(np.int16),
+        "flag": flags,
+    }
