@@ -129,8 +129,8 @@ def invertible_radius(c: BrownCoefficients) -> float:
 
 
 def _positive_roots(ascending: FloatArray) -> list[float]:
-    # Solved for 1/r: the companion matrix then has 1 as its leading coefficient and is most accurate for small r. Solved
-    # for r, a k3 of 1e-53 spoils every root.
+    # Solved for 1/r: the companion matrix then has 1 as its leading coefficient and is most accurate for small r.
+    # Solved for r, a k3 of 1e-53 spoils every root.
     reciprocals = np.roots(np.trim_zeros(ascending, "f"))
     # A double root comes out as a pair some 1e-8 off the real axis.
     straight = np.abs(reciprocals.imag) <= 1e-7 * np.abs(reciprocals)
@@ -319,7 +319,9 @@ def _solve_safely(c: BrownCoefficients, limit: float, x: FloatArray, y: FloatArr
             break
     residual_x, residual_y = evaluate(c, x_now, y_now)
     error = np.hypot(residual_x - target_x, residual_y - target_y)
-    done |= error <= 8e-16 * np.maximum(np.hypot(target_x, target_y), np.hypot(x_now, y_now))
+    # Close to the fold the steps stay above round-off; then the residual decides, with room for the cancellation between
+    # the terms of a polynomial that folds.
+    done |= error <= 4e-15 * np.maximum(np.hypot(target_x, target_y), np.hypot(x_now, y_now))
     done &= np.hypot(x_now, y_now) < limit
     found_x[index[done]], found_y[index[done]] = x_now[done], y_now[done]
     return found_x, found_y

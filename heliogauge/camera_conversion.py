@@ -99,7 +99,7 @@ def _fit(camera: Camera, direction: DistortionDirection, pixels: FloatArray, ray
         projected, _, d_parameters = trial.project_with_jacobians(rays)
         residual = (pixels - projected).ravel()
         square_sum = float(residual @ residual)
-        if not square_sum < best_sum * (1 - 1e-9):
+        if not square_sum < best_sum * (1 - 1e-13):
             break
         best, best_sum = trial, square_sum
         coefficients = coefficients + _solve(d_parameters[..., 5:].reshape(-1, 5), residual)
@@ -114,7 +114,7 @@ def _solve(design: FloatArray, right_side: FloatArray) -> FloatArray:
 
 
 def _carried_covariance(given: Camera, fitted: Camera, rays: FloatArray) -> FloatArray:
-    """Carry the covariance through the fit: what a change of the given parameters does to the fitted ones."""
+    """Carry the covariance through the fit, to first order in the residual (0.1 px leaves a few per cent of sigma)."""
     d_given = given.project_with_jacobians(rays)[2].reshape(-1, 10)
     d_fitted = fitted.project_with_jacobians(rays)[2].reshape(-1, 10)
     # The first five are handed on unchanged; the coefficients take up what that leaves of the image's change.
