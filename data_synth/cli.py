@@ -36,7 +36,9 @@ def fringes(
     shot_gain_dn: Annotated[float, typer.Option(min=0.0, help="DN per electron; 0: no shot noise.")] = 0.0,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the images.")] = 8,
     gamma: Annotated[float, typer.Option(min=0.1, help="Exponent of the display; response.csv tells it.")] = 1.0,
-    blur_px: Annotated[float, typer.Option(min=0.0, help="Gaussian blur of the lens.")] = 0.4,
+    blur_px: Annotated[
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+    ] = None,
     periods: Annotated[
         str, typer.Option(help="Periods over the screen, both directions, with commas.")
     ] = "0.9,3.9,15.9,63.9",
@@ -68,7 +70,7 @@ def fringes(
         pattern=make_pattern(numbers, numbers, steps),
         sensor=replace(scene.sensor, bits=bits, read_noise_dn=noise_dn, shot_gain_dn=shot_gain_dn),
         lighting=replace(scene.lighting, gamma=gamma),
-        blur_sigma_px=blur_px,
+        blur_sigma_px=scene.blur_sigma_px if blur_px is None else blur_px,
         faults=tuple(Fault.parse(text) for text in fault or ()),
     )
     knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)

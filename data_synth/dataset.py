@@ -114,7 +114,8 @@ def read_truth(folder: Path) -> FringeTruth:
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE
     try:
-        with np.load(arrays) as stored:
+        # A file object of our own: numpy leaves its own open when the archive is damaged.
+        with arrays.open("rb") as file, np.load(file) as stored:
             pixels = PixelTruth(stored["facet_index"], *(stored[name] for name in PIXEL_ARRAYS))
         facets = tuple(facet_from_json(facet) for facet in parameters["facets"])
     except (OSError, ValueError, BadZipFile) as error:

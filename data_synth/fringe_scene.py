@@ -55,9 +55,9 @@ class Lighting:
     display_bits: int | None = None
     black: float = 0.01
     falloff: float = 0.15
-    ambient: float = 0.02
-    indirect: float = 0.10
-    background_albedo: float = 0.25
+    ambient: float = 0.01
+    indirect: float = 0.02
+    background_albedo: float = 0.5
     reflectivity: float = 0.93
     soiling: float = 0.03
 
@@ -168,6 +168,30 @@ def render_fringes(scene: FringeScene, rng: np.random.Generator) -> SyntheticFri
     return SyntheticFringes(frames, taken[n], taken[n + 1], FringeTruth(scene.facets, pixels, scene_to_json(scene)))
 
 
+def trace_truth(scene: FringeScene) -> FringeTruth:
+    """Trace the pixel centres only: the truth of a scene without its images.
+
+    Parameters
+    ----------
+    scene : FringeScene
+        The scene.
+
+    Returns
+    -------
+    FringeTruth
+        What the pixel centres see, and the exact surfaces.
+
+    Raises
+    ------
+    InputError
+        The mirror is not in view.
+    """
+    pixels = PixelTruth.empty(scene.shape)
+    for index in range(len(scene.facets)):
+        _see_centers(scene, index, pixels)
+    return FringeTruth(scene.facets, pixels, scene_to_json(scene))
+
+
 def _exposure_factors(scene: FringeScene, n: int) -> FloatArray:
     factors = np.ones(n + 2)
     for fault in scene.faults:
@@ -208,7 +232,10 @@ def expected_light(scene: FringeScene, rng: np.random.Generator) -> tuple[Float3
         for rows, columns, values in _facet_light(scene, shader, facet, rng, _see_centers(scene, index, pixels)):
             light[:, rows, columns] += values[1:]
             coverage[rows, columns] += values[0]
-    light += (np.float32(1) - coverage) * _background(scene, shader)
+    # One image at a time: all at once would double the memory of a full-size measurement.
+    beside = (np.float32(1) - coverage) * _background_albedo(scene)
+    for image, room in zip(light, shader.room(), strict=True):
+        image += beside * room
     return light, pixels
 
 
@@ -218,6 +245,7 @@ class _Pixels:
 
     inside: tuple[Any, Any]
     edge: tuple[Any, Any]
+    phase_per_px: float
 
 
 def _see_centers(scene: FringeScene, index: int, pixels: PixelTruth) -> _Pixels:
@@ -239,7 +267,18 @@ def _see_centers(scene: FringeScene, index: int, pixels: PixelTruth) -> _Pixels:
     _note(pixels, index, facet, seen, window, distance > 0)
     reach = 1.05 * kernel.reach_px * _metres_per_pixel(x, y)
     inside, edge = distance > reach, np.abs(distance) <= reach
-    return _Pixels((rows[inside], columns[inside]), (rows[edge], columns[edge]))
+    return _Pixels((rows[inside], columns[inside]), (rows[edge], columns[edge]), _phase_per_px(scene, seen, inside))
+
+
+def _phase_per_px(scene: FringeScene, seen: Traced, inside: BoolArray) -> float:
+    """Return the largest change of a fringe's phase from pixel to pixel, 0 where no pixel is fully inside [rad]."""
+    largest = 0.0
+    for axis, display in ((Axis.X, seen.u), (Axis.Y, seen.v)):
+        periods = max(fringes.periods for fringes, _ in scene.pattern.sets_of(axis))
+        for change in np.gradient(display):
+            steep = np.nanmax(np.abs(np.asarray(change)[inside]), initial=0.0)
+            largest = max(largest, float(2 * np.pi * periods * steep))
+    return largest
 
 
 def _metres_per_pixel(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -271,17 +310,18 @@ def _facet_light(
 ) -> Iterator[tuple[Any, Any, Float32Array]]:
     """Yield blocks of pixels (rows, columns) with their coverage and light, shape (1 + n_images, n)."""
     kernel = PixelKernel(scene.blur_sigma_px)
+    rule = kernel.smooth_rule(chosen.phase_per_px)
     mixed_rows, mixed_columns = [chosen.edge[0]], [chosen.edge[1]]
-    for rows, columns in _blocks(*chosen.inside, _RAYS_PER_BLOCK // kernel.smooth_weights.size):
-        x_px = columns[:, None] + kernel.smooth_offsets_px[:, 0]
-        y_px = rows[:, None] + kernel.smooth_offsets_px[:, 1]
+    for rows, columns in _blocks(*chosen.inside, _RAYS_PER_BLOCK // rule.weights.size):
+        x_px = columns[:, None] + rule.offsets_px[:, 0]
+        y_px = rows[:, None] + rule.offsets_px[:, 1]
         seen = scene.bench.trace(facet, x_px, y_px)
         on_screen = _on_screen(seen)
         # A pixel on which the rim of the display falls needs many rays, like one on the rim of the mirror.
         whole = np.asarray(on_screen.all(axis=1) | ~on_screen.any(axis=1))
         mixed_rows.append(rows[~whole])
         mixed_columns.append(columns[~whole])
-        weights = np.broadcast_to(kernel.smooth_weights, x_px.shape) * whole[:, None]
+        weights = np.broadcast_to(rule.weights, x_px.shape) * whole[:, None]
         yield rows, columns, shader.shade(seen, facet, weights.astype(np.float32))
     for rows, columns in _blocks(
         np.concatenate(mixed_rows), np.concatenate(mixed_columns), _RAYS_PER_BLOCK // EDGE_RAYS
@@ -395,12 +435,12 @@ def _wave(phase: npt.NDArray[Any], step: float) -> Float32Array:
     return np.asarray(0.5 + 0.5 * np.cos(phase - step, dtype=np.float32), dtype=np.float32)
 
 
-def _background(scene: FringeScene, shader: _Shader) -> Float32Array:
-    """Return the light of what stands around the mirror: smooth, dim, brighter when the display is."""
+def _background_albedo(scene: FringeScene) -> Float32Array:
+    """Return the brightness of what stands around the mirror: dim and smooth, shape (h, w)."""
     height, width = scene.shape
     y, x = np.mgrid[:height, :width].astype(np.float32) / np.float32(max(height, width))
-    albedo = scene.lighting.background_albedo * (1 + 0.2 * np.sin(9 * x + 2 * y) * np.sin(7 * y + 1))
-    return np.asarray(albedo * shader.room()[:, None, None], dtype=np.float32)
+    texture = np.float32(0.2) * np.sin(9 * x + 2 * y) * np.sin(7 * y + 1)
+    return np.asarray(np.float32(scene.lighting.background_albedo) * (1 + texture), dtype=np.float32)
 
 
 def scene_to_json(scene: FringeScene) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from data_synth.pinhole import PinholeCamera
 from data_synth.surface_errors import Dimple, EdgeTurnDown, ErrorTerm, Polynomial, Ripple, SurfaceErrors, Zernike
 from data_synth.trace import Bench
 from data_synth.wall import Wall
-from deflectometry.patterns import FringePattern, make_pattern
+from deflectometry.patterns import make_pattern
 from heliogauge.errors import InputError
 from heliogauge.rigid import RigidTransform, rotation_between, rotation_from_vector
 from heliogauge.validate import FloatArray, float_array
@@ -54,10 +54,10 @@ def standard_errors(width_m: float = 1.2, height_m: float = 1.2) -> SurfaceError
     """
     size = float(np.hypot(width_m, height_m))
     terms: tuple[ErrorTerm, ...] = (
-        Polynomial([(2, 0, 3.0e-4 / size), (0, 2, -2.0e-4 / size), (1, 1, 2.5e-4 / size)]),
-        Zernike(3, 1, 2.0e-5 * size, 0.5 * size),
-        Ripple(1.5e-4, 0.23 * size, 0.6, 0.4),
-        Dimple(-2.0e-5 * size, 0.09 * size, 0.18 * width_m, -0.12 * height_m),
+        Polynomial([(2, 0, 6.0e-4 / size), (0, 2, -4.0e-4 / size), (1, 1, 5.0e-4 / size)]),
+        Zernike(3, 1, 4.0e-5 * size, 0.5 * size),
+        Ripple(2.0e-4, 0.23 * size, 0.6, 0.4),
+        Dimple(-3.0e-5 * size, 0.09 * size, 0.18 * width_m, -0.12 * height_m),
         EdgeTurnDown(4.0e-4, 0.05 * size, 0.5 * width_m, 0.5 * height_m),
     )
     return SurfaceErrors(terms)
@@ -106,7 +106,7 @@ def facet_scene(
     camera: PinholeCamera = SMALL_CAMERA,
     wall: Wall = STANDARD_WALL,
     place_m: tuple[float, float, float] = STANDARD_PLACE_M,
-    pattern: FringePattern | None = None,
+    blur_sigma_px: float = 0.1,
 ) -> FringeScene:
     """Put a mirror into the standard laboratory and aim it at the middle of the screen.
 
@@ -122,8 +122,8 @@ def facet_scene(
         The screen.
     place_m : tuple of float, optional
         The mirror's origin in the camera's frame [m].
-    pattern : FringePattern, optional
-        The fringes; the standard ones without.
+    blur_sigma_px : float, optional
+        Blur of the lens; 0.1 px of the small camera are 0.8 px of the full one [px].
 
     Returns
     -------
@@ -141,8 +141,8 @@ def facet_scene(
         normal = np.array([-float(slope_x), -float(slope_y), 1.0])
     target = CAM_FROM_WALL.apply(wall.points_m(np.array(0.5), np.array(0.5)))
     bench = Bench(camera, aim(place_m, target, normal), wall, CAM_FROM_WALL)
-    chosen = make_pattern(STANDARD_PERIODS, STANDARD_PERIODS) if pattern is None else pattern
-    scene = FringeScene(name, bench, facets, chosen)
+    pattern = make_pattern(STANDARD_PERIODS, STANDARD_PERIODS)
+    scene = FringeScene(name, bench, facets, pattern, blur_sigma_px=blur_sigma_px)
     check_screen_covers(scene)
     return scene
 
@@ -177,7 +177,7 @@ def check_screen_covers(scene: FringeScene) -> None:
 
 def _single(name: str, design: Design, size_m: float = 1.2, camera: PinholeCamera = SMALL_CAMERA) -> FringeScene:
     facet = SyntheticFacet("facet", rectangle(size_m, size_m), design, standard_errors(size_m, size_m))
-    return facet_scene(name, (facet,), camera=camera)
+    return facet_scene(name, (facet,), camera=camera, blur_sigma_px=0.1 if camera is SMALL_CAMERA else 0.5)
 
 
 def small_scene() -> FringeScene:
@@ -290,7 +290,7 @@ def ensemble_scene(*, columns: int = 6, rows: int = 4, camera: PinholeCamera | N
             design = Design("paraboloid", {"focal_length_m": focal_length_m})
             facets.append(SyntheticFacet(f"facet_{row}_{column}", rectangle(size, size), design, errors, pose))
     chosen = FULL_CAMERA.scaled(0.5) if camera is None else camera
-    return facet_scene(f"ensemble of {rows * columns} facets", tuple(facets), camera=chosen)
+    return facet_scene(f"ensemble of {rows * columns} facets", tuple(facets), camera=chosen, blur_sigma_px=0.3)
 
 
 PRESETS: Mapping[str, Callable[[], FringeScene]] = {

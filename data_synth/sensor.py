@@ -35,7 +35,7 @@ class Sensor:
     """
 
     bits: int = 8
-    exposure: float = 0.85
+    exposure: float = 0.95
     offset_dn: float = 4.0
     read_noise_dn: float = 1.0
     shot_gain_dn: float = 0.0
