@@ -319,8 +319,8 @@ def _solve_safely(c: BrownCoefficients, limit: float, x: FloatArray, y: FloatArr
             break
     residual_x, residual_y = evaluate(c, x_now, y_now)
     error = np.hypot(residual_x - target_x, residual_y - target_y)
-    # Close to the fold the steps stay above round-off; then the residual decides, with room for the cancellation between
-    # the terms of a polynomial that folds.
+    # Close to the fold the steps stay above round-off; then the residual decides, with room for the cancellation
+    # between the terms of a polynomial that folds.
     done |= error <= 4e-15 * np.maximum(np.hypot(target_x, target_y), np.hypot(x_now, y_now))
     done &= np.hypot(x_now, y_now) < limit
     found_x[index[done]], found_y[index[done]] = x_now[done], y_now[done]

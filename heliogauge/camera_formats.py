@@ -76,7 +76,7 @@ def to_opencv(camera: Camera) -> tuple[FloatArray, FloatArray]:
     matrix : ndarray, shape (3, 3)
         Camera matrix [px].
     distortion : ndarray, shape (5,)
-        k1, k2, p1, p2, k3.
+        Coefficients k1, k2, p1, p2, k3.
 
     Raises
     ------
