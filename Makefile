@@ -42,6 +42,7 @@ slow: .make/dev
 	$(PYTEST) -q -m slow || [ $$? -eq 5 ]
 
 docs: .make/docs
+	rm -rf docs/api  # pages of modules that are gone
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
