@@ -17,6 +17,7 @@ _BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_")
 #: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.
 _BORDER_MODULES = {
     "deflectometry.inputs": "turns a measurement folder into the values the numeric modules take",
+    "deflectometry.headline": "fills summary.json",
     "deflectometry.opencsp": "reads another program's HDF5 and JSON files",
     "deflectometry.opencsp_import": "writes a measurement folder from another program's files",
     "data_synth.dataset": "writes a measurement folder",
