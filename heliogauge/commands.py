@@ -23,7 +23,10 @@ Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say when each st
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Leave out report.html; `heliogauge report` makes it later.")
 ]
-Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Number of processes on this machine.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", metavar="N", min=1, help="Work side by side on this machine; default: what it has."),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Send the work to an existing Dask cluster."),
