@@ -1,0 +1,177 @@
+"""Parts of a report that need some work before they can be drawn: the traced spot, images, the setup."""
+
+import html
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.beam import Illumination, SpotImage, direction_to_sun_for, facing_target, trace
+from heliogauge.errors import EstimationError
+from heliogauge.figures_canvas import MapStyle
+from heliogauge.figures_images import camera_image, outline_residuals, setup_sketch
+from heliogauge.figures_lines import encircled_energy, spot_image
+from heliogauge.report_html import Html, show
+from heliogauge.report_results import Results
+from heliogauge.slope_map import SlopeMap
+from heliogauge.slope_statistics import QuadraticFit, fit_quadratic
+from heliogauge.store import Summary, read_table_csv
+from heliogauge.sun_shapes import PillboxSun
+
+
+def spot_figures(results: Results, *, rays: int = 1_500_000) -> Html:
+    """Return the spot on the target and the energy within a circle.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+    rays : int, optional
+        Rays from the measured mirror.
+
+    Returns
+    -------
+    Html
+        Two figures; a sentence where the light cannot be traced.
+    """
+    try:
+        traced = spots(results, rays=rays)
+    except EstimationError as error:
+        return Html(f"<p>The light was not traced: {html.escape(str(error))}</p>")
+    measured = traced["as measured"]
+    return show(spot_image(measured), encircled_energy(traced), caption=measured.describe())
+
+
+def spots(results: Results, *, rays: int = 1_500_000) -> dict[str, SpotImage]:
+    """Trace sunlight from the measured mirror, and from its design, to a target in its focus.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+    rays : int, optional
+        Rays from the measured mirror; the design gets a fifth.
+
+    Returns
+    -------
+    dict of str to SpotImage
+        "as measured" and "design".
+
+    Notes
+    -----
+    Sun: a uniform disc of 4.65 mrad half angle, placed so that the middle of the design mirror lights the target's
+    centre. Target: ``target_distance_m`` of the summary, or the design's focal length (the shorter of x and y), or
+    100 m where that is beyond 1 km.
+    """
+    slope_map = results.slope_map
+    ideal = replace(slope_map, slope_x=slope_map.design_slope_x, slope_y=slope_map.design_slope_y)
+    shape = fit_quadratic(ideal)
+    a, b, c, d, e = shape.coefficients
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    height_m = a * x**2 + b * y**2 + c * x + d * y + e * x * y
+    distance = _target_distance_m(results.summary, shape)
+    middle = np.array([x[slope_map.aperture].mean(), y[slope_map.aperture].mean()])
+    slope = (2 * a * middle[0] + c + e * middle[1], 2 * b * middle[1] + d + e * middle[0])
+    point = (
+        *middle,
+        float(a * middle[0] ** 2 + b * middle[1] ** 2 + c * middle[0] + d * middle[1] + e * middle.prod()),
+    )
+    wide = facing_target(distance, distance)
+    sun = direction_to_sun_for(wide, (-slope[0], -slope[1], 1.0), point)
+    light = Illumination(PillboxSun(), sun)
+    rng = np.random.Generator(np.random.SFC64(1))
+    # A few rays tell how large the window must be: 10 standard deviations hold all but stray light.
+    first = trace(slope_map, height_m, light, target=wide, rays=20_000, rng=rng)
+    target = facing_target(distance, 10 * max(first.sd_x_m, first.sd_y_m))
+    return {
+        "as measured": trace(slope_map, height_m, light, target=target, rays=rays, rng=rng),
+        "design": trace(ideal, height_m, light, target=target, rays=max(rays // 5, 1), rng=rng),
+    }
+
+
+def _target_distance_m(summary: Summary, shape: QuadraticFit) -> float:
+    given = summary.numbers.get("target_distance_m")
+    if given is not None:
+        return float(given)
+    focus = min(abs(shape.focal_length_x_m), abs(shape.focal_length_y_m))
+    return focus if focus < 1000 else 100.0
+
+
+def uncertainty_shares(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
+    """Return the RMS over the measured nodes of each share of the uncertainty, in x and in y.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+
+    Returns
+    -------
+    dict of str to tuple of float
+        "random noise", then each common source [rad].
+    """
+    valid = slope_map.valid
+    shares = {"random noise": (slope_map.sigma_random_x[valid], slope_map.sigma_random_y[valid])}
+    modes = slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))[:, :, valid]
+    for source in dict.fromkeys(slope_map.common.sources):
+        chosen = [index for index, name in enumerate(slope_map.common.sources) if name == source]
+        sigma_x, sigma_y = np.sqrt(np.sum(modes[chosen] ** 2, axis=0))
+        shares[source] = (sigma_x, sigma_y)
+    return {name: (_rms(sigma_x), _rms(sigma_y)) for name, (sigma_x, sigma_y) in shares.items()}
+
+
+def _rms(values: npt.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def image_figures(results: Results) -> Html:
+    """Return what the camera saw: modulation, disagreement of the frames, points on the screen.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        Figures; a sentence where there are no per-pixel results.
+    """
+    pixels = results.pixels
+    styles = {
+        "modulation_dn": MapStyle("Fringe modulation", "DN", diverging=False, note="amplitude of the fringes"),
+        "residual_dn": MapStyle("Disagreement of the frames", "DN", diverging=False, note="RMS about one sinusoid"),
+        "u": MapStyle("Screen point, u", "", diverging=False, limit=1.0, note="fraction from the left edge"),
+        "v": MapStyle("Screen point, v", "", diverging=False, limit=1.0, note="fraction from the top edge"),
+    }
+    shown = [camera_image(pixels[name].astype(np.float64), style) for name, style in styles.items() if name in pixels]
+    if not shown:
+        return Html("<p>The folder holds no per-pixel results.</p>")
+    return show(*shown, caption="As the camera saw the mirror, row 0 at the top.")
+
+
+def setup_figures(results: Results) -> Html:
+    """Return where things stood, and how well the mirror's outline fits.
+
+    Parameters
+    ----------
+    results : Results
+        The results; ``outline.csv`` (x_px, y_px, residual_x_px, residual_y_px) in the folder gives the second figure.
+
+    Returns
+    -------
+    Html
+        The figures that the results have data for.
+    """
+    shown = []
+    if results.summary.geometry_m:
+        shown.append(setup_sketch(results.summary.geometry_m))
+    path = results.folder / "outline.csv"
+    if path.exists():
+        columns = read_table_csv(path, ("x_px", "y_px", "residual_x_px", "residual_y_px"))
+        points, residuals = (
+            np.column_stack([np.array(columns[f"{prefix}{axis}_px"], dtype=np.float64) for axis in "xy"])
+            for prefix in ("", "residual_")
+        )
+        shown.append(outline_residuals(points, residuals))
+    return show(*shown)
