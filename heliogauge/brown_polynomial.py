@@ -131,7 +131,9 @@ def invertible_radius(c: BrownCoefficients) -> float:
 def _positive_roots(ascending: FloatArray) -> list[float]:
     # Solved for 1/r: the companion matrix then has 1 as its leading coefficient and is most accurate for small r.
     # Solved for r, a k3 of 1e-53 spoils every root.
-    reciprocals = np.roots(np.trim_zeros(ascending, "f"))
+    # Terms 1e-100 times smaller than the largest matter only for r < 1e-8, where nothing folds, and would overflow.
+    used = np.where(np.abs(ascending) > 1e-100 * np.abs(ascending).max(), ascending, 0.0)
+    reciprocals = np.roots(np.trim_zeros(used, "f"))
     # A double root comes out as a pair some 1e-8 off the real axis.
     straight = np.abs(reciprocals.imag) <= 1e-7 * np.abs(reciprocals)
     real = 1 / reciprocals.real[straight & (reciprocals.real > 1 / _LARGEST_RADIUS)]

@@ -290,7 +290,7 @@ def test_the_converted_lens_has_the_residual_it_states(k1, k2, p1, p2, direction
     # The corners are nodes of the fit, so the largest residual is among them or between nodes at the rim.
     assert residual.max() <= 1.05 * fit.largest_residual_px + 1e-9
     assert fit.rms_residual_px <= fit.largest_residual_px
-    assert fit.largest_residual_px < 0.1
+    assert fit.largest_residual_px < 0.5
 
 
 def test_conversion_there_and_back_returns_the_lens():

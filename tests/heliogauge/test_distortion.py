@@ -204,3 +204,14 @@ def test_impossible_lenses_are_refused(arguments, message):
 def test_impossible_points_are_refused(points):
     with pytest.raises(InputError, match=r"ideal_xy: .*\(\.\.\., 2\) (is|are) needed"):
         BrownDistortion().distort(points)
+
+
+@pytest.mark.parametrize("tiny", [1e-53, 1e-200, 5e-324])
+def test_tiny_coefficients_change_nothing(tiny):
+    # The roots of a polynomial with such a term overflow, or are all wrong, when it is solved naively.
+    for place in range(5):
+        values = np.array([-1 / 3, 0, 0, 0, 0])
+        values[place] += tiny
+        assert lens_of(values, DistortionDirection.IDEAL_TO_MEASURED).invertible_radius == pytest.approx(1, rel=1e-9)
+        alone = tiny * np.eye(5)[place]
+        assert math.isinf(lens_of(alone, DistortionDirection.IDEAL_TO_MEASURED).invertible_radius)
