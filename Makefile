@@ -47,7 +47,7 @@ docs: .make/docs
 	@echo "docs/_build/html/index.html"
 
 bench: .make/dev
-	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(ONE_THREAD) $(BIN)/python "$$script" || exit 1; done
+	@for script in benchmarks/[!_]*.py; do echo "== $$script"; $(ONE_THREAD) $(BIN)/python "$$script" || exit 1; done
 
 clean:
 	rm -rf $(VENV) .make build dist *.egg-info docs/_build docs/api demo-result .pytest_cache .mypy_cache .ruff_cache
