@@ -15,6 +15,8 @@ from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray
 
 #: Pixels worked on at a time: a dozen float64 buffers of this size stay in a 2 MiB second-level cache.
 BLOCK_PIXELS = 16384
+#: Pixels kept around a facet: an edge blurred over 8 pixels is flagged as edge, not as unseen.
+BORDER_PIXELS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +56,12 @@ class SlopeImage:
 
 
 def bounding_box(region: BoolArray) -> tuple[slice, slice]:
-    """Return the rows and columns that hold all true pixels."""
+    """Return the rows and columns that hold all true pixels, with the edge pixels around them that have flags."""
     rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    return (
+        slice(max(int(rows[0]) - BORDER_PIXELS, 0), min(int(rows[-1]) + 1 + BORDER_PIXELS, region.shape[0])),
+        slice(max(int(columns[0]) - BORDER_PIXELS, 0), min(int(columns[-1]) + 1 + BORDER_PIXELS, region.shape[1])),
+    )
 
 
 def pixel_blocks(region: BoolArray) -> Iterator[npt.NDArray[np.intp]]:
@@ -101,7 +106,7 @@ def measure_slopes(
     x_m, y_m, slope_x, slope_y = (np.full(shape, np.nan) for _ in range(4))
     sigma_x, sigma_y = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
     flags = screen_map.flags[rows, columns].copy()
-    flags[~region[rows, columns]] |= np.uint32(SampleFlag.OUTSIDE_MIRROR)
+    flags[~region[rows, columns] & (flags == 0)] = np.uint32(SampleFlag.OUTSIDE_MIRROR)
     u, v, sigma_u, sigma_v = (
         image[rows, columns] for image in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v)
     )
