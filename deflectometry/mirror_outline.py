@@ -17,7 +17,7 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, freeze
 #: Points along one side: beyond that, neighbours share the same pixels and add time, not knowledge.
 MAX_POINTS_PER_SIDE = 256
 #: Points of all sides together; keeps an ensemble of many facets as fast as one.
-MAX_POINTS = 8192
+MAX_POINTS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +109,70 @@ def _sharpness(before: FloatArray, after: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     sine = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]) / lengths
     return np.where((before * after).sum(axis=1) < 0, 1.0, sine)
+
+
+def beside_another(facets: Sequence[Facet], outline: OutlinePoints, reach_m: float) -> BoolArray:
+    """Tell which outline points have another facet right beside them, so that no dark level can be measured there.
+
+    Parameters
+    ----------
+    facets : sequence of Facet
+        The facets that the outline was sampled from.
+    outline : OutlinePoints
+        Points of `sample_outlines`.
+    reach_m : float
+        How far outside the outline to look [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (sides, n)
+        True where another facet lies at that distance.
+    """
+    along = outline.points_m[:, -1] - outline.points_m[:, 0]
+    front = np.array([facet.ensemble_from_facet.rotation[:, 2] for facet in facets])[outline.facet_index]
+    # Counter-clockwise from the front: outwards is to the right of the direction of travel.
+    outwards = np.cross(along, front)
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    looked_at = outline.points_m + reach_m * outwards[:, None]
+    beside = np.zeros(looked_at.shape[:2], dtype=np.bool_)
+    for number, facet in enumerate(facets):
+        others = outline.facet_index != number
+        place = facet.ensemble_from_facet.inverse().apply(looked_at[others])
+        beside[others] |= facet.contains(place[..., 0], place[..., 1])
+    return beside
+
+
+def lit_share(camera: Camera, cam_from_mirror: RigidTransform, facets: Sequence[Facet], lit: BoolArray) -> FloatArray:
+    """Return how much of each facet lies on lit pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    cam_from_mirror : RigidTransform
+        Pose of the mirror.
+    facets : sequence of Facet
+        The facets.
+    lit : ndarray of bool, shape (h, w)
+        Bright pixels.
+
+    Returns
+    -------
+    ndarray, shape (n_facets,)
+        Shares from 0 to 1, each from a lattice of about 150 points.
+    """
+    share = np.zeros(len(facets))
+    steps = (np.arange(12) + 0.5) / 12
+    for number, facet in enumerate(facets):
+        low, high = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0)
+        x, y = (grid.ravel() for grid in np.meshgrid(*(low[:, None] + steps * (high - low)[:, None])))
+        inside = facet.contains(x, y)
+        points = np.column_stack([x, y, facet.design.height(x, y)])[inside]
+        pixels = camera.project((cam_from_mirror @ facet.ensemble_from_facet).apply(points))
+        place = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(np.intp)
+        seen = (place >= 0).all(axis=1) & (place[:, 0] < lit.shape[1]) & (place[:, 1] < lit.shape[0])
+        share[number] = lit[place[seen, 1], place[seen, 0]].sum() / max(len(points), 1)
+    return share
 
 
 def project_outline(

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.facet import find_mirrors
+from deflectometry.mirror_outline import lit_share
 from deflectometry.outline_edges import OutlineEdges, OutlineFit, OutlineSearch
 from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.pose_start import mirror_regions, point_poses, start_poses
@@ -25,10 +26,15 @@ from heliogauge.validate import FloatArray, freeze
 
 #: Below this probability of so large a disagreement the distance and the image are reported as contradicting.
 MIN_PROBABILITY = 0.01
-#: Edge residuals above this share of the mirror's size in the image are no pose: 6 mm on a 1.2 m facet.
+#: Edge residuals above this share of the mirror's size in the image are no pose: 6 mm on a 1.2 m facet. (In a small
+#: image a fifth of the edges' width is allowed: a disc taken for a square of 80 px leaves half a width.)
 MAX_RESIDUAL_SHARE = 0.005
 #: Fewer edge points than this share of those expected, and the outline was not found.
 MIN_POINT_SHARE = 0.4
+#: More rejected edge points than this share are reported: clips and stains on the reference facet take 8 %.
+MAX_REJECTED_SHARE = 0.2
+#: A facet with less than this share lit is reported.
+MIN_LIT_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +84,7 @@ class MirrorPose:
     n_points, n_rejected : int
         Edge points (or known points) used and rejected.
     facet_share : ndarray, shape (n_facets,)
-        Share of each facet's outline that was seen.
+        Share of each facet that is bright in the image.
     distance_tests : tuple of DistanceTest
         One for each measured distance.
     """
@@ -159,12 +165,12 @@ def locate_mirror(
     _check_outline(best, size_px)
     if len(fits) > 1:
         best = _resolve_tilt(best, fits[1], knowledge)
-    return _finish(best, camera, knowledge)
+    return _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
 
 
 def _check_outline(best: OutlineFit, size_px: float) -> None:
     n_used = int(best.used.sum())
-    allowed = max(MAX_RESIDUAL_SHARE * size_px, 0.5 * best.edges.width_px)
+    allowed = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
     if n_used < MIN_POINT_SHARE * best.edges.n_expected or not best.rms_px <= allowed:
         raise EstimationError(
             f"the outline in the image does not fit the mirror's outline: {n_used} of {best.edges.n_expected} edge"
@@ -206,7 +212,7 @@ def _off_bisector(pose: RigidTransform, distance: DistanceObservation) -> float:
     return -float(bisector @ pose.rotation[:, 2])
 
 
-def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge) -> MirrorPose:
+def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: FloatArray) -> MirrorPose:
     """Adjust with everything, each edge point counted for its independent share.
 
     Which points are rejected was decided by the image alone: a contradicting distance must not hide behind them.
@@ -224,8 +230,15 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge) -> MirrorPos
         final = _adjust(camera, image_only.state, outline, knowledge.points, extra).require("mirror pose")
     rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
-    share = best.edges.facet_share()
     _warn(tests, share, rms)
+    n_rejected = int((~best.used).sum())
+    if n_rejected > MAX_REJECTED_SHARE * best.used.size:
+        warnings.warn(
+            f"{n_rejected} of {best.used.size} edge points do not lie on the outline that the others agree on; is"
+            " outline_m right, or a part of the mirror covered or dark?",
+            QualityWarning,
+            stacklevel=3,
+        )
     return MirrorPose(
         cam_from_mirror=final.state,
         covariance=final.covariance,
@@ -235,7 +248,7 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge) -> MirrorPos
         correlation_points=best.correlation_points,
         edge_width_px=edges.width_px,
         n_points=int(best.used.sum()),
-        n_rejected=int((~best.used).sum()),
+        n_rejected=n_rejected,
         facet_share=freeze(share),
         distance_tests=tests,
     )
@@ -295,11 +308,11 @@ def _warn(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[f
                 QualityWarning,
                 stacklevel=4,
             )
-    unseen = np.flatnonzero(share < MIN_POINT_SHARE)
+    unseen = np.flatnonzero(share < MIN_LIT_SHARE)
     if unseen.size:
         warnings.warn(
-            f"{unseen.size} of {share.size} facets show less than {MIN_POINT_SHARE:.0%} of their outline (numbers"
-            f" {', '.join(map(str, unseen[:12]))}): they are dark, covered or missing",
+            f"{unseen.size} of {share.size} facets are bright on less than {MIN_LIT_SHARE:.0%} of their area (numbers"
+            f" {', '.join(map(str, unseen[:12]))}): they are dark, covered, missing, or see past the screen",
             QualityWarning,
             stacklevel=4,
         )
