@@ -60,7 +60,29 @@ def standard_errors(width_m: float = 1.2, height_m: float = 1.2) -> SurfaceError
         Dimple(-3.0e-5 * size, 0.09 * size, 0.18 * width_m, -0.12 * height_m),
         EdgeTurnDown(4.0e-4, 0.05 * size, 0.5 * width_m, 0.5 * height_m),
     )
-    return SurfaceErrors(terms)
+    return on_design_at_origin(SurfaceErrors(terms))
+
+
+def on_design_at_origin(errors: SurfaceErrors) -> SurfaceErrors:
+    """Lift deviations so that the surface meets its design at the facet's origin.
+
+    Parameters
+    ----------
+    errors : SurfaceErrors
+        The deviations.
+
+    Returns
+    -------
+    SurfaceErrors
+        The same with a constant added.
+
+    Notes
+    -----
+    Slopes do not change, but where the rays meet the surface does. A mirror's pose says where its origin is; a surface
+    that stands 20 um in front of it would be seen with a slope bias of 0.4 urad that no slope measurement can avoid.
+    """
+    height = float(errors.evaluate(np.array(0.0), np.array(0.0))[0])
+    return SurfaceErrors((*errors.terms, Polynomial([(0, 0, -height)])))
 
 
 def aim(

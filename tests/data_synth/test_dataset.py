@@ -193,3 +193,10 @@ def test_impossible_words_are_refused():
         preset_scene("huge")
     with pytest.raises(InputError, match="with commas"):
         parse_periods("0.9;3.9")
+
+
+@pytest.mark.parametrize("name", sorted(set(PRESETS) - {"full"}))
+def test_surfaces_meet_their_design_at_the_facets_origin(name):
+    for facet in preset_scene(name).facets:
+        assert abs(facet.errors.evaluate(np.array(0.0), np.array(0.0))[0]) < 1e-18
+        assert abs(facet.surface(np.array(0.0), np.array(0.0))[0]) < 1e-15
