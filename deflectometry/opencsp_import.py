@@ -1,12 +1,13 @@
 """Turn the files of an OpenCSP/SOFAST measurement into a measurement folder."""
 
+import datetime
+import shutil
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -25,6 +26,9 @@ from deflectometry.opencsp import (
     read_opencsp_file,
 )
 from heliogauge.errors import InputError, QualityWarning
+from heliogauge.images import write_image
+from heliogauge.measurement import parse_measurement
+from heliogauge.measurement_writer import write_measurement
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import FloatArray, positive
 
@@ -63,7 +67,7 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
         are any image calibration, ensemble definition and result file. A file made for one purpose wins over the
         copy inside a result file.
     folder : Path
-        Where to write; it must not hold a measurement yet.
+        Where to write; it must be empty or not there yet.
     options : OpencspOptions, optional
         What the files leave open.
 
@@ -83,15 +87,15 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     met exactly.
     """
     options = options or OpencspOptions()
-    if (folder / "measurement.toml").exists():
-        raise InputError(f"{folder}: already holds a measurement.toml; give another folder or remove it")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: already holds files; give a new folder")
     parts = _Parts([read_opencsp_file(Path(path)) for path in files])
     fringes = parts.needed(FringeRecord, "a fringe measurement (MeasurementSofastFringe)")
     height_px, width_px = fringes.dark_dn.shape
-    # Everything is checked before the first file is written.
     content: dict[str, Any] = {"kind": "deflectometry", "name": fringes.name or "OpenCSP measurement"}
-    if fringes.date:
-        content["date"] = fringes.date
+    date = _date(fringes.date)
+    if date is not None:
+        content["date"] = date
     content["camera"] = _camera_section(
         parts.needed(CameraRecord, "a camera (Camera)"), (height_px, width_px), options.correct_principal_point
     )
@@ -106,20 +110,47 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     content["pattern"] = {"set": _pattern_sets(fringes)}
     content["images"] = {"fringes": "fringe_*.png", "dark": "dark.png", "bright": "bright.png"}
     content["mirror"] = _mirror_section(parts, fringes, options)
-    frames = _storable(fringes)
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_frames(folder, frames)
-    if table is not None:
-        _write_csv(folder / "screen_points.csv", "u,v,x_m,y_m,z_m", table)
+    images = _storable(fringes)
+    tables = {"screen_points.csv": ("u,v,x_m,y_m,z_m", table)} if table is not None else {}
     if response is not None:
-        _write_csv(
-            folder / "response.csv",
-            "camera_dn,display_level",
-            np.column_stack([response.camera_dn, response.display_level]),
-        )
-    # Last, so that a folder with a measurement.toml is complete.
-    (folder / "measurement.toml").write_text(_toml(content), encoding="utf-8")
+        values = np.column_stack([response.camera_dn, response.display_level])
+        tables["response.csv"] = ("camera_dn,display_level", values)
+    # Everything is checked before the first file is written.
+    parse_measurement(content, folder / "measurement.toml")
+    _write_folder(folder, content, images, tables)
     return parts.taken
+
+
+def _date(text: str) -> datetime.datetime | None:
+    try:
+        return datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+def _write_folder(
+    folder: Path,
+    content: dict[str, Any],
+    images: list[tuple[str, npt.NDArray[Any]]],
+    tables: dict[str, tuple[str, FloatArray]],
+) -> None:
+    """Write everything beside the folder and move it into place: the folder is whole or not there."""
+    beside = folder.with_name(f".{folder.name}.part")
+    try:
+        beside.mkdir(parents=True)
+        for name, image in images:
+            write_image(beside / name, np.ascontiguousarray(image))
+        for name, (header, table) in tables.items():
+            _write_csv(beside / name, header, table)
+        write_measurement(beside, content, comment="Imported from OpenCSP/SOFAST files.")
+        if folder.exists():
+            folder.rmdir()
+        beside.rename(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); check permissions and space") from error
+    finally:
+        if beside.exists():
+            shutil.rmtree(beside, ignore_errors=True)
 
 
 _WORDS: dict[type, str] = {
@@ -224,7 +255,8 @@ def _pattern_sets(fringes: FringeRecord) -> list[dict[str, Any]]:
 
 
 def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOptions) -> dict[str, Any]:
-    section = _design_keys(parts, options)
+    design = _design_keys(parts, options)
+    section: dict[str, Any] = {}
     facets = parts.wanted_all(FacetRecord)
     if not facets:
         raise InputError("no file given holds a facet definition (JSON with v_facet_corners, or DefinitionFacet)")
@@ -234,10 +266,12 @@ def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOption
             raise InputError(
                 f"{parts.taken[-1]}: {len(facets)} facets, but no ensemble definition (JSON with v_facet_locations)"
             )
+        section |= design
         section["outline_m"] = _outline(facets[0])
         section["reference_point_m"] = facets[0].centroid_m[:2].tolist()
     else:
-        section["facet"] = _facet_tables(facets, ensemble)
+        # SOFAST's focal length is that of each facet about its own middle, not of the whole mirror.
+        section["facet"] = [facet | design for facet in _facet_tables(facets, ensemble)]
     positive("sigma_distance_mm", options.sigma_distance_mm, "mm")
     section["distance"] = {
         "distance_m": fringes.distance_m,
@@ -281,6 +315,7 @@ def _facet_tables(facets: list[FacetRecord], ensemble: EnsembleRecord) -> list[d
         {
             "name": f"facet_{index:03d}",
             "outline_m": _outline(facet),
+            "reference_point_m": facet.centroid_m[:2].tolist(),
             "position_m": place.translation_m.tolist(),
             "rotation_vector_rad": place.rotation_vector_rad.tolist(),
         }
@@ -324,40 +359,7 @@ def _storable(fringes: FringeRecord) -> list[tuple[str, npt.NDArray[Any]]]:
     return [(name, image.astype(wanted)) for name, image in images]
 
 
-def _write_frames(folder: Path, images: list[tuple[str, npt.NDArray[Any]]]) -> None:
-    for name, image in images:
-        done, data = cv2.imencode(".png", np.ascontiguousarray(image))
-        if not done:
-            raise InputError(f"{name}: could not be encoded as PNG")
-        (folder / name).write_bytes(data.tobytes())
-
-
 def _write_csv(path: Path, header: str, table: FloatArray) -> None:
     # repr keeps every digit: the numbers must come back as they were.
     lines = [header, *(",".join(repr(float(value)) for value in row) for row in table)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _toml(content: dict[str, Any], prefix: str = "") -> str:
-    """Write nested tables as TOML: plain values first, then tables, then lists of tables."""
-    plain, nested = [], []
-    for key, value in content.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, dict):
-            nested.append(f"\n[{name}]\n{_toml(value, name + '.')}")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            nested += [f"\n[[{name}]]\n{_toml(item, name + '.')}" for item in value]
-        else:
-            plain.append(f"{key} = {_toml_value(value)}\n")
-    return "".join(plain + nested)
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, str):
-        import json
-
-        # A JSON string is a valid basic string of TOML.
-        return json.dumps(value, ensure_ascii=True)
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    return repr(value)

@@ -1,5 +1,6 @@
 """OpenCSP files: every trap of the format on files made here, and the published measurement where it is at hand."""
 
+import datetime
 import json
 import tomllib
 import warnings
@@ -83,7 +84,7 @@ def test_folder_holds_everything_in_our_conventions(files: dict[str, Path], tmp_
     out = tmp_path / "out"
     content = _import(dict(reversed(files.items())), out)
     assert content["kind"] == "deflectometry"
-    assert content["date"] == "2024-02-03T04:05:06"
+    assert content["date"] == datetime.datetime(2024, 2, 3, 4, 5, 6)
     camera = content["camera"]
     assert (camera["width_px"], camera["height_px"]) == (8, 6)
     assert (camera["focal_x_px"], camera["center_x_px"], camera["center_y_px"]) == (700.0, 4.0, 3.0)
@@ -206,6 +207,7 @@ def test_ensemble_places_each_facet(files: dict[str, Path], tmp_path: Path) -> N
     facets = _import(files | {"ensemble": path}, tmp_path / "out")["mirror"]["facet"]
     assert [facet["position_m"] for facet in facets] == [[-0.6, 0.0, 0.0], [0.6, 0.1, 0.02]]
     np.testing.assert_allclose(facets[1]["rotation_vector_rad"], turn, atol=1e-15)
+    assert [facet["focal_length_m"] for facet in facets] == [50.0, 50.0]
 
 
 def test_pose_of_a_result_file_is_taken_only_on_request(files: dict[str, Path], tmp_path: Path) -> None:
