@@ -25,7 +25,7 @@ def run_command(
         Literal["nothing", "tilt", "focus", "quadratic"] | None,
         typer.Option("--remove", help="What is taken out of the maps.  [default: as measurement.toml says]"),
     ] = None,
-    jobs: Jobs = 2,
+    jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
