@@ -220,13 +220,10 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
     projection = projection_of(removal_columns(slope_map, nodes, removed))
     left = projection.leave(nodes.errors)
     count = nodes.count
-    modes_left = projection.leave(nodes.modes)
-    halves = (np.arange(2 * count) < count).astype(np.float64)
-    sdx, sigma_sdx = _rms_with_sigma(left * halves, nodes, projection, modes_left)
-    sdy, sigma_sdy = _rms_with_sigma(left * (1 - halves), nodes, projection, modes_left)
-    angle, pull = _normal_angles(slope_map, nodes, left)
+    in_x = (np.arange(2 * count) < count).astype(np.float64)
+    sdx, sdy = (float(np.sqrt(np.mean(half**2))) for half in left.reshape(2, -1))
+    angle, pull, metric = _normal_angles(slope_map, nodes, left)
     sd = float(np.sqrt(np.mean(angle**2)))
-    _, sigma_sd = _rms_with_sigma(pull, nodes, projection, modes_left)
     amounts = projection.amounts(nodes.errors)
     return SlopeStatistics(
         sdx_rad=sdx,
@@ -234,9 +231,9 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
         sd_rad=sd,
         mean_x_rad=float(nodes.errors[:count].mean()),
         mean_y_rad=float(nodes.errors[count:].mean()),
-        sigma_sdx_rad=sigma_sdx,
-        sigma_sdy_rad=sigma_sdy,
-        sigma_sd_rad=sigma_sd,
+        sigma_sdx_rad=_sigma_of_rms(sdx, in_x * left, in_x, nodes, projection),
+        sigma_sdy_rad=_sigma_of_rms(sdy, (1 - in_x) * left, 1 - in_x, nodes, projection),
+        sigma_sd_rad=_sigma_of_rms(sd, pull, metric, nodes, projection),
         noise_rms_x_rad=float(np.sqrt(nodes.variance[:count].mean())),
         noise_rms_y_rad=float(np.sqrt(nodes.variance[count:].mean())),
         removed=joined_removals(slope_map.removed, removal_words(slope_map, nodes, removed, amounts)),
@@ -245,22 +242,26 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
     )
 
 
-def _rms_with_sigma(
-    pull: FloatArray, nodes: MeasuredNodes, projection: Projection, modes_left: FloatArray
-) -> tuple[float, float]:
-    """Return the RMS over nodes of the errors in `pull` (zero where they do not count), and its sigma."""
-    rms = float(np.sqrt(pull @ pull / nodes.count))
+def _sigma_of_rms(
+    rms: float, pull: FloatArray, metric: FloatArray, nodes: MeasuredNodes, projection: Projection
+) -> float:
+    """Return the sigma of an RMS over nodes, with ``n rms^2`` changing by ``2 pull . d(errors)``.
+
+    `metric` is how each squared error counts in n rms^2 (cross terms left out: they matter only for noise squared).
+    """
     if rms == 0:
-        return 0.0, 0.0
+        return 0.0
     gradient = projection.leave(pull)
-    doubled = nodes.variance**2 @ (pull != 0) / 2
-    random = nodes.noise_correlation * max(float(gradient**2 @ nodes.variance - doubled), 0.0)
-    common = float(np.sum((modes_left @ pull) ** 2))
-    return rms, float(np.sqrt(random + common)) / (nodes.count * rms)
+    doubled = float(np.sum((metric * nodes.variance) ** 2)) / 2
+    random = nodes.noise_correlation * max(float(gradient**2 @ nodes.variance) - doubled, 0.0)
+    common = float(np.sum((nodes.modes @ gradient) ** 2))
+    return float(np.sqrt(random + common)) / (nodes.count * rms)
 
 
-def _normal_angles(slope_map: SlopeMap, nodes: MeasuredNodes, left: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the angles between normals, shape (n,), and half the gradient of their squares, shape (2n,)."""
+def _normal_angles(
+    slope_map: SlopeMap, nodes: MeasuredNodes, left: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the angles between normals (n,), half the gradient of their squares and its metric (2n,)."""
     p, q = slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]
     dp, dq = left[: nodes.count], left[nodes.count :]
     # |n x m| for n = (-p, -q, 1), m = n - (dp, dq, 0): the small differences appear as factors, never subtracted
@@ -269,9 +270,9 @@ def _normal_angles(slope_map: SlopeMap, nodes: MeasuredNodes, left: FloatArray) 
     # Metric of the normals at half way: angle^2 = e^T G e to third order
     middle_p, middle_q = p + 0.5 * dp, q + 0.5 * dq
     scale = (1 + middle_p**2 + middle_q**2) ** 2
-    pull_x = ((1 + middle_q**2) * dp - middle_p * middle_q * dq) / scale
-    pull_y = ((1 + middle_p**2) * dq - middle_p * middle_q * dp) / scale
-    return np.arctan2(cross, dot), np.concatenate([pull_x, pull_y])
+    metric_x, metric_y, mixed = (1 + middle_q**2) / scale, (1 + middle_p**2) / scale, -middle_p * middle_q / scale
+    pull = np.concatenate([metric_x * dp + mixed * dq, metric_y * dq + mixed * dp])
+    return np.arctan2(cross, dot), pull, np.concatenate([metric_x, metric_y])
 
 
 def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:

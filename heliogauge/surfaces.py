@@ -165,8 +165,8 @@ class Quadric:
         direction round turns only the sign of t. A ray that rises and still meets the front (from low inside a deep
         trough towards its rim) is outside this rule.
 
-        The quadratic is solved from where the line crosses z = 0, not from its origin: from a camera 1 km away the
-        squares of the distance would cost six digits.
+        The quadratic is solved from where the line crosses z = 0, not from its origin: seen from 1 km the point on a
+        sphere of 4 m is then good to 2e-13 m instead of 8e-11 m.
         """
         origins = np.asarray(origins_m, dtype=np.float64)
         rays = np.asarray(directions, dtype=np.float64)
@@ -245,12 +245,8 @@ class Quadric:
 def _upper_root(a: FloatArray | float, b: FloatArray | float, c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve ``a z^2 + 2 b z + c = 0`` for the root with ``a z + b >= 0``; also return that half derivative."""
     half_derivative = np.sqrt(b * b - a * c) if np.any(a) else np.abs(b) + 0.0 * c
-    root = -c / (b + half_derivative)
-    steep = np.less(b, 0)
-    if np.any(steep):
-        # Past a vertical tangent of the other sheet: there the other form of the root is the one without cancellation.
-        root = np.where(steep, (half_derivative - b) / a, root)
-    return np.asarray(root), np.asarray(half_derivative)
+    # No cancellation for b > 0, which holds wherever the plane z = 0 is nearer to this sheet than to the other one.
+    return np.asarray(-c / (b + half_derivative)), np.asarray(half_derivative)
 
 
 def _linear(

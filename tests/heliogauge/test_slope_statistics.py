@@ -8,7 +8,7 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.slope_map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slope_statistics import Removal, canting, fit_quadratic, remove, statistics
-from heliogauge.surfaces import facet_on_optic, paraboloid, paraboloid_xy, plane, sphere, trough
+from heliogauge.surfaces import facet_on_optic, paraboloid, paraboloid_xy, plane, quadric, sphere, trough
 
 X, Y = np.linspace(-0.6, 0.6, 24), np.linspace(-0.4, 0.4, 16)
 GRID_X, GRID_Y = np.meshgrid(X, Y)
@@ -53,8 +53,6 @@ def test_checkerboard_of_known_amplitude():
 
 def test_angle_between_normals_is_right_on_a_steep_mirror_and_below_the_reach_of_arccos():
     # at 45 degrees a slope change of dp turns the normal by dp / (1 + p^2) = dp / 2
-    from heliogauge.surfaces import quadric
-
     steep = quadric([0, 0, 1.0, 0, 0, 0])
     result = statistics(make_map(steep, error=(1e-10, 0.0)))
     assert result.sd_rad == pytest.approx(0.5e-10, rel=1e-6)
@@ -154,6 +152,32 @@ def test_sigma_of_pure_noise_is_its_scatter():
     scatter = np.std([r.sdx_rad for r in results])
     assert scatter == pytest.approx(1e-5 / np.sqrt(2 * GRID_X.size), rel=0.12)
     assert np.median([r.sigma_sdx_rad for r in results]) == pytest.approx(scatter, rel=0.12)
+
+
+def test_sigma_knows_that_a_fitted_shape_shares_its_noise_between_x_and_y():
+    # pure astigmatism is what a focus fit leaves: noise of that shape in x goes half into the fitted focal length
+    rng = np.random.default_rng(15)
+    results = []
+    for _ in range(500):
+        noise = rng.normal(0, 1e-4, (2, *GRID_X.shape))
+        slope_map = make_map(sphere(20.0), error=(1e-3 * GRID_X, -2e-3 * GRID_Y) + noise, sigma=(1e-4, 1e-4))
+        results.append(statistics(slope_map, removed=Removal.FOCUS))
+    for value, sigma in (("sdx_rad", "sigma_sdx_rad"), ("sdy_rad", "sigma_sdy_rad"), ("sd_rad", "sigma_sd_rad")):
+        scatter = np.std([getattr(r, value) for r in results])
+        assert np.median([getattr(r, sigma) for r in results]) == pytest.approx(scatter, rel=0.12)
+
+
+def test_sigma_of_the_normal_angle_on_a_steep_mirror():
+    # at 45 degrees the normal turns by half the change of slope, and so does its sigma
+    rng = np.random.default_rng(16)
+    steep = quadric([0, 0, 1.0, 0, 0, 0])
+    results = [
+        statistics(make_map(steep, error=(1e-3 + rng.normal(0, 1e-4, GRID_X.shape), 0.0), sigma=(1e-4, 0.0)))
+        for _ in range(500)
+    ]
+    scatter = np.std([r.sd_rad for r in results])
+    assert np.median([r.sigma_sd_rad for r in results]) == pytest.approx(scatter, rel=0.12)
+    assert scatter == pytest.approx(0.5 * np.std([r.sdx_rad for r in results]), rel=0.02)
 
 
 def test_correlated_noise_widens_the_sigma_of_means_and_fits():
