@@ -1,6 +1,6 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +37,33 @@ class PixelSamples:
     v: Float32Array | FloatArray
 
 
-Warp = Callable[[FloatArray, FloatArray], FloatArray]
+@dataclass(frozen=True, slots=True)
+class Warp:
+    """A smooth shape added to a screen.
+
+    Parameters
+    ----------
+    axis : int
+        Coordinate of the screen frame that changes.
+    order : tuple of int
+        Orders of the Legendre polynomials in u and in v.
+    rms_m : float
+        RMS over the display [m].
+    """
+
+    axis: int
+    order: tuple[int, int]
+    rms_m: float
+
+    def shift_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the shift of the points that show (u, v), shape (n, 3) [m]."""
+        legendre = {0: lambda t: np.ones_like(t), 1: lambda t: t, 2: lambda t: 1.5 * t * t - 0.5}
+        norm = np.sqrt((2 * self.order[0] + 1) * (2 * self.order[1] + 1))
+        shift = np.zeros((u.size, 3))
+        shift[:, self.axis] = (
+            self.rms_m * norm * legendre[self.order[0]](2 * u - 1) * legendre[self.order[1]](2 * v - 1)
+        )
+        return shift
 
 
 def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | None = None) -> list[FacetSamples]:
@@ -49,8 +75,8 @@ def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | No
         Camera and screen.
     samples : sequence of PixelSamples
         Pixels of each facet.
-    warp : callable, optional
-        Shift of the screen's points as a function of (u, v), shape (n, 3) [m].
+    warp : Warp, optional
+        Smooth shape added to the screen.
 
     Returns
     -------
@@ -61,7 +87,7 @@ def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | No
     for sample in samples:
         points = setup.screen.points_m(sample.u, sample.v)
         if warp is not None:
-            points = points + warp(np.asarray(sample.u, dtype=np.float64), np.asarray(sample.v, dtype=np.float64))
+            points = points + warp.shift_m(sample.u.astype(np.float64), sample.v.astype(np.float64))
         rays = setup.camera.cast_rays(sample.pixels_px)
         traced.append(
             FacetSamples(sample.facet, np.ascontiguousarray(rays.T), setup.cam_from_screen.apply(points).T.copy())
@@ -174,44 +200,15 @@ def principal_steps(covariance: FloatArray) -> FloatArray:
 
 
 def _screen_warps(sigma_m: float) -> Iterator[Warp]:
-    """Smooth shapes a surveyed screen may have wrong: stretch and shear in its plane, bows out of it.
+    """Yield the smooth shapes that a surveyed screen may have wrong; together each axis has the RMS sigma.
 
-    Each has the RMS sigma over the display, so that together they stand for a smooth error of every point.
+    Legendre polynomials over the display: stretch and shear in the screen's plane, bows and twist out of it. Shifts
+    and turns are those of the screen's pose.
     """
-    shapes: list[tuple[int, Warp]] = [
-        (axis, shape)
-        for axis, shapes_of_axis in ((0, (_first, _second)), (1, (_first, _second)), (2, (_bow_u, _twist, _bow_v)))
-        for shape in shapes_of_axis
-    ]
-    share = sigma_m / np.sqrt(2.0)
-    for axis, shape in shapes:
-
-        def warp(u: FloatArray, v: FloatArray, axis: int = axis, shape: Warp = shape) -> FloatArray:
-            shift = np.zeros((u.size, 3))
-            shift[:, axis] = share * shape(u, v)
-            return shift
-
-        yield warp
-
-
-def _first(u: FloatArray, _v: FloatArray) -> FloatArray:
-    return np.sqrt(12.0) * (u - 0.5)
-
-
-def _second(_u: FloatArray, v: FloatArray) -> FloatArray:
-    return np.sqrt(12.0) * (v - 0.5)
-
-
-def _bow_u(u: FloatArray, _v: FloatArray) -> FloatArray:
-    return np.sqrt(5.0) * (6.0 * u * u - 6.0 * u + 1.0)
-
-
-def _bow_v(_u: FloatArray, v: FloatArray) -> FloatArray:
-    return np.sqrt(5.0) * (6.0 * v * v - 6.0 * v + 1.0)
-
-
-def _twist(u: FloatArray, v: FloatArray) -> FloatArray:
-    return 12.0 * (u - 0.5) * (v - 0.5)
+    in_plane, out_of_plane = ((1, 0), (0, 1)), ((2, 0), (1, 1), (0, 2))
+    for axis, orders in ((0, in_plane), (1, in_plane), (2, out_of_plane)):
+        for order in orders:
+            yield Warp(axis, order, sigma_m / float(np.sqrt(len(orders))))
 
 
 def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:
@@ -222,7 +219,8 @@ def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArra
     usable = np.isfinite(points_m).all(axis=0)
     for change in changes:
         usable &= np.isfinite(change).all(axis=0)
-    matrix = monomials(*((points_m[:, usable] - center[:, None]) / scale), MODE_DEGREE)
+    u, v = (points_m[:, usable] - center[:, None]) / scale
+    matrix = monomials(u, v, MODE_DEGREE)
     solver = np.linalg.solve(matrix @ matrix.T, matrix)
     # Every facet keeps every mode, so that the modes of all facets belong together one by one.
     coefficients = np.array([(solver @ change[:, usable].T).T for change in changes]).reshape(-1, 2, terms)

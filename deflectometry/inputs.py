@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.patterns import Axis, FringePattern, FringeSet
+from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.setup import RectangularScreen, Screen, Setup, TabulatedScreen
 from heliogauge.camera import Camera
 from heliogauge.distortion import BrownDistortion, DistortionDirection
@@ -248,7 +248,7 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
     Knowledge
         Distances and points with their sigmas.
     """
-    distances = ()
+    distances: tuple[DistanceObservation, ...] = ()
     if section.distance is not None:
         measured = section.distance
         distances = (

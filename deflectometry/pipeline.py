@@ -3,8 +3,10 @@
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from calibration.screen.response import ScreenResponse
 from deflectometry.assemble import assemble_maps
@@ -314,7 +316,7 @@ def _pattern_words(pattern: FringePattern) -> str:
     return f"{pattern.n_frames} frames: {listed}"
 
 
-def _pixel_arrays(evaluation: Evaluation) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
+def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
     """Put the pixels of all facets into images of the camera's size."""
     screen_map = evaluation.screen_map
     shape = screen_map.flags.shape
@@ -326,7 +328,7 @@ def _pixel_arrays(evaluation: Evaluation) -> dict[str, np.ndarray]:  # type: ign
         rows = slice(image.row, image.row + image.x_m.shape[0])
         columns = slice(image.column, image.column + image.x_m.shape[1])
         own = evaluation.facet_index[rows, columns] == index
-        values = {
+        values: dict[str, npt.NDArray[Any]] = {
             "x": image.x_m, "y": image.y_m, "z": surfaces[name].height(image.x_m, image.y_m),
             "slope_x": image.slope_x, "slope_y": image.slope_y, "sigma_x": image.sigma_x, "sigma_y": image.sigma_y,
         }  # fmt: skip

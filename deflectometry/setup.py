@@ -1,4 +1,4 @@
-"""What stands where in a deflectometry measurement: camera, screen and their relative pose (a description, no estimate)."""
+"""What stands where in a deflectometry measurement: camera, screen and their relative pose; nothing is estimated."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -107,7 +107,8 @@ class TabulatedScreen:
 
     def points_m(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
         """Return the points that show display coordinates (u, v), shape (..., 3) [m]; NaN off the display."""
-        columns, rows = np.atleast_1d(u) * (LATTICE_NODES - 1.0), np.atleast_1d(v) * (LATTICE_NODES - 1.0)
+        columns = np.atleast_1d(np.multiply(u, LATTICE_NODES - 1.0))
+        rows = np.atleast_1d(np.multiply(v, LATTICE_NODES - 1.0))
         inside = (columns >= 0) & (columns <= LATTICE_NODES - 1) & (rows >= 0) & (rows <= LATTICE_NODES - 1)
         columns, rows = np.where(inside, columns, 0.0), np.where(inside, rows, 0.0)
         column = np.minimum(columns.astype(np.int32), LATTICE_NODES - 2)

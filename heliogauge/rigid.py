@@ -73,9 +73,7 @@ class RigidTransform:
 
     def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
         """Compose: ``c_from_b @ b_from_a`` is ``c_from_a``."""
-        return RigidTransform(
-            self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m
-        )
+        return RigidTransform(self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m)
 
     def moved(self, step: npt.ArrayLike) -> "RigidTransform":
         """Turn and shift this transform a little, in frame b.
@@ -83,8 +81,8 @@ class RigidTransform:
         Parameters
         ----------
         step : array_like, shape (6,)
-            Rotation vector [rad] and shift [m]: ``x_b`` becomes ``R(step[:3]) (rotation @ x_a) + translation_m + step[3:]``.
-            Frame a's origin stays where it is when only the rotation part is given.
+            Rotation vector [rad] and shift [m]: ``x_b`` becomes
+            ``R(step[:3]) (rotation @ x_a) + translation_m + step[3:]``. Frame a's origin stays where it is when only the rotation part is given.
 
         Returns
         -------

@@ -57,9 +57,7 @@ class CommonModes:
         ndarray, shape (k, 2, ...)
             Change of slope_x and slope_y for +1 sigma of each source [rad].
         """
-        terms = monomials(
-            (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree
-        )
+        terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
         return np.tensordot(self.coefficients, terms, axes=(2, 0))
 
 
@@ -164,12 +162,12 @@ class SlopeMap:
     @property
     def valid(self) -> BoolArray:
         """Nodes of the mirror that carry a measured value, shape (ny, nx)."""
-        return self.aperture & np.isfinite(self.slope_x) & ((self.flags & np.uint32(REJECTED)) == 0)
+        return np.asarray(self.aperture & np.isfinite(self.slope_x) & ((self.flags & np.uint32(REJECTED)) == 0))
 
     @property
     def measured_share(self) -> float:
         """Share of the mirror's area that was measured."""
-        return float(np.count_nonzero(self.valid) / max(np.count_nonzero(self.aperture), 1))
+        return int(np.count_nonzero(self.valid)) / max(int(np.count_nonzero(self.aperture)), 1)
 
     @property
     def slope_error_x(self) -> FloatArray:
