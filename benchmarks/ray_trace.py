@@ -13,7 +13,7 @@ from heliogauge.slope_map import SlopeMap, no_common_modes
 from heliogauge.sun_shapes import BuieSun, GaussianSun, PillboxSun
 from heliogauge.surfaces import paraboloid
 
-#: OpenCSP's ray trace (2.x, one core), as measured when this project was planned.
+#: Rays per second known for the incumbent (OpenCSP) on one core; not measured here.
 INCUMBENT_RAYS_PER_S = 31e3
 FOCAL_LENGTH_M = 100.0
 NODES = 400
