@@ -189,8 +189,10 @@ def _dividing_level(image: Float32Array) -> float:
     scaled = (small - low) * ((n_levels - 1) / (high - low))
     energy = np.zeros(n_levels + 1)
     for first, second in ((scaled[:, 1:], scaled[:, :-1]), (scaled[1:], scaled[:-1])):
-        # A step between two neighbours counts for every level between them, with its square.
-        weights = ((first - second) ** 2).ravel()
+        # A step between two neighbours counts for every level between them, with its square. Steps that noise makes
+        # do not count: a million of them would outweigh the outline of a small, dim mirror.
+        steps = np.abs(first - second).ravel()
+        weights = np.where(steps > 4 * 1.4826 * np.median(steps[:: max(1, steps.size // 65536)]), steps**2, 0)
         bottom = np.ceil(np.minimum(first, second)).astype(np.intp).ravel()
         top = np.ceil(np.maximum(first, second)).astype(np.intp).ravel()
         energy += np.bincount(bottom, weights, n_levels + 1) - np.bincount(top, weights, n_levels + 1)

@@ -56,6 +56,14 @@ def test_small_mirror_in_a_room_of_several_grey_levels() -> None:
     np.testing.assert_allclose(found.regions[0].centroid_px, [106.3, 76.2], atol=0.3)
 
 
+def test_small_dim_mirror_in_a_large_noisy_image() -> None:
+    image = np.random.default_rng(6).normal(10, 1.5, (600, 800)).astype(np.float32)
+    image[300:318, 400:420] += 18
+    found = find_mirrors(image)
+    assert len(found.regions) == 1
+    np.testing.assert_allclose(found.regions[0].centroid_px, [409.5, 308.5], atol=0.5)
+
+
 def test_hot_pixels_do_not_move_the_level() -> None:
     image = _image()
     image[::29, ::31] = 4000
