@@ -5,6 +5,8 @@ number that 99 % of the values stay below; what lies beyond is said under the ti
 Grey and hatched is mirror without a measured value.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
@@ -26,11 +28,12 @@ from heliogauge.figures_canvas import (
     png_of,
     robust_limit,
     thinned,
+    thinned_map,
 )
 from heliogauge.figures_images import camera_image, outline_residuals, setup_sketch
 from heliogauge.figures_lines import cross_sections, encircled_energy, histogram, sigma_shares, spot_image
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
-from heliogauge.slope_map import SlopeMap
+from heliogauge.slope_map import SlopeMap, no_common_modes
 from heliogauge.slope_statistics import Removal, curl, curvature, remove
 from heliogauge.validate import FloatArray
 
@@ -79,9 +82,10 @@ def slope_error_map(slope_map: SlopeMap, axis: str, *, removed: Removal = Remova
     Figure
         A map [mrad]; x and y share their colours.
     """
-    shown = slope_map if removed == Removal.NOTHING else remove(slope_map, removed)
+    # Without common modes: they do not change what is drawn, and projecting them takes 2 s for a million nodes.
+    shown = slope_map if removed == Removal.NOTHING else remove(replace(slope_map, common=no_common_modes()), removed)
     errors = {"x": _measured(shown, shown.slope_error_x), "y": _measured(shown, shown.slope_error_y)}
-    limit = robust_limit(errors["x"] * MRAD, errors["y"] * MRAD)
+    limit = robust_limit(thinned(errors["x"]) * MRAD, thinned(errors["y"]) * MRAD)
     title = f"Slope error in {axis}"
     if removed != Removal.NOTHING:
         title += f", {_REMOVAL_WORDS[removed]} removed"
@@ -146,6 +150,7 @@ def sigma_map(slope_map: SlopeMap, axis: str, share: str = "total") -> Figure:
     Figure
         A map [urad].
     """
+    slope_map = thinned_map(slope_map)
     index = "xy".index(axis)
     if share == "total":
         field = slope_map.sigma_slope()[index]
@@ -199,7 +204,7 @@ def curvature_map(slope_map: SlopeMap, axis: str) -> Figure:
     Figure
         A map [mrad/m].
     """
-    value = curvature(slope_map)["xy".index(axis)].value_per_m
+    value = curvature(replace(slope_map, common=no_common_modes()))["xy".index(axis)].value_per_m
     finite = value[np.isfinite(value)]
     mean = float(np.mean(finite)) if finite.size else float("nan")
     focus = f" (f = {0.5 / mean:.4g} m)" if np.isfinite(mean) and mean != 0 else ""
@@ -242,13 +247,14 @@ def height_deviation_map(slope_map: SlopeMap) -> Figure:
     Figure
         A map [um].
     """
-    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    x, y = np.meshgrid(*(axis / max(float(np.abs(axis).max()), 1e-9) for axis in (slope_map.x_m, slope_map.y_m)))
     known = np.isfinite(slope_map.height_m)
     terms = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
     deviation = np.full(slope_map.shape, np.nan)
     if np.count_nonzero(known) > terms.shape[-1]:
-        fit = np.linalg.lstsq(terms[known], slope_map.height_m[known], rcond=None)[0]
-        deviation[known] = slope_map.height_m[known] - terms[known] @ fit
+        # Normal equations: 1 s quicker for a million nodes, and 6 terms of scaled coordinates are harmless.
+        chosen, heights = terms[known], slope_map.height_m[known]
+        deviation[known] = heights - chosen @ np.linalg.lstsq(chosen.T @ chosen, chosen.T @ heights, rcond=None)[0]
     style = MapStyle("Height minus best-fit quadratic", "\u00b5m", 1e6, note=f"RMS {_rms(deviation) * 1e6:.3g} \u00b5m")
     return map_figure(slope_map, deviation, style)
 
@@ -270,6 +276,7 @@ def common_mode_map(slope_map: SlopeMap, source: str, axis: str) -> Figure:
     Figure
         A map [urad].
     """
+    slope_map = thinned_map(slope_map)
     modes = slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))
     chosen = [index for index, name in enumerate(slope_map.common.sources) if name == source]
     sigma = np.sqrt(np.sum(modes[chosen, "xy".index(axis)] ** 2, axis=0))

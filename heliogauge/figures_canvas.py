@@ -4,7 +4,7 @@ Figures are made without pyplot: no global state, no display, and half a second 
 """
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -445,6 +445,30 @@ def thinned(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """
     step_y, step_x = (-(-size // MOST_NODES) for size in field.shape)
     return field[step_y // 2 :: step_y, step_x // 2 :: step_x]
+
+
+def thinned_map(slope_map: SlopeMap) -> SlopeMap:
+    """Return a map of every n-th node, so that no side has more than `MOST_NODES`; the same map where none has.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+
+    Returns
+    -------
+    SlopeMap
+        A map with the same uncertainty at each node it keeps.
+    """
+    if max(slope_map.shape) <= MOST_NODES:
+        return slope_map
+    fields = (
+        "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m",
+        "flags", "aperture",
+    )  # fmt: skip
+    kept: dict[str, Any] = {name: thinned(getattr(slope_map, name)) for name in fields}
+    axes: dict[str, Any] = {"x_m": thinned(slope_map.x_m[None, :])[0], "y_m": thinned(slope_map.y_m[:, None])[:, 0]}
+    return replace(slope_map, **axes, **kept)
 
 
 def values_within(field: FloatArray, within: BoolArray) -> FloatArray:

@@ -106,11 +106,14 @@ def cross_sections(slope_map: SlopeMap, axis: str) -> Figure:
         f"{axis} [m]",
         "slope error [mrad]",
     )
-    sigmas = slope_map.sigma_slope()
+    here = np.full(along.size, across[index])
+    modes = slope_map.common.evaluate(*((along, here) if axis == "x" else (here, along)))
+    common = np.sqrt(np.sum(modes**2, axis=0))
     errors = (slope_map.slope_error_x, slope_map.slope_error_y)
-    for name, color, error, sigma in zip("xy", (LINE_X, LINE_Y), errors, sigmas, strict=True):
-        line = np.where(slope_map.valid, error, np.nan)[cut] * MRAD
-        band = sigma[cut] * MRAD
+    randoms = (slope_map.sigma_random_x, slope_map.sigma_random_y)
+    for number, (name, color) in enumerate(zip("xy", (LINE_X, LINE_Y), strict=True)):
+        line = np.where(slope_map.valid, errors[number], np.nan)[cut] * MRAD
+        band = np.hypot(randoms[number][cut], common[number]) * MRAD
         axes.fill_between(along, line - band, line + band, color=color, alpha=0.25, linewidth=0)
         axes.plot(along, line, color=color, linewidth=0.9, label=f"slope error in {name}")
     axes.axhline(0, color=FAINT, linewidth=0.7)

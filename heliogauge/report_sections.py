@@ -8,15 +8,16 @@ import numpy.typing as npt
 
 from heliogauge.beam import Illumination, SpotImage, direction_to_sun_for, facing_target, trace
 from heliogauge.errors import EstimationError
-from heliogauge.figures_canvas import MapStyle
+from heliogauge.figures_canvas import MapStyle, thinned_map
 from heliogauge.figures_images import camera_image, outline_residuals, setup_sketch
 from heliogauge.figures_lines import encircled_energy, spot_image
 from heliogauge.report_html import Html, show
 from heliogauge.report_results import Results
-from heliogauge.slope_map import SlopeMap
+from heliogauge.slope_map import SlopeMap, monomials, no_common_modes
 from heliogauge.slope_statistics import QuadraticFit, fit_quadratic
 from heliogauge.store import Summary, read_table_csv
 from heliogauge.sun_shapes import PillboxSun
+from heliogauge.validate import FloatArray
 
 
 def spot_figures(results: Results, *, rays: int = 1_500_000) -> Html:
@@ -63,30 +64,35 @@ def spots(results: Results, *, rays: int = 1_500_000) -> dict[str, SpotImage]:
     centre. Target: ``target_distance_m`` of the summary, or the design's focal length (the shorter of x and y), or
     100 m where that is beyond 1 km.
     """
-    slope_map = results.slope_map
-    ideal = replace(slope_map, slope_x=slope_map.design_slope_x, slope_y=slope_map.design_slope_y)
-    shape = fit_quadratic(ideal)
+    # The common uncertainty does not enter the light; carrying it costs more than the rays.
+    measured = replace(results.slope_map, common=no_common_modes())
+    few = thinned_map(measured)
+    design = replace(few, slope_x=few.design_slope_x, slope_y=few.design_slope_y)
+    shape = fit_quadratic(design)
+    wide = facing_target(_target_distance_m(results.summary, shape), 1.0)
+    middle = np.array([float(np.mean(grid[few.aperture])) for grid in np.meshgrid(few.x_m, few.y_m)])
     a, b, c, d, e = shape.coefficients
-    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
-    height_m = a * x**2 + b * y**2 + c * x + d * y + e * x * y
-    distance = _target_distance_m(results.summary, shape)
-    middle = np.array([x[slope_map.aperture].mean(), y[slope_map.aperture].mean()])
-    slope = (2 * a * middle[0] + c + e * middle[1], 2 * b * middle[1] + d + e * middle[0])
-    point = (
-        *middle,
-        float(a * middle[0] ** 2 + b * middle[1] ** 2 + c * middle[0] + d * middle[1] + e * middle.prod()),
-    )
-    wide = facing_target(distance, distance)
-    sun = direction_to_sun_for(wide, (-slope[0], -slope[1], 1.0), point)
-    light = Illumination(PillboxSun(), sun)
+    normal = (-2 * a * middle[0] - c - e * middle[1], -2 * b * middle[1] - d - e * middle[0], 1.0)
+    point = (*middle, _height_m(shape, middle[:1], middle[1:]).item())
+    light = Illumination(PillboxSun(), direction_to_sun_for(wide, normal, point))
     rng = np.random.Generator(np.random.SFC64(1))
-    # A few rays tell how large the window must be: 10 standard deviations hold all but stray light.
-    first = trace(slope_map, height_m, light, target=wide, rays=20_000, rng=rng)
-    target = facing_target(distance, 10 * max(first.sd_x_m, first.sd_y_m))
+    few_height_m = _height_m(shape, few.x_m, few.y_m)
+    # A few rays tell where the spot is and how wide: 5 standard deviations on each side hold all but stray light.
+    first = trace(few, few_height_m, light, target=wide, rays=20_000, rng=rng)
+    half = float(np.abs(first.center_m).max()) + 5 * max(first.sd_x_m, first.sd_y_m)
+    target = facing_target(wide.distance_m, 2 * half)
     return {
-        "as measured": trace(slope_map, height_m, light, target=target, rays=rays, rng=rng),
-        "design": trace(ideal, height_m, light, target=target, rays=max(rays // 5, 1), rng=rng),
+        "as measured": trace(
+            measured, _height_m(shape, measured.x_m, measured.y_m), light, target=target, rays=rays, rng=rng
+        ),
+        "design": trace(design, few_height_m, light, target=target, rays=max(rays // 5, 1), rng=rng),
     }
+
+
+def _height_m(shape: QuadraticFit, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+    a, b, c, d, e = shape.coefficients
+    x, y = np.meshgrid(x_m, y_m)
+    return np.asarray(a * x**2 + b * y**2 + c * x + d * y + e * x * y)
 
 
 def _target_distance_m(summary: Summary, shape: QuadraticFit) -> float:
@@ -110,14 +116,19 @@ def uncertainty_shares(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
     dict of str to tuple of float
         "random noise", then each common source [rad].
     """
-    valid = slope_map.valid
-    shares = {"random noise": (slope_map.sigma_random_x[valid], slope_map.sigma_random_y[valid])}
-    modes = slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))[:, :, valid]
-    for source in dict.fromkeys(slope_map.common.sources):
-        chosen = [index for index, name in enumerate(slope_map.common.sources) if name == source]
-        sigma_x, sigma_y = np.sqrt(np.sum(modes[chosen] ** 2, axis=0))
-        shares[source] = (sigma_x, sigma_y)
-    return {name: (_rms(sigma_x), _rms(sigma_y)) for name, (sigma_x, sigma_y) in shares.items()}
+    valid, common = slope_map.valid, slope_map.common
+    count = max(int(np.count_nonzero(valid)), 1)
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    scaled = ((x[valid] - common.center_m[0]) / common.scale_m, (y[valid] - common.center_m[1]) / common.scale_m)
+    terms = monomials(*scaled, common.degree)
+    # Mean square of a mode from the mean products of its terms: no mode is evaluated at every node.
+    squares = np.einsum("kai,ij,kaj->ka", common.coefficients, terms @ terms.T / count, common.coefficients)
+    shares = {"random noise": (_rms(slope_map.sigma_random_x[valid]), _rms(slope_map.sigma_random_y[valid]))}
+    for source in dict.fromkeys(common.sources):
+        chosen = [index for index, name in enumerate(common.sources) if name == source]
+        sigma_x, sigma_y = np.sqrt(squares[chosen].sum(axis=0))
+        shares[source] = (float(sigma_x), float(sigma_y))
+    return shares
 
 
 def _rms(values: npt.NDArray[np.float64]) -> float:
@@ -144,7 +155,7 @@ def image_figures(results: Results) -> Html:
         "u": MapStyle("Screen point, u", "", diverging=False, limit=1.0, note="fraction from the left edge"),
         "v": MapStyle("Screen point, v", "", diverging=False, limit=1.0, note="fraction from the top edge"),
     }
-    shown = [camera_image(pixels[name].astype(np.float64), style) for name, style in styles.items() if name in pixels]
+    shown = [camera_image(pixels[name], style) for name, style in styles.items() if name in pixels]
     if not shown:
         return Html("<p>The folder holds no per-pixel results.</p>")
     return show(*shown, caption="As the camera saw the mirror, row 0 at the top.")
