@@ -37,22 +37,24 @@ __all__ = [
     "warnings_box",
 ]
 
-#: What a number of the summary is called in the table; its key without the unit.
+#: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
 LABELS: dict[str, str] = {
     "sdx": "SDx, RMS slope error in x",
     "sdy": "SDy, RMS slope error in y",
-    "sd": "SD, RMS angle between measured and reference normal",
+    "sd": "SD, RMS angle between measured and design normal",
+    "sdx_best_focus": "SDx with tilt and focus removed",
+    "sdy_best_focus": "SDy with tilt and focus removed",
+    "sd_best_focus": "SD with tilt and focus removed",
     "mean_x": "Mean slope error in x",
     "mean_y": "Mean slope error in y",
-    "measured_share": "Share of the mirror measured",
-    "noise_rms_x": "of SDx: RMS of the random noise",
-    "noise_rms_y": "of SDy: RMS of the random noise",
     "focal_length_x": "Best-fit focal length in x",
     "focal_length_y": "Best-fit focal length in y",
-    "curl_rms": "RMS curl of the slopes (self-check)",
-    "pose_residual_rms": "RMS residual of the mirror's outline",
     "canting_x": "Canting in x",
     "canting_y": "Canting in y",
+    "measured_share": "Share of the mirror measured",
+    "pose_residual": "RMS residual of the mirror's outline",
+    "curl_rms": "RMS curl of the slopes (self-check)",
+    "curl_expected_rms": "RMS curl expected from the noise",
     "target_distance": "Distance of the target",
 }
 
@@ -71,7 +73,7 @@ def title(results: Results) -> Html:
         Name, kind, design, version.
     """
     summary = results.summary
-    line = f"{summary.kind} of {results.slope_map.design}; heliogauge {summary.version}"
+    line = f"{summary.kind}; design: {results.slope_map.design}; heliogauge {summary.version}"
     return Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
 
 
@@ -110,17 +112,28 @@ def headline_table(results: Results) -> Html:
         A table, in the order of the summary.
     """
     numbers, reasons = results.summary.numbers, results.summary.not_determined
-    rows = []
+    headline, others = [], []
     for key, value in numbers.items():
-        if key.startswith("sigma_"):
-            continue
         name, unit = unit_of(key)
-        label = LABELS.get(name, name.replace("_", " ").capitalize())
+        if key.removeprefix("sigma_") in numbers and key.startswith("sigma_"):
+            continue
         sigma = numbers.get(f"sigma_{key}")
         shown = f"not determined: {reasons.get(key, '')}" if value is None else number_text(value, sigma, unit, name)
-        rows.append((label, shown))
-    values = table(("", "value \u00b1 1 sigma"), rows, numbers=(1,))
-    return Html(f'<div class="headline">{values.text}</div>')
+        if name in LABELS:
+            headline.append((LABELS[name], shown))
+        else:
+            others.append((_plain_label(name), shown))
+    values = table(("", "value \u00b1 1 sigma"), headline, numbers=(1,))
+    more = table(("", "value \u00b1 1 sigma"), others, numbers=(1,))
+    folded = f"<details><summary>{len(others)} more numbers</summary>{more.text}</details>" if others else ""
+    return Html(f'<div class="headline">{values.text}</div>{folded}')
+
+
+def _plain_label(name: str) -> str:
+    text = name.replace("_", " ")
+    for short, proper in (("sdx", "SDx"), ("sdy", "SDy"), ("sd ", "SD "), ("rms", "RMS")):
+        text = text.replace(short, proper)
+    return text[:1].upper() + text[1:]
 
 
 def statistics_table(slope_map: SlopeMap) -> Html:
@@ -141,8 +154,11 @@ def statistics_table(slope_map: SlopeMap) -> Html:
         result = statistics(slope_map, removed=removal)
         pairs = ((result.sdx_rad, result.sigma_sdx_rad), (result.sdy_rad, result.sigma_sdy_rad))
         cells = [number_text(value, sigma, "rad") for value, sigma in (*pairs, (result.sd_rad, result.sigma_sd_rad))]
-        rows.append((result.removed, result.reference, *cells))
-    return table(("removed", "deviation from", "SDx", "SDy", "SD"), rows, numbers=(2, 3, 4))
+        more = result.removed.removeprefix(slope_map.removed).strip("; ").removeprefix("then ")
+        rows.append((more or "nothing", result.reference, *cells))
+    before = "" if slope_map.removed == "nothing" else f"Removed in every row: {slope_map.removed}."
+    values = table(("removed", "deviation from", "SDx", "SDy", "SD"), rows, numbers=(2, 3, 4))
+    return join(values, Html(f'<p class="caption">{html.escape(before)}</p>' if before else ""))
 
 
 def flag_table(slope_map: SlopeMap) -> Html:

@@ -17,7 +17,7 @@ from heliogauge.slope_map import SlopeMap, monomials, no_common_modes
 from heliogauge.slope_statistics import QuadraticFit, fit_quadratic
 from heliogauge.store import Summary, read_table_csv
 from heliogauge.sun_shapes import PillboxSun
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 
 def spot_figures(results: Results, *, rays: int = 1_500_000) -> Html:
@@ -155,10 +155,24 @@ def image_figures(results: Results) -> Html:
         "u": MapStyle("Screen point, u", "", diverging=False, limit=1.0, note="fraction from the left edge"),
         "v": MapStyle("Screen point, v", "", diverging=False, limit=1.0, note="fraction from the top edge"),
     }
-    shown = [camera_image(pixels[name], style) for name, style in styles.items() if name in pixels]
-    if not shown:
+    names = [name for name in styles if name in pixels]
+    if not names:
         return Html("<p>The folder holds no per-pixel results.</p>")
+    rows, columns = _seen_part(np.isfinite(pixels[names[0]]))
+    corner = (columns.start, rows.start)
+    shown = [camera_image(pixels[name][rows, columns], styles[name], origin_px=corner) for name in names]
     return show(*shown, caption="As the camera saw the mirror, row 0 at the top.")
+
+
+def _seen_part(seen: BoolArray) -> tuple[slice, slice]:
+    """Return the rows and columns that hold everything seen, with a margin of a twentieth."""
+    parts = []
+    for axis, size in ((1, seen.shape[0]), (0, seen.shape[1])):
+        lines = np.flatnonzero(seen.any(axis=axis))
+        first, last = (int(lines[0]), int(lines[-1])) if lines.size else (0, size - 1)
+        margin = 2 + (last - first) // 20
+        parts.append(slice(max(first - margin, 0), min(last + margin + 1, size)))
+    return parts[0], parts[1]
 
 
 def setup_figures(results: Results) -> Html:

@@ -16,6 +16,7 @@ from heliogauge.camera import Camera
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.report import NOTEBOOK_PACKAGES, build_report
+from heliogauge.report_sections import _seen_part
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slope_statistics import statistics
@@ -255,6 +256,37 @@ def test_facets_get_a_line_each(tmp_path: Path) -> None:
     assert "1.000 \u00b1 0.010 mrad" in text
     assert "-2 mrad" in text
     assert text.count("<tr>") == 3
+
+
+def test_only_numbers_with_a_name_stand_in_the_headline(tmp_path: Path) -> None:
+    summary = make_summary(write_results(tmp_path))
+    numbers = {**summary.numbers, "alignment_turn_mrad": 3.0, "sigma_random_x_rms_mrad": 0.5}
+    write_summary(tmp_path / "summary.json", replace(summary, numbers=numbers))
+    headline, folded = page.headline_table(page.open_results(tmp_path)).text.split("<details>")
+    assert "SDx, RMS slope error in x" in headline
+    assert "Alignment turn" not in headline
+    assert "Alignment turn" in folded
+    # A number that is itself a sigma, of nothing in the table, is shown.
+    assert "0.5 mrad" in folded
+
+
+def test_the_table_of_removals_says_what_was_removed_before_once() -> None:
+    before = "mean tilt, by turning the frame"
+    text = page.statistics_table(replace(make_map(), removed=before)).text
+    assert text.count(before) == 1
+    assert text.count("<tr>") == 5
+
+
+def test_images_are_cut_to_what_was_seen(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    seen = np.full((200, 300), np.nan)
+    seen[50:90, 100:160] = 80.0
+    write_pixels(tmp_path / "pixels.nc", {"modulation_dn": seen})
+    results = page.open_results(tmp_path)
+    rows, columns = _seen_part(np.isfinite(results.pixels["modulation_dn"]))
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (47, 93, 96, 164)
+    assert page.image_figures(results).text.count("<img") == 1
+    assert "no per-pixel" in page.image_figures(replace(results, pixels={})).text
 
 
 def test_tables_escape_what_they_show() -> None:
