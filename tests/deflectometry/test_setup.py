@@ -62,3 +62,13 @@ def test_tables_that_determine_no_screen_are_refused(u, v, message):
 def test_size_must_be_positive():
     with pytest.raises(InputError, match="screen width_m"):
         RectangularScreen(0.0, 1.0)
+
+
+def test_large_tables_are_done_in_tiles_without_seams():
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41)))
+    screen = TabulatedScreen(u, v, bowed(u, v))
+    line = np.linspace(0.0, 1.0, 4001)
+    points = screen.points_m(line, np.full_like(line, 0.37))
+    assert np.abs(points - bowed(line, np.full_like(line, 0.37))).max() < 2e-5
+    # A seam would show as a step of the second difference.
+    assert np.abs(np.diff(points, n=2, axis=0)).max() < 1e-5
