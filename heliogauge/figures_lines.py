@@ -158,7 +158,7 @@ def sigma_shares(shares: Mapping[str, tuple[float, float]]) -> Figure:
     axes.set_xlabel("RMS over the mirror of 1 sigma [\u00b5rad]", fontsize=8.5, color=INK)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    add_legend(axes, loc="lower right")
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper right", fontsize=7.5, frameon=False, labelcolor=INK)
     add_title(figure, "Where the uncertainty comes from", "shares add in quadrature")
     return figure
 
