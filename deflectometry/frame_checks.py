@@ -24,10 +24,11 @@ from deflectometry.frame_quality import (
     FaultKind,
     FrameFault,
     check_exposure,
+    check_finite,
     check_gamma,
     check_modulation,
-    check_readings,
     check_response,
+    check_saturation,
     saturation_limit,
 )
 from deflectometry.patterns import Axis, FringePattern, FringeSet
@@ -85,11 +86,14 @@ def check_frames(
     if len(frames) != pattern.n_frames:
         return [_frame_count(len(frames), pattern)]
     sample = sample_frames(frames, region, response)
+    faults = list(check_finite(sample))
+    if any(fault.severity == "error" for fault in faults):
+        return faults
     if sample.readings.shape[1] < 30:
-        return [_no_fringes("no pixel varies between the frames")]
+        return [*faults, _no_fringes("no pixel varies between the frames")]
     noise = _linear_noise(sample, pattern, frames.dtype.kind in "ui")
     fit = fit_sets(sample.light, pattern)
-    faults = list(check_readings(sample, frames.dtype, saturation_dn))
+    faults += list(check_saturation(sample, frames.dtype, saturation_dn))
     if any(fault.severity == "error" for fault in faults):
         return faults
     sample = _unsaturated(sample, frames.dtype, saturation_dn)
@@ -156,9 +160,7 @@ def _linear_noise(sample: FrameSample, pattern: FringePattern, integer: bool) ->
     return estimate_noise(sample.light, solvers, floor_dn2=floor)
 
 
-def _check_content(
-    sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel
-) -> Iterator[FrameFault]:
+def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
     """Check what each frame shows against what it should."""
     groups, confused = {}, []
     for axis in Axis:
@@ -185,7 +187,7 @@ def _check_content(
             FaultKind.SETS_DISAGREE,
             (),
             f"{lost} of {pattern.n_frames} frames do not show the fringes that the others lead to expect; check the "
-            "periods and steps; with three steps also the linearity of the display, a gamma goes straight into the phase",
+            "periods and steps; with three steps also the linearity of the display (a gamma disturbs their phase)",
             "error",
         )
         return
@@ -255,9 +257,7 @@ def _all_late(
     return []
 
 
-def _misplaced(
-    content: FrameContent, pattern: FringePattern, repeated: dict[int, int]
-) -> Iterator[FrameFault]:
+def _misplaced(content: FrameContent, pattern: FringePattern, repeated: dict[int, int]) -> Iterator[FrameFault]:
     """Yield faults of frames that show another frame's content."""
     shown = {k: found for k in range(pattern.n_frames) if (found := _shown(content, pattern, k)) != k}
     done: set[int] = set()
@@ -391,9 +391,7 @@ def _wrong_steps(
             yield _step_fault(pattern, index, frames, found)
 
 
-def _step_fault(
-    pattern: FringePattern, index: int, frames: tuple[int, ...], found: StepEstimate
-) -> FrameFault:
+def _step_fault(pattern: FringePattern, index: int, frames: tuple[int, ...], found: StepEstimate) -> FrameFault:
     """Say which steps were found."""
     fringes, steps, sigma = pattern.sets[index], found.steps_rad, found.sigma_rad
     order = np.arange(len(steps)) - (len(steps) - 1) / 2
@@ -411,5 +409,3 @@ def _step_fault(
         f"write the true steps into [[pattern.set]]: steps_deg = [{listed}]",
         "error",
     )
-
-

@@ -37,9 +37,7 @@ class FrameSample:
     raw: npt.NDArray[Any]
 
 
-def sample_frames(
-    frames: npt.NDArray[Any], region: BoolArray | None, response: LightResponse | None
-) -> FrameSample:
+def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: LightResponse | None) -> FrameSample:
     """Choose pixels that vary from frame to frame, spread over the image.
 
     Parameters
@@ -313,7 +311,6 @@ def estimate_steps(light: FloatArray, steps_rad: FloatArray, *, iterations: int 
     are the least; four equal steps hide a common shift of the even against the odd frames.
     """
     steps = np.array(steps_rad, dtype=np.float64)
-    sigma = np.full_like(steps, np.inf)
     for _ in range(iterations):
         solver = solve_steps(steps)
         offset, cosine, sine = solver.estimate @ light
@@ -322,10 +319,6 @@ def estimate_steps(light: FloatArray, steps_rad: FloatArray, *, iterations: int 
         basis = np.stack([cosine, sine, offset, modulation * np.cos(2 * phase), modulation * np.sin(2 * phase)])
         inverse = np.linalg.pinv(basis @ basis.T)
         coefficients = light @ basis.T @ inverse
-        left = solver.residual @ light
-        # A pixel leaves n - 3 of its n readings as residual; the steps' own share of the freedom is 1 in thousands.
-        variance = float((left**2).sum()) / max(left.size, 1)
-        sigma = np.sqrt(variance * (inverse[0, 0] + inverse[1, 1]) / 2) * np.ones_like(steps)
         found = np.arctan2(coefficients[:, 1], coefficients[:, 0])
         found += steps_rad[0] - found[0]
         found += TURN_RAD * np.rint((steps_rad - found) / TURN_RAD)
@@ -333,5 +326,17 @@ def estimate_steps(light: FloatArray, steps_rad: FloatArray, *, iterations: int 
         steps = found
         if change < 1e-6:
             break
-    # The first step is a difference too: its own noise stands in every other.
-    return StepEstimate(steps, np.where(np.arange(len(steps)) == 0, 0.0, np.sqrt(2.0) * sigma))
+    return StepEstimate(steps, _step_sigmas(light, steps))
+
+
+def _step_sigmas(light: FloatArray, steps_rad: FloatArray) -> FloatArray:
+    """Return the standard deviations of steps against the first, with each pixel's own unknowns eliminated [rad]."""
+    solver = solve_steps(steps_rad)
+    _, cosine, sine = solver.estimate @ light
+    left = solver.residual @ light
+    # A pixel leaves n - 3 of its n readings as residual; the steps' own share of the freedom is 1 in thousands.
+    variance = float((left**2).sum()) / max(left.size, 1)
+    slopes = np.cos(steps_rad)[:, None] * sine - np.sin(steps_rad)[:, None] * cosine
+    normal = (solver.residual.T @ solver.residual) * (slopes @ slopes.T)
+    covariance = variance * np.linalg.pinv(normal[1:, 1:], rcond=1e-12)
+    return np.concatenate([[0.0], np.sqrt(np.maximum(np.diag(covariance), 0.0))])

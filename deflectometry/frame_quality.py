@@ -61,17 +61,23 @@ def saturation_limit(dtype: np.dtype[Any], saturation_dn: float) -> float:
     return min(saturation_dn, float(np.iinfo(dtype).max)) if dtype.kind in "ui" else saturation_dn
 
 
-def check_readings(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> Iterator[FrameFault]:
-    """Check for values that are no measurement: not finite, saturated."""
-    bad = ~np.isfinite(sample.raw).all(axis=1) if sample.raw.dtype.kind == "f" else np.zeros(len(sample.raw), bool)
-    if bad.any():
-        frames = tuple(int(i) for i in np.flatnonzero(bad))
-        yield FrameFault(
-            FaultKind.NOT_FINITE,
-            frames,
-            f"frames {_list(frames)} hold values that are not finite; export them again",
-            "error",
-        )
+def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
+    """Yield a fault of frames that hold values which are not finite."""
+    if sample.raw.dtype.kind != "f" or np.isfinite(sample.raw).all():
+        return
+    share = (~np.isfinite(sample.raw)).mean(axis=1)
+    frames = tuple(int(i) for i in np.flatnonzero(share))
+    yield FrameFault(
+        FaultKind.NOT_FINITE,
+        frames,
+        f"frames {_list(frames)} hold values that are not finite (up to {share.max():.1%} of a frame); export them again",
+        # Single pixels are left out and flagged; a frame that is mostly nothing leaves nothing to evaluate.
+        "error" if share.max() > 0.5 else "warning",
+    )
+
+
+def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> Iterator[FrameFault]:
+    """Yield a fault where more than 1 % of the pixels with fringes reach the limit."""
     limit = saturation_limit(dtype, saturation_dn)
     over = sample.readings >= limit
     share = float(over.any(axis=0).mean())
@@ -124,9 +130,7 @@ def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> 
             )
 
 
-def check_gamma(
-    sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel
-) -> Iterator[FrameFault]:
+def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
     """Yield a fault where harmonics show that display or camera is not linear."""
     seconds, sigmas = [], []
     for index, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):

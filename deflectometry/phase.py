@@ -10,12 +10,16 @@ import numpy.typing as npt
 
 from deflectometry.patterns import design_matrix, determines_phase
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import FloatArray, float_array, freeze
+from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
 
 TURN_RAD = 2 * np.pi
 
 #: Variance of rounding to whole digital numbers [DN^2]; no integer frame can have less noise.
 QUANTISATION_VARIANCE_DN2 = 1.0 / 12.0
+
+
+#: Where the response is three times steeper than usual it bends within the noise, and first order overstates it.
+_STEEP = 9.0
 
 
 class LightResponse(Protocol):
@@ -204,9 +208,7 @@ def fit_phase(
         raise InputError(f"phase: {len(solver.steps_rad)} steps need as many frames, not {readings.shape}")
     shape = readings.shape[1:]
     readings = readings.reshape(len(readings), -1)
-    model = noise if noise is not None else estimate_noise(
-        readings, [solver], response=response, floor_dn2=floor
-    )
+    model = noise if noise is not None else estimate_noise(readings, [solver], response=response, floor_dn2=floor)
     light, slope_squared = _linear_light(readings, response)
     offset, cosine, sine = solver.estimate @ light
     modulation = np.hypot(cosine, sine)
@@ -285,66 +287,99 @@ def estimate_noise(
     variance). Pixels that show fringes decide where there are enough: dark pixels clip at zero and would look quiet.
     What harmonics of the display leave (`residual_distortion`) is taken out first: it is no noise.
     """
-    squares, constant, linear, seen = _squared_residuals(readings, solvers, response)
-    if squares.size == 0:
+    squares = _squared_residuals(readings, solvers, response)
+    if squares.value.size == 0:
         raise EstimationError(
             "pixel noise: sets of three frames leave no residual to estimate it from; give pixel_noise_dn, "
             "or take four or more steps"
         )
-    ratio = squares / np.maximum(constant, 1e-300)
+    ratio = squares.value / np.maximum(squares.constant, 1e-300)
     # 0.4549 is the median of a chi-square with one degree of freedom; whole numbers can put the median at zero.
     start = max(float(np.median(ratio)) / 0.4549 or float(np.mean(ratio)), floor_dn2)
     # b above 7.4 sigma of one reading: what a pixel without fringes reaches with 4 frames once in 1e12.
-    bright = seen > 55.0 * start * constant
-    chosen = bright if np.count_nonzero(bright) >= 200 else np.ones_like(bright)
-    squares, constant, linear = squares[chosen], constant[chosen], linear[chosen]
+    bright = squares.power > 55.0 * start * squares.constant
+    for better in (bright & (squares.steepness < _STEEP), bright):
+        if np.count_nonzero(better) >= 200:
+            squares = squares.chosen(better)
+            break
     read, gain = start, 0.0
     for _ in range(6):
-        expected = read * constant + gain * linear
-        kept = (squares < 16.0 * expected) & (expected > 0)
+        expected = read * squares.constant + gain * squares.linear
+        kept = (squares.value < 16.0 * expected) & (expected > 0)
         if not kept.any():
             break
-        read, gain = _regress(squares[kept], constant[kept], linear[kept], expected[kept])
-        if read < floor_dn2:
-            weight = linear[kept] / expected[kept] ** 2
-            excess = squares[kept] - floor_dn2 * constant[kept]
-            read = floor_dn2
-            gain = max(0.0, float(weight @ excess) / (float(weight @ linear[kept]) + 1e-300))
+        read, gain = _regress(squares.chosen(kept), expected[kept], floor_dn2)
     return NoiseModel(math.sqrt(read), gain)
 
 
-def _squared_residuals(
-    readings: FloatArray, solvers: Sequence[StepSolver], response: LightResponse | None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return squared residuals, their factors of read**2 and of gain, and the squared modulation beside each."""
-    parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
+@dataclass(frozen=True, slots=True, eq=False)
+class _Squares:
+    """Squared residuals of all sets and pixels, with what goes with each.
+
+    Parameters
+    ----------
+    value : ndarray, shape (k,)
+        Squared residuals.
+    constant, linear : ndarray, shape (k,)
+        Their expected values for 1 DN^2 of read noise and for a gain of 1 DN.
+    power : ndarray, shape (k,)
+        Squared modulation of the pixel.
+    steepness : ndarray, shape (k,)
+        Largest squared slope of the response among the readings, over the median.
+    """
+
+    value: FloatArray
+    constant: FloatArray
+    linear: FloatArray
+    power: FloatArray
+    steepness: FloatArray
+
+    def chosen(self, where: BoolArray) -> "_Squares":
+        """Return some of them."""
+        return _Squares(*(part[where] for part in self._parts()))
+
+    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        return self.value, self.constant, self.linear, self.power, self.steepness
+
+    @classmethod
+    def joined(cls, sets: "Sequence[_Squares]") -> "_Squares":
+        """Join the sets; nothing for no set."""
+        if not sets:
+            return cls(*(np.zeros(0) for _ in range(5)))
+        return cls(*(np.concatenate(parts) for parts in zip(*(one._parts() for one in sets), strict=True)))
+
+
+def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], response: LightResponse | None) -> _Squares:
+    """Return what sinusoids leave over in the pixels whose readings are all finite."""
+    found: list[_Squares] = []
     finite = np.isfinite(readings).all(axis=0)
     start = 0
     for solver in solvers:
         stop = start + len(solver.steps_rad)
         chosen = readings[start:stop, finite]
         start = stop
-        if solver.redundancy == 0:
+        if solver.redundancy == 0 or chosen.size == 0:
             continue
         light, slope_squared = _linear_light(chosen, response)
         weights = solver.residual**2
         _, cosine, sine = solver.estimate @ light
-        modulation = cosine**2 + sine**2
-        squares = (solver.residual @ light - residual_distortion(light, solver) @ _harmonics(cosine, sine)) ** 2
-        parts.append((
-            squares.ravel(),
-            (weights @ slope_squared).ravel(),
-            (weights @ (slope_squared * np.maximum(chosen, 0.0))).ravel(),
-            np.broadcast_to(modulation, squares.shape).ravel(),
-        ))
-    if not parts:
-        empty = np.zeros(0)
-        return empty, empty, empty, empty
-    squares, constant, linear, seen = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return squares, constant, linear, seen
+        constant = weights @ slope_squared
+        steepness = slope_squared.max(axis=0) / (float(np.median(slope_squared)) or 1.0)
+        # Next to black a response can be steep and bent: such pixels must not shape the harmonics of all others.
+        gentle = (
+            (steepness < _STEEP)
+            if np.count_nonzero(steepness < _STEEP) >= 50
+            else np.ones(steepness.shape, dtype=np.bool_)
+        )
+        distortion = residual_distortion(light, solver, gentle / np.maximum(constant.mean(axis=0), 1e-300))
+        squares = (solver.residual @ light - distortion @ _harmonics(cosine, sine)) ** 2
+        linear = weights @ (slope_squared * np.maximum(chosen, 0.0))
+        power, steepness = (np.broadcast_to(part, squares.shape) for part in (cosine**2 + sine**2, steepness))
+        found.append(_Squares(*(part.ravel() for part in (squares, constant, linear, power, steepness))))
+    return _Squares.joined(found)
 
 
-def residual_distortion(light: FloatArray, solver: StepSolver) -> FloatArray:
+def residual_distortion(light: FloatArray, solver: StepSolver, weights: FloatArray | None = None) -> FloatArray:
     """Fit what the second and third harmonic of the fringes leave in the residuals of one set, pooled over pixels.
 
     Parameters
@@ -353,6 +388,8 @@ def residual_distortion(light: FloatArray, solver: StepSolver) -> FloatArray:
         Linear readings of the set [DN, or the response's unit].
     solver : StepSolver
         Solution for the set's steps.
+    weights : ndarray, shape (n_pixels,), optional
+        Inverse variance of the pixels' residuals, up to a factor; all the same without it.
 
     Returns
     -------
@@ -366,9 +403,10 @@ def residual_distortion(light: FloatArray, solver: StepSolver) -> FloatArray:
     """
     _, cosine, sine = solver.estimate @ light
     basis = _harmonics(cosine, sine)
-    scale = np.sqrt((basis**2).sum(axis=1)) + 1e-300
-    normal = (basis / scale[:, None]) @ (basis / scale[:, None]).T
-    right = (basis / scale[:, None]) @ (solver.residual @ light).T
+    weighted = basis if weights is None else basis * weights
+    scale = np.maximum(np.sqrt((basis * weighted).sum(axis=1)), 1e-100)
+    normal = (basis / scale[:, None]) @ (weighted / scale[:, None]).T
+    right = (weighted / scale[:, None]) @ (solver.residual @ light).T
     return np.asarray((np.linalg.lstsq(normal, right, rcond=1e-9)[0] / scale[:, None]).T)
 
 
@@ -378,20 +416,21 @@ def _harmonics(cosine: FloatArray, sine: FloatArray) -> FloatArray:
     return np.stack([modulation * wave(order * phase) for order in (2, 3) for wave in (np.cos, np.sin)])
 
 
-def _regress(
-    squares: FloatArray, constant: FloatArray, linear: FloatArray, expected: FloatArray
-) -> tuple[float, float]:
-    """Fit squares = read * constant + gain * linear with neither below zero; a square's sigma is its expected value."""
-    columns = np.stack([constant, linear], axis=1) / expected[:, None]
-    wanted = squares / expected
+def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[float, float]:
+    """Fit squares = read * constant + gain * linear, read at least the floor; sigma of a square is its expectation."""
+    columns = np.stack([squares.constant, squares.linear], axis=1) / expected[:, None]
+    wanted = squares.value / expected
     normal, right = columns.T @ columns, columns.T @ wanted
-    scale = np.sqrt(np.diag(normal)) + 1e-300
-    solution = np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale
-    if (solution >= 0).all():
-        return float(solution[0]), float(solution[1])
-    single = right / (np.diag(normal) + 1e-300)
-    gained = right * single
-    return (float(single[0]), 0.0) if gained[0] >= gained[1] else (0.0, float(single[1]))
+    scale = np.maximum(np.sqrt(np.diag(normal)), 1e-100)
+    covariance = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10)
+    read, gain = (covariance @ (right / scale)) / scale
+    # A square scatters by sqrt(2) of its mean. Where the signal varies too little to tell the photon share apart
+    # (4 sigma), all of the noise counts as read noise; the variance at that signal is the same.
+    if gain < 4 * np.sqrt(2.0 * covariance[1, 1]) / scale[1]:
+        return max(float(right[0] / scale[0] ** 2), floor), 0.0
+    if read < floor:
+        return floor, max(0.0, float((right[1] - floor * normal[0, 1]) / scale[1] ** 2))
+    return float(read), float(gain)
 
 
 def chi_square_limit(redundancy: int, probability: float) -> float:

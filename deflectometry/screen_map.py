@@ -294,9 +294,7 @@ def _sample(frames: npt.NDArray[Any], region: BoolArray | None, saturation_dn: f
     return np.asarray(readings[:, usable])
 
 
-def _estimate_noise(
-    sample: npt.NDArray[Any], pattern: FringePattern, response: LightResponse | None
-) -> NoiseModel:
+def _estimate_noise(sample: npt.NDArray[Any], pattern: FringePattern, response: LightResponse | None) -> NoiseModel:
     """Estimate the noise from a sample of pixels."""
     floor = QUANTISATION_VARIANCE_DN2
     if sample.dtype.kind == "f":

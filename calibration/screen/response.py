@@ -68,14 +68,16 @@ class ScreenResponse:
         -------
         ndarray, shape (...)
             Difference of the levels half a DN above and below: the slope at the scale of rounding and noise, where
-            single segments can be 0.1 DN wide next to black. Beyond the nodes the mean slope of the whole look-up,
-            so that readings held at an end do not pass as free of noise.
+            single segments can be 0.1 DN wide next to black. Beyond the nodes the slope over the DN next to the end
+            (at least the mean slope of the whole look-up): readings held at an end are not free of noise.
         """
         readings = np.asarray(camera_dn, dtype=np.float64)
         local = self.linearise(readings + 0.5) - self.linearise(readings - 0.5)
+        ends = np.array([self.camera_dn[0], self.camera_dn[-1]])
+        first, last = self.linearise(ends + 1.0) - self.linearise(ends - 1.0)
         mean = (self.display_level[-1] - self.display_level[0]) / (self.camera_dn[-1] - self.camera_dn[0])
-        beyond = (readings < self.camera_dn[0]) | (readings > self.camera_dn[-1])
-        return np.asarray(np.where(beyond, np.maximum(local, mean), local), dtype=np.float64)
+        local = np.where(readings < ends[0], max(first, mean), local)
+        return np.asarray(np.where(readings > ends[1], max(last, mean), local), dtype=np.float64)
 
     def sigma_level(self, camera_dn: FloatArray) -> FloatArray:
         """Return the standard deviation of the level from the calibration itself, shape (...) [level]."""
