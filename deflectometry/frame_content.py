@@ -65,7 +65,7 @@ def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: 
         raw = raw[:, region[stride // 2 :: stride, stride // 2 :: stride].ravel()]
     values = raw.astype(np.float32)
     finite = np.isfinite(values).all(axis=0)
-    spread = np.where(finite, np.nan_to_num(values).std(axis=0), 0.0)
+    spread = np.where(finite, values, np.float32(0)).std(axis=0)
     lit = np.flatnonzero(finite & (spread > 0.3 * np.quantile(spread, 0.99))) if spread.size else np.zeros(0, int)
     lit = lit[:: max(1, -(-lit.size // _PIXELS))]
     readings = values[:, lit].astype(np.float64)

@@ -70,7 +70,7 @@ def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
     yield FrameFault(
         FaultKind.NOT_FINITE,
         frames,
-        f"frames {_list(frames)} hold values that are not finite (up to {share.max():.1%} of a frame); export them again",
+        f"frames {_list(frames)} hold values that are not finite (up to {share.max():.1%} of one); export them again",
         # Single pixels are left out and flagged; a frame that is mostly nothing leaves nothing to evaluate.
         "error" if share.max() > 0.5 else "warning",
     )
