@@ -18,9 +18,9 @@ class Derivative:
     Parameters
     ----------
     value_per_m : ndarray, shape (ny, nx)
-        Central differences; NaN where a neighbour is missing [1/m].
+        Central differences between nodes that share no pixel; NaN where one of them is missing [1/m].
     sigma_per_m : ndarray, shape (ny, nx)
-        Standard deviation, random and common [1/m]; nodes two apart count as independent.
+        Standard deviation, random and common [1/m].
     """
 
     value_per_m: FloatArray
@@ -40,16 +40,15 @@ def curl(slope_map: SlopeMap) -> Derivative:
     Derivative
         Curl and its sigma [1/m]; NaN at nodes with a missing neighbour.
     """
-    valid = slope_map.valid
-    x_by_y = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.y_m, 0)
-    y_by_x = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.x_m, 1)
-    random = _central_variance(slope_map.sigma_random_x, slope_map.y_m, 0) + _central_variance(
-        slope_map.sigma_random_y, slope_map.x_m, 1
-    )
-    common = np.zeros(slope_map.shape)
+    valid, reach = slope_map.valid, _reach(slope_map)
+    x_by_y = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.y_m, 0, reach)
+    y_by_x = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.x_m, 1, reach)
+    variance = _central_variance(slope_map.sigma_random_x, slope_map.y_m, 0, reach)
+    variance += _central_variance(slope_map.sigma_random_y, slope_map.x_m, 1, reach)
     for mode_x, mode_y in _modes_on_grid(slope_map):
-        common += (_central(mode_x, slope_map.y_m, 0) - _central(mode_y, slope_map.x_m, 1)) ** 2
-    return _derivative(x_by_y - y_by_x, random + common)
+        turn = _central(mode_x, slope_map.y_m, 0, reach) - _central(mode_y, slope_map.x_m, 1, reach)
+        variance += turn**2
+    return _derivative(x_by_y - y_by_x, variance)
 
 
 def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
@@ -65,21 +64,20 @@ def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
     tuple of Derivative
         Curvature in x and in y with sigma [1/m]; NaN at nodes with a missing neighbour.
     """
-    valid = slope_map.valid
-    common_x, common_y = np.zeros(slope_map.shape), np.zeros(slope_map.shape)
+    valid, reach = slope_map.valid, _reach(slope_map)
+    variance_x = _central_variance(slope_map.sigma_random_x, slope_map.x_m, 1, reach)
+    variance_y = _central_variance(slope_map.sigma_random_y, slope_map.y_m, 0, reach)
     for mode_x, mode_y in _modes_on_grid(slope_map):
-        common_x += _central(mode_x, slope_map.x_m, 1) ** 2
-        common_y += _central(mode_y, slope_map.y_m, 0) ** 2
-    return (
-        _derivative(
-            _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.x_m, 1),
-            _central_variance(slope_map.sigma_random_x, slope_map.x_m, 1) + common_x,
-        ),
-        _derivative(
-            _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.y_m, 0),
-            _central_variance(slope_map.sigma_random_y, slope_map.y_m, 0) + common_y,
-        ),
-    )
+        variance_x += _central(mode_x, slope_map.x_m, 1, reach) ** 2
+        variance_y += _central(mode_y, slope_map.y_m, 0, reach) ** 2
+    along_x = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.x_m, 1, reach)
+    along_y = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.y_m, 0, reach)
+    return _derivative(along_x, variance_x), _derivative(along_y, variance_y)
+
+
+def _reach(slope_map: SlopeMap) -> int:
+    """Return how many nodes away the neighbours of a difference lie: so far that they share no pixel."""
+    return max(1, int(np.ceil(np.sqrt(slope_map.noise_correlation) - 1e-9)))
 
 
 def _modes_on_grid(slope_map: SlopeMap) -> FloatArray:
@@ -90,18 +88,24 @@ def _derivative(value: FloatArray, variance: FloatArray) -> Derivative:
     return Derivative(value, np.where(np.isfinite(value), np.sqrt(variance), np.nan))
 
 
-def _central(values: FloatArray, positions_m: FloatArray, axis: int) -> FloatArray:
+def _central(values: FloatArray, positions_m: FloatArray, axis: int, reach: int) -> FloatArray:
     along = np.moveaxis(values, axis, -1)
     result = np.full(along.shape, np.nan)
-    # Two positions apart also on an uneven grid: second order only where even, exact for linear slopes everywhere.
-    result[..., 1:-1] = (along[..., 2:] - along[..., :-2]) / (positions_m[2:] - positions_m[:-2])
+    # Over the positions themselves also on an uneven grid: exact for linear slopes everywhere.
+    ahead, behind = slice(2 * reach, None), slice(None, -2 * reach)
+    if positions_m.size > 2 * reach:
+        steps = positions_m[ahead] - positions_m[behind]
+        result[..., reach:-reach] = (along[..., ahead] - along[..., behind]) / steps
     return np.moveaxis(result, -1, axis)
 
 
-def _central_variance(sigma: FloatArray, positions_m: FloatArray, axis: int) -> FloatArray:
+def _central_variance(sigma: FloatArray, positions_m: FloatArray, axis: int, reach: int) -> FloatArray:
     along = np.moveaxis(sigma, axis, -1) ** 2
     result = np.full(along.shape, np.nan)
-    result[..., 1:-1] = (along[..., 2:] + along[..., :-2]) / (positions_m[2:] - positions_m[:-2]) ** 2
+    ahead, behind = slice(2 * reach, None), slice(None, -2 * reach)
+    if positions_m.size > 2 * reach:
+        steps = positions_m[ahead] - positions_m[behind]
+        result[..., reach:-reach] = (along[..., ahead] + along[..., behind]) / steps**2
     return np.moveaxis(result, -1, axis)
 
 

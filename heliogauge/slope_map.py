@@ -86,7 +86,11 @@ def monomials(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
     >>> monomials(np.array(2.0), np.array(3.0), 2)
     array([1., 2., 3., 4., 6., 9.])
     """
-    return np.stack([u ** (n - j) * v**j for n in range(degree + 1) for j in range(n + 1)])
+    powers_u, powers_v = [np.ones(np.shape(u))], [np.ones(np.shape(v))]
+    for _ in range(degree):
+        powers_u.append(powers_u[-1] * u)
+        powers_v.append(powers_v[-1] * v)
+    return np.stack([powers_u[n - j] * powers_v[j] for n in range(degree + 1) for j in range(n + 1)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

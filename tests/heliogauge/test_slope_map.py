@@ -178,3 +178,15 @@ def test_sigma_of_derivatives_is_their_scatter(quantity):
         )
         values.append(quantity(noisy).value_per_m[5, 5:8])
     np.testing.assert_allclose(np.std(values, axis=0), quantity(truth).sigma_per_m[5, 5:8], rtol=0.12)
+
+
+def test_differences_reach_beyond_shared_pixels():
+    """Nodes that share pixels (noise correlation 6.2: half-pixel grid) are differenced 3 nodes to each side."""
+    shared = replace(make_map(), noise_correlation=6.2)
+    value = curvature(shared)[0].value_per_m
+    finite = np.flatnonzero(np.isfinite(value[value.shape[0] // 2]))
+    assert finite[0] == 3
+    own = curvature(make_map())[0]
+    middle = tuple(size // 2 for size in value.shape)
+    assert value[middle] == pytest.approx(own.value_per_m[middle], rel=1e-9)
+    assert curvature(shared)[0].sigma_per_m[middle] < own.sigma_per_m[middle]
