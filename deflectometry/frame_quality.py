@@ -62,7 +62,13 @@ def saturation_limit(dtype: np.dtype[Any], saturation_dn: float) -> float:
 
 
 def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
-    """Yield a fault of frames that hold values which are not finite."""
+    """Yield a fault of frames that hold values which are not finite.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
     if sample.raw.dtype.kind != "f" or np.isfinite(sample.raw).all():
         return
     share = (~np.isfinite(sample.raw)).mean(axis=1)
@@ -77,7 +83,13 @@ def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
 
 
 def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> Iterator[FrameFault]:
-    """Yield a fault where more than 1 % of the pixels with fringes reach the limit."""
+    """Yield a fault where more than 1 % of the pixels with fringes reach the limit.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
     limit = saturation_limit(dtype, saturation_dn)
     over = sample.readings >= limit
     share = float(over.any(axis=0).mean())
@@ -93,7 +105,13 @@ def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: f
 
 
 def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[FrameFault]:
-    """Yield a fault where the light changes from frame to frame."""
+    """Yield a fault where the light changes from frame to frame.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
     usual = float(np.median(content.exposure))
     change = content.exposure / usual - 1
     significant = np.abs(change) > 0.01 + SIGNIFICANT * content.sigma_exposure
@@ -115,7 +133,13 @@ def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[Fr
 
 
 def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
-    """Yield faults of sets that are too weak to find the fringe order by."""
+    """Yield faults of sets that are too weak to find the fringe order by.
+
+    Yields
+    ------
+    FrameFault
+        At most one for each set.
+    """
     for index, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         weak = fit.modulation[index] < 5.26 * np.sqrt(2.0 / fringes.n_frames * noise.variance(fit.offset[index]))
         share = float(weak.mean())
@@ -131,7 +155,13 @@ def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> 
 
 
 def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
-    """Yield a fault where harmonics show that display or camera is not linear."""
+    """Yield a fault where harmonics show that display or camera is not linear.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
     seconds, sigmas = [], []
     for index, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         solver = solve_steps(fringes.steps_rad)
@@ -165,7 +195,13 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
 
 
 def check_response(sample: FrameSample, pattern: FringePattern) -> Iterator[FrameFault]:
-    """Yield a fault where linearising makes the fringes less sinusoidal."""
+    """Yield a fault where linearising makes the fringes less sinusoidal.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
     shares = []
     for values in (sample.readings, sample.light):
         left, power = 0.0, 1e-12
