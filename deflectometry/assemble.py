@@ -37,7 +37,7 @@ def assemble_maps(evaluation: Evaluation) -> SlopeMap:
     first = next(iter(evaluation.maps.values()))
     corners = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets.values()])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    step = max(float(first.x_m[1] - first.x_m[0]), default_step_m(0.0, (high[0] - low[0], high[1] - low[1])))
+    step = max(float(first.x_m[1] - first.x_m[0]), default_step_m(0.0, float(np.prod((high - low)[:2]))))
     x_m, y_m = grid_axis(low[0], high[0], step), grid_axis(low[1], high[1], step)
     grid = np.meshgrid(x_m, y_m)
     fields = np.full((7, *grid[0].shape), np.nan)

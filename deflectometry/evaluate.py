@@ -370,9 +370,8 @@ def _grid(
     facets = [sample.facet for sample in samples]
     step_m = choices.grid_step_m
     if step_m == 0.0:
-        largest = max(facets, key=lambda facet: facet.area_m2)
-        extent = np.ptp(largest.outline_m, axis=0)
-        step_m = default_step_m(images[largest.name].footprint_m, (float(extent[0]), float(extent[1])))
+        finest = min(image.footprint_m for image in images.values())
+        step_m = default_step_m(finest, sum(facet.area_m2 for facet in facets))
     plan = GridPlan(step_m, frame=_frame_words(len(facets)), removed=_removed_words(choices.align, len(facets)))
     maps = []
     for facet, surface, common in zip(facets, solution.surfaces, modes, strict=True):

@@ -39,15 +39,15 @@ class GridPlan:
     removed: str
 
 
-def default_step_m(footprint_m: float, extent_m: tuple[float, float]) -> float:
+def default_step_m(footprint_m: float, area_m2: float) -> float:
     """Return the grid step for a pixel footprint: half of it, rounded down to two digits, at most a million nodes.
 
     Parameters
     ----------
     footprint_m : float
         Spacing of the pixels on the mirror [m].
-    extent_m : tuple of float
-        Width and height of the facet [m].
+    area_m2 : float
+        Area of all that is mapped [m^2].
 
     Returns
     -------
@@ -57,10 +57,10 @@ def default_step_m(footprint_m: float, extent_m: tuple[float, float]) -> float:
 
     Examples
     --------
-    >>> default_step_m(0.01412, (1.2, 1.2))
+    >>> default_step_m(0.01412, 1.44)
     0.007
     """
-    half = max(0.5 * footprint_m, float(np.sqrt(extent_m[0] * extent_m[1] / MOST_NODES)))
+    half = max(0.5 * footprint_m, float(np.sqrt(area_m2 / MOST_NODES)))
     unit = 10.0 ** (np.floor(np.log10(half)) - 1)
     return float(np.round(np.floor(half / unit + 1e-9) * unit, 12))
 

@@ -51,8 +51,9 @@ PIXEL_VARIABLES: dict[str, tuple[str, str]] = {
     "flag": ("1", "why a pixel is missing or doubtful"),
 }
 
-# (variable, attribute of SlopeMap, unit, long name): stored as float64 so that reading returns the map bit for bit.
-_EXACT = (
+# (variable, attribute of SlopeMap, unit, long name): float32 keeps 0.3 nrad of a slope of 5 mrad and 7 nm of a height
+# of 0.1 m, far below every noise, at half the bytes.
+_FIELDS = (
     ("slope_x", "slope_x", "rad", "measured slope dz/dx"),
     ("slope_y", "slope_y", "rad", "measured slope dz/dy"),
     ("design_slope_x", "design_slope_x", "rad", "design slope dz/dx"),
@@ -106,7 +107,7 @@ def write_slope_map(path: Path, maps: Mapping[str, SlopeMap], attributes: Mappin
 
 
 def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
-    """Read one slope map back, bit for bit as it was written.
+    """Read one slope map back, its fields to float32.
 
     Parameters
     ----------
@@ -308,10 +309,10 @@ def _write_map(group: Any, slope_map: SlopeMap) -> None:
         labels = {"units": "m", "axis": axis.upper(), "long_name": f"{axis}, {text}, seen from the front"}
         _write_attributes(scale, labels)
         scales.append(scale)
-    for name, attribute, unit, text in _EXACT:
-        _write_variable(group, name, getattr(slope_map, attribute), scales, {"units": unit, "long_name": text})
+    for name, attribute, unit, text in _FIELDS:
+        values = getattr(slope_map, attribute).astype(np.float32)
+        _write_variable(group, name, values, scales, {"units": unit, "long_name": text})
     for axis, sigma in zip("xy", slope_map.sigma_slope(), strict=True):
-        # Derived from the shares, so float32 (1e-7 of a sigma) is enough.
         text = f"standard deviation of slope_{axis}, random and common shares together"
         labels = {"units": "rad", "long_name": text}
         _write_variable(group, f"sigma_slope_{axis}", sigma.astype(np.float32), scales, labels)
@@ -376,11 +377,11 @@ def _write_common_modes(group: Any, common: CommonModes) -> None:
 
 
 def _read_map(group: Any, where: str) -> SlopeMap:
-    missing = [name for name in ("x", "y", "flag", "aperture", *(row[0] for row in _EXACT)) if name not in group]
+    missing = [name for name in ("x", "y", "flag", "aperture", *(row[0] for row in _FIELDS)) if name not in group]
     if missing:
         raise InputError(f"{where}: no slope map, the variables {', '.join(missing)} are missing")
     fields: dict[str, Any] = {
-        attribute: group[name][...] for name, attribute, _, _ in _EXACT if not name.startswith("slope_error")
+        attribute: group[name][...] for name, attribute, _, _ in _FIELDS if not name.startswith("slope_error")
     }
     return SlopeMap(
         x_m=group["x"][...],

@@ -69,7 +69,11 @@ def make_map(common: CommonModes | None = None, rows: int = 7, columns: int = 9,
 
 def assert_same_map(first: SlopeMap, second: SlopeMap) -> None:
     for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name), err_msg=name)
+        one, other = getattr(first, name), getattr(second, name)
+        if one.ndim == 2 and one.dtype == np.float64:
+            # Fields are stored as float32, axes and bits as they are.
+            one, other = one.astype(np.float32), other.astype(np.float32)
+        np.testing.assert_array_equal(one, other, err_msg=name)
     for name in ("design", "frame", "removed"):
         assert getattr(first, name) == getattr(second, name)
     assert first.noise_correlation == second.noise_correlation
@@ -80,7 +84,7 @@ def assert_same_map(first: SlopeMap, second: SlopeMap) -> None:
 
 
 @pytest.mark.parametrize("common", [None, no_common_modes()], ids=["two modes", "no modes"])
-def test_a_slope_map_comes_back_bit_for_bit(tmp_path: Path, common: CommonModes | None) -> None:
+def test_a_slope_map_comes_back_as_float32(tmp_path: Path, common: CommonModes | None) -> None:
     slope_map = make_map(common)
     write_slope_map(tmp_path / "slope_map.nc", {"facet": slope_map})
     assert_same_map(read_slope_map(tmp_path / "slope_map.nc"), slope_map)
@@ -99,7 +103,8 @@ def test_xarray_reads_a_slope_map_as_the_contract_says(tmp_path: Path) -> None:
         assert data["height"].attrs["units"] == "m"
         np.testing.assert_array_equal(data.coords["x"], slope_map.x_m)
         assert data.coords["y"].attrs["units"] == "m"
-        np.testing.assert_array_equal(data["slope_error_x"], data["slope_x"] - data["design_slope_x"])
+        difference = data["slope_x"] - data["design_slope_x"]
+        np.testing.assert_allclose(data["slope_error_x"], difference, rtol=0, atol=4e-9)
         np.testing.assert_allclose(data["sigma_slope_y"], slope_map.sigma_slope()[1], rtol=1e-6)
         assert int(np.isnan(data["slope_x"]).sum()) == 1
         masks = dict(zip(data["flag"].attrs["flag_meanings"].split(), data["flag"].attrs["flag_masks"], strict=True))
