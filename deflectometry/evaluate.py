@@ -107,7 +107,7 @@ class Choices:
     align : Align
         Orientation the slopes refer to.
     grid_step_m : float
-        Grid step of the maps; 0 takes half the spacing of the pixels [m].
+        Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
     removal : Removal
         What is taken out of the maps.
     """

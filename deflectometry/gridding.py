@@ -40,7 +40,7 @@ class GridPlan:
 
 
 def default_step_m(footprint_m: float, area_m2: float) -> float:
-    """Return the grid step for a pixel footprint: half of it, rounded down to two digits, at most a million nodes.
+    """Return the grid step for a pixel footprint: 0.4 of it, rounded down to two digits, at most a million nodes.
 
     Parameters
     ----------
@@ -52,17 +52,18 @@ def default_step_m(footprint_m: float, area_m2: float) -> float:
     Returns
     -------
     float
-        Step [m]. Half a footprint keeps what the pixels show: on a measured facet of 84 x 85 pixels, reading the map
-        back at the pixels differs from them by 0.009 and 0.018 mrad RMS, 0.010 and 0.047 mrad with a whole footprint.
+        Step [m]. So fine a grid keeps what the pixels show: on a measured facet of 84 x 85 pixels, a bilinear reading
+        of the map at the pixels differs from another program's slopes there by 0.016 mrad RMS, by 0.021 with half a
+        footprint and by 0.047 with a whole one; the pixels themselves differ by 0.009.
 
     Examples
     --------
     >>> default_step_m(0.01412, 1.44)
-    0.007
+    0.0056
     """
-    half = max(0.5 * footprint_m, float(np.sqrt(area_m2 / MOST_NODES)))
-    unit = 10.0 ** (np.floor(np.log10(half)) - 1)
-    return float(np.round(np.floor(half / unit + 1e-9) * unit, 12))
+    step = max(0.4 * footprint_m, float(np.sqrt(area_m2 / MOST_NODES)))
+    unit = 10.0 ** (np.floor(np.log10(step)) - 1)
+    return float(np.round(np.floor(step / unit + 1e-9) * unit, 12))
 
 
 def grid_axis(low_m: float, high_m: float, step_m: float) -> FloatArray:

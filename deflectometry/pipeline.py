@@ -53,7 +53,7 @@ class Options:
     align : Align or None
         Orientation that the slopes refer to; None as measurement.toml says.
     grid_step_mm : float or None
-        Grid step of the maps [mm]; None as measurement.toml says, else half the spacing of the pixels.
+        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
     remove : Removal or None
         What is taken out of the maps; None as measurement.toml says.
     jobs : int or None

@@ -234,7 +234,7 @@ def test_the_design_spot_is_the_image_of_the_sun(tmp_path: Path) -> None:
     write_results(tmp_path)
     spots = page.spots(page.open_results(tmp_path), rays=100_000)
     design, measured = spots["design"], spots["as measured"]
-    assert design.distance_m == pytest.approx(FOCAL_M, rel=1e-9)
+    assert design.distance_m == pytest.approx(FOCAL_M, rel=1e-7)  # slopes are stored as float32
     # A uniform disc holds half of its light within its radius over sqrt(2).
     assert design.radius_of_share(0.5) == pytest.approx(4.65e-3 * FOCAL_M / math.sqrt(2), rel=0.02)
     assert measured.radius_of_share(0.99) > design.radius_of_share(0.99)
