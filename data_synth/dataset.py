@@ -1,9 +1,6 @@
 """Measurement folders with known truth: images, measurement.toml, truth.json, truth.npz."""
 
-import secrets
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ from data_synth.fringe_scene import FringeScene, SyntheticFringes, render_fringe
 from data_synth.knowledge import Knowledge, measurement_content, response_table, screen_table
 from data_synth.truth import PIXEL_ARRAYS, FringeTruth, PixelTruth, facet_from_json
 from heliogauge.errors import InputError
+from heliogauge.folders import FolderKind, WholeFolder
 from heliogauge.images import write_image
 from heliogauge.measurement_writer import write_measurement
 from heliogauge.progress import Progress, SilentProgress
@@ -23,6 +21,7 @@ from heliogauge.store_tables import write_table_csv
 
 TRUTH_FILE = "truth.json"
 TRUTH_ARRAYS_FILE = "truth.npz"
+SYNTHETIC = FolderKind(content="synthetic measurements", mark=TRUTH_FILE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +72,7 @@ def write_dataset(
     chosen = DatasetOptions() if options is None else options
     told = SilentProgress() if progress is None else progress
     image_rng, knowledge_rng = np.random.default_rng(chosen.seed).spawn(2)
-    with _whole_folder(folder, force=chosen.force) as working:
+    with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
         with told.stage("render fringes"):
             fringes = render_fringes(scene, image_rng)
         names = {f"fringe_{index:02d}.png": frame for index, frame in enumerate(fringes.frames)}
@@ -128,34 +127,3 @@ def read_truth(folder: Path) -> FringeTruth:
 def _write_pixels(path: Path, pixels: PixelTruth) -> None:
     arrays: Mapping[str, Any] = {name: getattr(pixels, name) for name in ("facet_index", *PIXEL_ARRAYS)}
     np.savez_compressed(path, **arrays)
-
-
-@contextmanager
-def _whole_folder(target: Path, *, force: bool) -> Iterator[Path]:
-    """Give a temporary folder beside the target and move it into place when all went well."""
-    target = target.absolute().resolve()
-    if target.exists():
-        if not target.is_dir():
-            raise InputError(f"{target}: a file stands where the measurement's folder should; choose another name")
-        names = {path.name for path in target.iterdir()}
-        if names and not force:
-            raise InputError(f"{target}: holds files already; choose another folder or give --force to replace them")
-        # --force must never cost real photographs.
-        if names and TRUTH_FILE not in names:
-            raise InputError(f"{target}: --force replaces synthetic measurements only; here is no {TRUTH_FILE}")
-    working = target.parent / f".{target.name}.{secrets.token_hex(4)}.partial"
-    earlier = target.parent / f".{target.name}.{secrets.token_hex(4)}.earlier"
-    try:
-        try:
-            working.mkdir(parents=True)
-        except OSError as error:
-            raise InputError(f"{target}: no folder can be made there ({error.strerror})") from error
-        yield working
-        if target.exists():
-            target.rename(earlier)
-        working.rename(target)
-    finally:
-        if earlier.exists() and not target.exists():
-            earlier.rename(target)
-        shutil.rmtree(working, ignore_errors=True)
-        shutil.rmtree(earlier, ignore_errors=True)

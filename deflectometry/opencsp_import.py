@@ -1,7 +1,6 @@
 """Turn the files of an OpenCSP/SOFAST measurement into a measurement folder."""
 
 import datetime
-import shutil
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,13 +25,17 @@ from deflectometry.opencsp import (
     read_opencsp_file,
 )
 from heliogauge.errors import InputError, QualityWarning
+from heliogauge.folders import FolderKind, WholeFolder
 from heliogauge.images import write_image
 from heliogauge.measurement import parse_measurement
 from heliogauge.measurement_writer import write_measurement
 from heliogauge.rigid import RigidTransform
+from heliogauge.store_tables import write_table_csv
 from heliogauge.validate import FloatArray, positive
 
 _T = TypeVar("_T")
+#: An import is never replaced: somebody may have corrected its measurement.toml by hand.
+_MEASUREMENT = FolderKind(content="measurements", remedy="give a new folder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +89,14 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
     met exactly.
     """
-    options = options or OpencspOptions()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: already holds files; give a new folder")
-    parts = _Parts([read_opencsp_file(Path(path)) for path in files])
+    with WholeFolder(folder, _MEASUREMENT) as working:
+        parts = _Parts([read_opencsp_file(Path(path)) for path in files])
+        _write(working, parts, options or OpencspOptions())
+    return parts.taken
+
+
+def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
+    """Write the measurement that the records make up."""
     fringes = parts.needed(FringeRecord, "a fringe measurement (MeasurementSofastFringe)")
     height_px, width_px = fringes.dark_dn.shape
     content: dict[str, Any] = {"kind": "deflectometry", "name": fringes.name or "OpenCSP measurement"}
@@ -111,14 +118,16 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     content["images"] = {"fringes": "fringe_*.png", "dark": "dark.png", "bright": "bright.png"}
     content["mirror"] = _mirror_section(parts, fringes, options)
     images = _storable(fringes)
-    tables = {"screen_points.csv": ("u,v,x_m,y_m,z_m", table)} if table is not None else {}
-    if response is not None:
-        values = np.column_stack([response.camera_dn, response.display_level])
-        tables["response.csv"] = ("camera_dn,display_level", values)
     # Everything is checked before the first file is written.
-    parse_measurement(content, folder / "measurement.toml")
-    _write_folder(folder, content, images, tables)
-    return parts.taken
+    parse_measurement(content, Path("measurement.toml"))
+    for name, image in images:
+        write_image(working / name, np.ascontiguousarray(image))
+    if table is not None:
+        write_table_csv(working / "screen_points.csv", table)
+    if response is not None:
+        columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
+        write_table_csv(working / "response.csv", columns)
+    write_measurement(working, content, comment="Imported from OpenCSP/SOFAST files.")
 
 
 def _date(text: str) -> datetime.datetime | None:
@@ -126,31 +135,6 @@ def _date(text: str) -> datetime.datetime | None:
         return datetime.datetime.fromisoformat(text)
     except ValueError:
         return None
-
-
-def _write_folder(
-    folder: Path,
-    content: dict[str, Any],
-    images: list[tuple[str, npt.NDArray[Any]]],
-    tables: dict[str, tuple[str, FloatArray]],
-) -> None:
-    """Write everything beside the folder and move it into place: the folder is whole or not there."""
-    beside = folder.with_name(f".{folder.name}.part")
-    try:
-        beside.mkdir(parents=True)
-        for name, image in images:
-            write_image(beside / name, np.ascontiguousarray(image))
-        for name, (header, table) in tables.items():
-            _write_csv(beside / name, header, table)
-        write_measurement(beside, content, comment="Imported from OpenCSP/SOFAST files.")
-        if folder.exists():
-            folder.rmdir()
-        beside.rename(folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); check permissions and space") from error
-    finally:
-        if beside.exists():
-            shutil.rmtree(beside, ignore_errors=True)
 
 
 _WORDS: dict[type, str] = {
@@ -229,13 +213,14 @@ def _camera_section(camera: CameraRecord, shape: tuple[int, int], correct: bool)
 
 def _screen_section(
     display: RectangleRecord | TableRecord, cam_from_screen: RigidTransform
-) -> tuple[dict[str, Any], FloatArray | None]:
+) -> tuple[dict[str, Any], dict[str, FloatArray] | None]:
     table = None
     if isinstance(display, RectangleRecord):
         section: dict[str, Any] = {"shape": "rectangle", "width_m": display.width_m, "height_m": display.height_m}
     else:
         section = {"shape": "table", "file": "screen_points.csv"}
-        table = np.column_stack([display.u, display.v, display.xyz_m])
+        x_m, y_m, z_m = display.xyz_m.T
+        table = {"u": display.u, "v": display.v, "x_m": x_m, "y_m": y_m, "z_m": z_m}
     return section | _pose_keys(cam_from_screen), table
 
 
@@ -357,9 +342,3 @@ def _storable(fringes: FringeRecord) -> list[tuple[str, npt.NDArray[Any]]]:
         )
     wanted = np.uint8 if values.max() < 256 else np.uint16
     return [(name, image.astype(wanted)) for name, image in images]
-
-
-def _write_csv(path: Path, header: str, table: FloatArray) -> None:
-    # repr keeps every digit: the numbers must come back as they were.
-    lines = [header, *(",".join(repr(float(value)) for value in row) for row in table)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

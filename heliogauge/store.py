@@ -1,20 +1,17 @@
 """Results on disk: the folder that appears whole or not at all, the summary, hashes of the inputs."""
 
-import contextlib
 import hashlib
 import math
 import os
-import secrets
-import shutil
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from heliogauge import __version__
 from heliogauge.errors import InputError
+from heliogauge.folders import FolderKind, WholeFolder
 from heliogauge.store_json import read_json, write_json
 from heliogauge.store_slope_map import (
     ASSEMBLED,
@@ -69,6 +66,9 @@ __all__ = [
 
 SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 1
+RESULTS = FolderKind(
+    content="results", mark=SUMMARY_FILE, strangers=frozenset({"measurement.toml"}), remedy="choose another with --out"
+)
 
 #: A key of a number ends with one of these: the unit it is in.
 UNITS: dict[str, str] = {
@@ -275,7 +275,7 @@ def _hash_file(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-class ResultFolder:
+class ResultFolder(WholeFolder):
     """A folder of results that appears whole or not at all.
 
     Parameters
@@ -306,69 +306,4 @@ class ResultFolder:
     """
 
     def __init__(self, target: Path, *, force: bool = False) -> None:
-        self._target = target.absolute().resolve()
-        self._force = force
-        self._working = self._target
-
-    def __enter__(self) -> Path:
-        """Check the target and make the temporary folder."""
-        self._check_target()
-        parent = self._target.parent
-        self._working = parent / f".{self._target.name}.{secrets.token_hex(4)}.partial"
-        try:
-            parent.mkdir(parents=True, exist_ok=True)
-            self._working.mkdir()
-        except OSError as error:
-            raise InputError(
-                f"{self._target}: no folder can be made there ({error.strerror or error}); choose another with --out"
-            ) from error
-        return self._working
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Move the results into place, or remove what there is of them."""
-        try:
-            if kind is None:
-                self._move_into_place()
-        finally:
-            shutil.rmtree(self._working, ignore_errors=True)
-
-    def _check_target(self) -> None:
-        target = self._target
-        if not target.exists():
-            return
-        if not target.is_dir():
-            raise InputError(f"{target}: a file stands where the folder of results should; choose another with --out")
-        try:
-            names = {path.name for path in target.iterdir()}
-        except OSError as error:
-            raise InputError(f"{target}: cannot be read ({error.strerror or error})") from error
-        if not names:
-            return
-        if not self._force:
-            raise InputError(f"{target}: holds files already; choose another folder or give --force to replace results")
-        # --force must never cost photographs or a home folder.
-        if SUMMARY_FILE not in names or "measurement.toml" in names:
-            raise InputError(f"{target}: --force replaces earlier results only, and this folder holds something else")
-
-    def _move_into_place(self) -> None:
-        self._check_target()
-        earlier = self._target.parent / f".{self._target.name}.{secrets.token_hex(4)}.earlier"
-        try:
-            had_earlier = self._target.exists()
-            if had_earlier:
-                self._target.rename(earlier)
-            try:
-                self._working.rename(self._target)
-            except BaseException:
-                if had_earlier:
-                    earlier.rename(self._target)
-                raise
-        except OSError as error:
-            raise InputError(
-                f"{self._target}: the results cannot be moved there ({error.strerror or error}); "
-                "choose another folder with --out"
-            ) from error
-        with contextlib.suppress(OSError):
-            shutil.rmtree(earlier) if had_earlier else None
+        super().__init__(target, RESULTS, force=force)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.camera import PARAMETER_NAMES, Camera
 from heliogauge.distortion import BrownDistortion, DistortionDirection
@@ -138,14 +139,14 @@ def read_points_csv(path: Path) -> PointTable:
     )
 
 
-def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
     """Write columns of one length as CSV with a header line; NaN becomes an empty cell.
 
     Parameters
     ----------
     path : Path
         The file; replaced where it exists.
-    columns : mapping of str to sequence
+    columns : mapping of str to sequence or ndarray
         Columns by name, units in the names.
 
     Raises

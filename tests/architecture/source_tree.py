@@ -11,7 +11,7 @@ PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibr
 #: Modules that open files, draw or talk; everything else is numeric. A prefix ending in _ covers a family.
 _BORDER_NAMES = frozenset({
     "images", "measurement", "measurement_models", "measurement_writer", "templates", "store", "figures", "report",
-    "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale",
+    "folders", "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale",
 })  # fmt: skip
 _BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_")
 #: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.
@@ -20,6 +20,7 @@ _BORDER_MODULES = {
     "deflectometry.headline": "fills summary.json",
     "deflectometry.opencsp": "reads another program's HDF5 and JSON files",
     "deflectometry.opencsp_import": "writes a measurement folder from another program's files",
+    "deflectometry.pattern_files": "writes the frames to display and the tables that describe them",
     "data_synth.dataset": "writes a measurement folder",
 }
 

@@ -1,0 +1,145 @@
+"""Folders that appear whole or not at all: results, synthetic measurements, imported measurements, patterns."""
+
+import contextlib
+import errno
+import secrets
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from heliogauge.errors import InputError
+
+#: The disk says no, not the program: full, over quota, read-only, worn out.
+_DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+
+
+@dataclass(frozen=True, slots=True)
+class FolderKind:
+    """What a folder holds, and how an earlier one of its kind is told from anything else.
+
+    Parameters
+    ----------
+    content : str
+        What it holds, in the plural, for messages: "results".
+    mark : str, optional
+        A file that every such folder holds. Without it an earlier folder is never replaced.
+    strangers : frozenset of str, optional
+        Files that such a folder never holds.
+    remedy : str, optional
+        How the caller names another folder.
+    """
+
+    content: str
+    mark: str = ""
+    strangers: frozenset[str] = frozenset()
+    remedy: str = "choose another folder"
+
+
+class WholeFolder:
+    """A folder that appears whole or not at all.
+
+    Parameters
+    ----------
+    target : Path
+        Where the folder shall stand.
+    kind : FolderKind
+        What it will hold.
+    force : bool, optional
+        Replace an earlier folder. Only one that is empty or an earlier one of the same kind is ever replaced.
+
+    Raises
+    ------
+    InputError
+        On entering: the target holds files already, is no place for a folder, or cannot be written to. On leaving:
+        it became so meanwhile, or a file in it could not be written.
+
+    Notes
+    -----
+    ``with WholeFolder(out, kind) as folder:`` gives a temporary folder beside the target. On success it is moved into
+    place (one rename); after an error or Ctrl-C it is removed and an earlier folder stays as it was.
+    """
+
+    def __init__(self, target: Path, kind: FolderKind, *, force: bool = False) -> None:
+        self._target = target.absolute().resolve()
+        self._kind = kind
+        self._force = force
+        self._working = self._target
+
+    def __enter__(self) -> Path:
+        """Check the target and make the temporary folder."""
+        self._check_target()
+        parent = self._target.parent
+        self._working = parent / f".{self._target.name}.{secrets.token_hex(4)}.partial"
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            self._working.mkdir()
+        except OSError as error:
+            raise InputError(
+                f"{self._target}: no folder can be made there ({error.strerror or error}); {self._kind.remedy}"
+            ) from error
+        return self._working
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Move the folder into place, or remove what there is of it."""
+        try:
+            if kind is None:
+                self._move_into_place()
+            elif isinstance(error, OSError) and self._is_disk_fault(error):
+                raise InputError(
+                    f"{self._target}: cannot be written ({error.strerror or error}); check permissions and space"
+                ) from error
+        finally:
+            shutil.rmtree(self._working, ignore_errors=True)
+
+    def _is_disk_fault(self, error: OSError) -> bool:
+        """Whether writing this folder failed; any other error of the system is not ours to explain."""
+        is_own = isinstance(error.filename, str) and Path(error.filename).is_relative_to(self._working)
+        return is_own or error.errno in _DISK_FAULTS
+
+    def _check_target(self) -> None:
+        target, kind = self._target, self._kind
+        if not target.exists():
+            return
+        if not target.is_dir():
+            raise InputError(f"{target}: a file stands where the folder of {kind.content} should; {kind.remedy}")
+        try:
+            names = {path.name for path in target.iterdir()}
+        except OSError as error:
+            raise InputError(f"{target}: cannot be read ({error.strerror or error})") from error
+        if not names:
+            return
+        if not kind.mark:
+            raise InputError(f"{target}: holds files already; {kind.remedy}")
+        if not self._force:
+            raise InputError(
+                f"{target}: holds files already; choose another folder or give --force to replace {kind.content}"
+            )
+        # --force must never cost photographs or a home folder.
+        if kind.mark not in names or names & kind.strangers:
+            raise InputError(
+                f"{target}: --force replaces earlier {kind.content} only, and this folder holds something else"
+            )
+
+    def _move_into_place(self) -> None:
+        self._check_target()
+        earlier = self._target.parent / f".{self._target.name}.{secrets.token_hex(4)}.earlier"
+        try:
+            had_earlier = self._target.exists()
+            if had_earlier:
+                self._target.rename(earlier)
+            try:
+                self._working.rename(self._target)
+            except BaseException:
+                if had_earlier:
+                    earlier.rename(self._target)
+                raise
+        except OSError as error:
+            raise InputError(
+                f"{self._target}: the {self._kind.content} cannot be moved there ({error.strerror or error}); "
+                f"{self._kind.remedy}"
+            ) from error
+        with contextlib.suppress(OSError):
+            shutil.rmtree(earlier) if had_earlier else None
