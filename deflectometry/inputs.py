@@ -234,7 +234,7 @@ def _facet(
 
 
 def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
-    """Build what helps to find the pose: the measured distance and the known points.
+    """Build what helps to find the pose: measured distance, known points, trust in the outline, expected roll.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
     Returns
     -------
     Knowledge
-        Distances and points with their sigmas.
+        Distances and points with their sigmas, how well the outline is known, and the expected roll.
     """
     distances: tuple[DistanceObservation, ...] = ()
     if section.distance is not None:
@@ -263,4 +263,9 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
         np.array([one.image_px for one in points]).reshape(-1, 2),
         np.array([one.sigma_px for one in points]),
     )
-    return Knowledge(distances=distances, points=known)
+    return Knowledge(
+        distances=distances,
+        points=known,
+        roll_rad=float(np.deg2rad(section.roll_deg)),
+        sigma_outline_m=section.outline_sigma_mm * 1e-3,
+    )

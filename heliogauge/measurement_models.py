@@ -239,10 +239,14 @@ class MirrorSection(DesignKeys):
     """The mirror: design, outline or facets, and what is known of its pose.
 
     Facet frame: x width and y height seen from the front, z out of the mirror. The outline is a polygon in that
-    frame, counter-clockwise seen from the front.
+    frame, counter-clockwise seen from the front. ``outline_sigma_mm`` says how well the polygon's sides are known,
+    ``roll_deg`` how the mirror is turned in the image, counter-clockwise as displayed: it tells apart the positions in
+    which a symmetric outline looks the same.
     """
 
     outline_m: Outline | None = None
+    outline_sigma_mm: Sigma = 0.0
+    roll_deg: Number = 0.0
     reference_point_m: Vector2 | None = None
     facet: tuple[FacetSection, ...] = ()
     pose: PoseSection | None = None

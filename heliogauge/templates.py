@@ -92,6 +92,9 @@ design = "paraboloid"
 focal_length_m = 10.0
 # Corners in the facet frame, counter-clockwise seen from the front. Leave out for an undefined outline.
 outline_m = [[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]]
+#: outline_sigma_mm = 0.5           # how far the sides of the real mirror may be from that outline; default: 0, exact
+#: roll_deg = 0.0                   # from the image's x axis to the mirror's, counter-clockwise as displayed: say 90 or
+#                                   # 180 for a camera that lies on its side or stands on its head
 #: design_center_m = [0.0, 0.0]     # where on the optic the facet's origin sits: not [0, 0] for an off-axis facet
 #: design_orientation = "normal"    # facet z along the surface's normal there, or "axis": along the optic's axis
 #: reference_point_m = [0.0, 0.0]   # the point the results refer to; default: the outline's centroid
