@@ -389,5 +389,6 @@ def _frame_words(n_facets: int) -> str:
 def _removed_words(align: Align, n_facets: int) -> str:
     if align is Align.OUTLINE:
         return "nothing; the orientation is that of the pose"
-    of = "the mirror" if n_facets == 1 else "the ensemble as a whole; canting of single facets is kept"
-    return f"mean tilt, by turning the frame of {of}, until the best-fit surface has the design's normal"
+    if n_facets == 1:
+        return "mean tilt, by turning the mirror's frame until the best-fit surface has the design's normal"
+    return "mean tilt of the ensemble, by turning its frame; the canting of single facets is kept"
