@@ -14,7 +14,9 @@ import pytest
 
 from deflectometry.opencsp import CalculationRecord, CameraRecord, FringeRecord, TableRecord, read_opencsp_file
 from deflectometry.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.pipeline import Options, run
 from heliogauge.errors import InputError, QualityWarning
+from heliogauge.measurement import load_measurement
 from heliogauge.rigid import RigidTransform
 
 CAM_FROM_SCREEN = RigidTransform.from_rotation_vector([0.1, -0.3, 0.05], [1.0, 0.2, 0.3])
@@ -262,3 +264,35 @@ def test_published_measurement_is_imported_whole(shared_data: Path, tmp_path: Pa
     )
     assert camera.averaged == pytest.approx(8.0)
     assert camera.matrix[2, 2] == 1.0
+
+
+def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data: Path, tmp_path: Path) -> None:
+    """The published facet read as the publisher's ensemble of two halves: each half has the design about its middle."""
+    root = shared_data / "opencsp"
+    common = ("Ensemble_split_NSTTF_facet.json", "Facet_split_NSTTF.json", "display_distorted_2d.h5",
+              "spatial_orientation.h5", "camera_sofast_downsampled.h5")  # fmt: skip
+    files = {name: root / "common" / name for name in common} | {"m": root / "fringe" / "measurement_facet.h5"}
+    result_file = root / "fringe" / "expected_facet" / "data.h5"
+    content = _import(files, tmp_path / "in", focal_length_m=100.0, pose_from=result_file)
+    assert "design" not in content["mirror"]
+    assert [facet["focal_length_m"] for facet in content["mirror"]["facet"]] == [100.0, 100.0]
+    result = run(load_measurement(tmp_path / "in"), Options(grid_step_mm=20.0))
+    left, right = (result.evaluation.maps[name] for name in ("facet_000", "facet_001"))
+    # Each half leans against its own paraboloid by its own mean slope, which the publisher found too. (Against one
+    # paraboloid over both halves, f = 100 m, the means would differ by 0.5 mrad and not by 2.7.) Within 0.25 x 0.5 m
+    # of each middle, clear of the edges where the two programs leave out different pixels.
+    with h5py.File(result_file) as file:
+        solved = file["DataSofastCalculation/facet/facet_000/SlopeSolverData"]
+        x_m, y_m = solved["v_surf_points_facet"][:2]
+        slope_x = solved["slopes_facet_xy"][0]
+    leaning = []
+    for one, middle in ((left, -0.32), (right, 0.32)):
+        inner = (np.abs(one.x_m) < 0.25) & (np.abs(one.y_m) < 0.5)[:, None]
+        published = slope_x[(np.abs(x_m - middle) < 0.25) & (np.abs(y_m) < 0.5)]
+        leaning.append((np.nanmean(one.slope_error_x[inner]), published.mean()))
+    (left_ours, left_theirs), (right_ours, right_theirs) = leaning
+    assert right_ours - left_ours == pytest.approx(right_theirs - left_theirs, abs=0.03e-3)
+    for one in (left, right):
+        assert one.measured_share > 0.9
+        expected = np.broadcast_to(one.x_m / 200, one.shape)
+        np.testing.assert_allclose(one.design_slope_x[one.valid], expected[one.valid], atol=1e-12)
