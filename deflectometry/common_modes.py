@@ -57,13 +57,16 @@ class Warp:
 
     def shift_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Return the shift of the points that show (u, v), shape (n, 3) [m]."""
-        legendre = {0: lambda t: np.ones_like(t), 1: lambda t: t, 2: lambda t: 1.5 * t * t - 0.5}
-        norm = np.sqrt((2 * self.order[0] + 1) * (2 * self.order[1] + 1))
         shift = np.zeros((u.size, 3))
-        shift[:, self.axis] = (
-            self.rms_m * norm * legendre[self.order[0]](2 * u - 1) * legendre[self.order[1]](2 * v - 1)
-        )
+        shift[:, self.axis] = self.rms_m * _legendre(self.order[0], u) * _legendre(self.order[1], v)
         return shift
+
+
+def _legendre(order: int, fraction: FloatArray) -> FloatArray:
+    """Return the Legendre polynomial of order 0 to 2 over fractions 0 to 1, scaled to RMS 1."""
+    centred = 2 * fraction - 1
+    values = (np.ones_like(centred), centred, 1.5 * centred**2 - 0.5)[order]
+    return np.asarray(np.sqrt(2 * order + 1) * values)
 
 
 def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | None = None) -> list[FacetSamples]:

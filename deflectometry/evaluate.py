@@ -12,10 +12,10 @@ import numpy.typing as npt
 from deflectometry.common_modes import PixelSamples, common_modes, trace_samples
 from deflectometry.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.mirror_outline import mirror_masks
-from deflectometry.mirror_pose import MirrorPose, locate_mirror
-from deflectometry.pose_observations import Knowledge
+from deflectometry.mirror_pose import MirrorPose, locate_mirror, pose_from_points
 from deflectometry.patterns import FringePattern
 from deflectometry.phase import LightResponse, NoiseModel
+from deflectometry.pose_observations import Knowledge
 from deflectometry.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup import Setup
 from deflectometry.slope_image import SlopeImage, measure_slopes
@@ -310,14 +310,18 @@ def _locate_without_outline(
         observation.frames, observation.pattern, response=observation.response, region=rough.region,
         noise=observation.noise, limits=observation.limits,
     )  # fmt: skip
-    known = mirror.known_pose
-    if known is None:
-        known = rough.pose(setup, screen_map, mirror.knowledge.distances)
-        source = "reflection at the middle of the mirror and the measured distance (no outline given)"
+    evidence = None
+    if mirror.known_pose is not None:
+        (pose, covariance), source = mirror.known_pose, "given in measurement.toml (no outline given)"
+    elif len(mirror.knowledge.points.points_m):
+        evidence = pose_from_points(setup.camera, mirror.knowledge)
+        pose, covariance = evidence.cam_from_mirror, evidence.covariance
+        source = f"{evidence.n_points} known points, residual {evidence.residual_rms_px:.3f} px RMS (no outline given)"
     else:
-        source = "given in measurement.toml (no outline given)"
-    facet = rough.facet(mirror.name, mirror.design, setup.camera, known[0])
-    return LocatedMirror((facet,), known[0], known[1], rough.margin_px, source)
+        pose, covariance = rough.pose(setup, screen_map, mirror.knowledge.distances)
+        source = "reflection at the middle of the mirror and the measured distance (no outline given)"
+    facet = rough.facet(mirror.name, mirror.design, setup.camera, pose)
+    return LocatedMirror((facet,), pose, covariance, rough.margin_px, source, evidence)
 
 
 def _usable_facets(

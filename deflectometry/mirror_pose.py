@@ -87,6 +87,10 @@ class MirrorPose:
         Share of each facet that is bright in the image.
     distance_tests : tuple of DistanceTest
         One for each measured distance.
+    points_px : ndarray, shape (n_points, 2)
+        The edge points (or known points) that were used (x, y) [px].
+    residuals_px : ndarray, shape (n_points, 2)
+        Projected outline (or point) minus measured; of an edge point the part across the side [px].
     """
 
     cam_from_mirror: RigidTransform
@@ -100,6 +104,8 @@ class MirrorPose:
     n_rejected: int
     facet_share: FloatArray
     distance_tests: tuple[DistanceTest, ...]
+    points_px: FloatArray
+    residuals_px: FloatArray
 
     @property
     def mask_margin_px(self) -> float:
@@ -251,6 +257,8 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         n_rejected=n_rejected,
         facet_share=freeze(share),
         distance_tests=tests,
+        points_px=freeze(edges.image_px),
+        residuals_px=freeze(edges.rows(camera, final.state)[0][:, None] * edges.normals),
     )
 
 
@@ -358,9 +366,12 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
     _warn(tests, np.ones(1), rms)
     nan = float("nan")
+    misses = freeze(camera.project(final.state.apply(points.points_m)) - points.image_px)
+    count = len(points.points_m)
     return MirrorPose(
-        final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, len(points.points_m), 0, np.zeros(0), tests
-    )
+        final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, count, 0, np.zeros(0), tests,
+        points.image_px, misses,
+    )  # fmt: skip
 
 
 def _points_rms(camera: Camera, points: KnownPoints, pose: RigidTransform) -> float:

@@ -22,6 +22,7 @@ from deflectometry.inputs import (
     build_setup,
     read_number_columns,
 )
+from deflectometry.mirror_pose import MirrorPose
 from deflectometry.patterns import FringePattern
 from deflectometry.phase import NoiseModel
 from deflectometry.screen_map import ScreenMapLimits
@@ -40,8 +41,10 @@ from heliogauge.store import (
     write_pixels,
     write_slope_map,
     write_summary,
+    write_table_csv,
 )
 from heliogauge.store_slope_map import ASSEMBLED
+from heliogauge.validate import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +280,14 @@ def write(result: Result, folder: Path) -> None:
         for facet in evaluation.located.facets
     }
     write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, poses)
+    if evaluation.located.evidence is not None:
+        write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
     write_summary(folder / "summary.json", summarise(result))
+
+
+def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
+    (x_px, y_px), (residual_x_px, residual_y_px) = evidence.points_px.T, evidence.residuals_px.T
+    return {"x_px": x_px, "y_px": y_px, "residual_x_px": residual_x_px, "residual_y_px": residual_y_px}
 
 
 def summarise(result: Result) -> Summary:

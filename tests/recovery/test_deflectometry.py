@@ -9,8 +9,10 @@ from data_synth.knowledge import Knowledge
 from data_synth.presets import preset_scene
 from data_synth.surface_errors import SurfaceErrors
 from deflectometry.evaluate import Align
-from deflectometry.pipeline import Options
-from heliogauge.slope_statistics import canting
+from deflectometry.inputs import build_setup
+from deflectometry.pipeline import Options, run
+from heliogauge.measurement import load_measurement
+from heliogauge.slope_statistics import Removal, canting, statistics
 from tests.recovery.agreement import agreement, measure
 
 SINGLE = ("small", "off-axis", "off-axis-20", "trough-panel", "sphere", "plane", "curved-screen")
@@ -117,3 +119,49 @@ def test_full_size_facet_meets_the_incumbent(tmp_path):
         preset_scene("full"), tmp_path / "m", knowledge=Knowledge(pose_known=True), options=Options(align=Align.OUTLINE)
     )
     assert np.all(agreement(result, tmp_path / "m").rms_mrad <= [0.0074, 0.0038])
+
+
+def edit(folder, *changes):
+    """Change the text of measurement.toml; each change must find its text."""
+    path = folder / "measurement.toml"
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+
+
+def test_mirror_without_outline_needs_only_the_distance(tmp_path):
+    """What is seen is the mirror; its frame is where the middle reflects, so compare shapes, not places."""
+    scene = preset_scene("small")
+    measure(scene, tmp_path / "m")
+    text = (tmp_path / "m" / "measurement.toml").read_text()
+    outline = next(line for line in text.splitlines() if line.startswith("outline_m"))
+    edit(tmp_path / "m", (outline, ""))
+    result = run(load_measurement(tmp_path / "m"))
+    assert "no outline given" in result.evaluation.located.source
+    left = statistics(result.assembled, removed=Removal.QUADRATIC)
+    whole = statistics(measure(scene, tmp_path / "whole").assembled, removed=Removal.QUADRATIC)
+    assert left.sd_rad == pytest.approx(whole.sd_rad, rel=0.02)
+    assert result.assembled.aperture.sum() * np.diff(result.assembled.x_m)[0] ** 2 == pytest.approx(1.44, rel=0.02)
+
+
+def test_mirror_without_outline_can_be_placed_by_known_points(tmp_path):
+    scene = perfect(preset_scene("small"))
+    measure(scene, tmp_path / "m")
+    text = (tmp_path / "m" / "measurement.toml").read_text()
+    outline = next(line for line in text.splitlines() if line.startswith("outline_m"))
+    setup = build_setup(load_measurement(tmp_path / "m"))
+    corners = np.array([[-0.6, -0.6, 0.0018], [0.6, -0.6, 0.0018], [0.6, 0.6, 0.0018], [-0.6, 0.6, 0.0018]])
+    pixels = setup.camera.project(scene.bench.cam_from_mirror.apply(corners))
+    tables = "".join(
+        f"\n[[mirror.known_point]]\npoint_m = {point.tolist()}\nimage_px = {pixel.tolist()}\nsigma_px = 0.05\n"
+        for point, pixel in zip(corners, pixels, strict=True)
+    )
+    edit(tmp_path / "m", (outline, ""), ("[evaluation]", tables + "\n[evaluation]"))
+    result = run(load_measurement(tmp_path / "m"))
+    assert "4 known points" in result.evaluation.located.source
+    image = next(iter(result.evaluation.images.values()))
+    good = np.isfinite(image.slope_x)
+    assert np.std(image.slope_x[good] - image.x_m[good] / 200) < 1.5e-5
+    assert abs(np.mean(image.slope_x[good] - image.x_m[good] / 200)) < 1e-6
