@@ -111,8 +111,9 @@ def grid_slopes(
     Notes
     -----
     Every node is projected into the image, and what the pixels differ from the smooth shape there is interpolated
-    (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than the pixels the differences
-    are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over the pixels used.
+    (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than the
+    pixels the differences are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over the
+    pixels used.
     """
     low, high, step_m = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0), plan.step_m
     x_m, y_m = grid_axis(low[0], high[0], step_m), grid_axis(low[1], high[1], step_m)
