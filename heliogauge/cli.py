@@ -34,10 +34,11 @@ class Mounted(NamedTuple):
 
 MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
+    "calibrate": Mounted("calibration.cli", "Calibrate what measures: response of camera and display."),
     "deflectometry": Mounted("deflectometry.cli", "Fringe images of a mirror -> slope map (and import-opencsp)."),
 }
 
-ORDER = ("demo", "init", "synth", "deflectometry", "report")
+ORDER = ("demo", "init", "synth", "calibrate", "deflectometry", "report")
 
 
 class LazyGroup(TyperGroup):
@@ -125,7 +126,7 @@ def demo(
 
 @app.command()
 def init(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry.")],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, response.")],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,
 ) -> None:

@@ -48,8 +48,9 @@ class DefaultCommandGroup(TyperGroup):
     default_command = "run"
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the default command's name in front where no command is named."""
-        if args and args[0] not in self.commands and args[0] != "--help":
+        """Put the default command's name in front where no command is named; a group may have none."""
+        has_default = self.default_command in self.commands
+        if has_default and args and args[0] not in self.commands and args[0] != "--help":
             args = [self.default_command, *args]
         return super().parse_args(ctx, args)
 
@@ -65,7 +66,7 @@ def make_app(summary: str) -> typer.Typer:
     Returns
     -------
     typer.Typer
-        The application; add commands with ``@app.command("run")``.
+        The application; add commands with ``@app.command("run")`` (the default one) or other names.
     """
     app = typer.Typer(
         cls=DefaultCommandGroup,

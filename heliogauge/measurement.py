@@ -15,10 +15,13 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
-from heliogauge.measurement_models import DeflectometryModel
+from heliogauge.measurement_models import DeflectometryModel, ResponseModel
 
 MEASUREMENT_FILE = "measurement.toml"
-KINDS: dict[str, type[DeflectometryModel]] = {"deflectometry": DeflectometryModel}
+Model = DeflectometryModel | ResponseModel
+KINDS: dict[str, type[Model]] = {"deflectometry": DeflectometryModel, "response": ResponseModel}
+#: The command that evaluates each kind, for whoever calls the wrong one.
+COMMANDS = {"deflectometry": "heliogauge deflectometry", "response": "heliogauge calibrate response"}
 #: More than this many faults at once say that the file is of another kind; the first ones are enough to see that.
 _MOST_FAULTS = 5
 
@@ -52,8 +55,32 @@ class DeflectometryMeasurement:
         return (self.folder / MEASUREMENT_FILE, *named, *self.fringe_files)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseMeasurement:
+    """Checked photographs of grey levels: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : ResponseModel
+        What measurement.toml says.
+    grey_files : tuple of Path
+        Photograph of each level, in the order of the levels.
+    """
+
+    folder: Path
+    model: ResponseModel
+    grey_files: tuple[Path, ...]
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        return (self.folder / MEASUREMENT_FILE, *self.grey_files)
+
+
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
-    """Read and check a measurement folder.
+    """Read and check the folder of a deflectometry measurement.
 
     Parameters
     ----------
@@ -72,11 +99,13 @@ def load_measurement(folder: Path) -> DeflectometryMeasurement:
         of range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
     file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder), file)
+    model = parse_measurement(_read_toml(folder, "deflectometry"), file)
+    if not isinstance(model, DeflectometryModel):
+        raise _other_kind(file, model, "deflectometry")
     for key, text in model.named_files():
         if not (folder / text).is_file():
             raise InputError(f"{file}: {key} = {text!r}: there is no such file in {folder}")
-    fringe_files = _fringe_files(folder, model.images.fringes)
+    fringe_files = _image_files(folder, "images.fringes", model.images.fringes)
     needed = model.pattern.n_frames
     if len(fringe_files) != needed:
         raise InputError(
@@ -86,7 +115,44 @@ def load_measurement(folder: Path) -> DeflectometryMeasurement:
     return DeflectometryMeasurement(folder, model, fringe_files)
 
 
-def parse_measurement(content: dict[str, Any], file: Path) -> DeflectometryModel:
+def load_response(folder: Path) -> ResponseMeasurement:
+    """Read and check a folder with photographs of grey levels.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    ResponseMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`; or a number of photographs that differs from that of the levels.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "response"), file)
+    if not isinstance(model, ResponseModel):
+        raise _other_kind(file, model, "response")
+    grey_files = _image_files(folder, "images.grey", model.images.grey)
+    if len(grey_files) != len(model.display.levels):
+        raise InputError(
+            f"{file}: images.grey = {model.images.grey!r} gives {len(grey_files)} files, but display.levels has "
+            f"{len(model.display.levels)} levels; one photograph for each level is needed, in the same order"
+        )
+    return ResponseMeasurement(folder, model, grey_files)
+
+
+def _other_kind(file: Path, model: Model, wanted: str) -> InputError:
+    return InputError(
+        f'{file}: kind = "{model.kind}" is not "{wanted}"; evaluate this folder with `{COMMANDS[model.kind]}`'
+    )
+
+
+def parse_measurement(content: dict[str, Any], file: Path) -> Model:
     """Check the content of a measurement.toml, without looking for the files it names.
 
     Parameters
@@ -98,7 +164,7 @@ def parse_measurement(content: dict[str, Any], file: Path) -> DeflectometryModel
 
     Returns
     -------
-    DeflectometryModel
+    DeflectometryModel or ResponseModel
         The checked content.
 
     Raises
@@ -144,13 +210,13 @@ def natural_order(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
 
 
-def _read_toml(folder: Path) -> dict[str, Any]:
+def _read_toml(folder: Path, kind: str) -> dict[str, Any]:
     file = folder / MEASUREMENT_FILE
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; give a folder with {MEASUREMENT_FILE} and its images")
     if not file.is_file():
         raise InputError(
-            f"{file}: there is no such file; write one with `heliogauge init deflectometry {folder}` and fill it in"
+            f"{file}: there is no such file; write one with `heliogauge init {kind} {folder}` and fill it in"
         )
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
@@ -174,22 +240,20 @@ def _kind(content: dict[str, Any], file: Path) -> str:
     return kind
 
 
-def _fringe_files(folder: Path, fringes: str | Sequence[str]) -> tuple[Path, ...]:
+def _image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Path, ...]:
     file = folder / MEASUREMENT_FILE
-    if isinstance(fringes, str):
-        if Path(fringes).is_absolute() or not any(sign in fringes for sign in "*?["):
-            raise InputError(
-                f"{file}: images.fringes = {fringes!r}: give a list of files, or a pattern such as 'fringe_*.png'"
-            )
-        found = sorted(folder.glob(fringes), key=lambda path: natural_order(str(path.relative_to(folder))))
+    if isinstance(named, str):
+        if Path(named).is_absolute() or not any(sign in named for sign in "*?["):
+            raise InputError(f"{file}: {key} = {named!r}: give a list of files, or a pattern such as 'photo_*.png'")
+        found = sorted(folder.glob(named), key=lambda path: natural_order(str(path.relative_to(folder))))
         if not found:
-            raise InputError(f"{file}: images.fringes = {fringes!r}: no file in {folder} matches")
+            raise InputError(f"{file}: {key} = {named!r}: no file in {folder} matches")
         return tuple(found)
-    missing = [text for text in fringes if not (folder / text).is_file()]
+    missing = [text for text in named if not (folder / text).is_file()]
     if missing:
         others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
-        raise InputError(f"{file}: images.fringes: there is no file {missing[0]!r}{others} in {folder}")
-    return tuple(folder / text for text in fringes)
+        raise InputError(f"{file}: {key}: there is no file {missing[0]!r}{others} in {folder}")
+    return tuple(folder / text for text in named)
 
 
 # --- from pydantic's faults to sentences ----------------------------------------------------------------------------

@@ -6,6 +6,7 @@ keys are errors. A scalar sigma stands for three equal ones. `heliogauge.measure
 
 import datetime
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -14,6 +15,7 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Sigma = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, gt=0)]
+Index = Annotated[int, Field(strict=True, ge=0)]
 Text = Annotated[str, Field(min_length=1)]
 Vector2 = tuple[Number, Number]
 Vector3 = tuple[Number, Number, Number]
@@ -138,16 +140,19 @@ class PatternSection(Section):
         return sum(len(fringe_set.steps_deg) for fringe_set in self.set)
 
 
+ImageFiles = Annotated[
+    Annotated[Text, Tag("text")] | Annotated[tuple[Text, ...], Field(min_length=1), Tag("list")],
+    Discriminator(lambda value: "text" if isinstance(value, str) else "list"),
+]
+
+
 class ImagesSection(Section):
     """Files of the measurement, relative to its folder; a text with ``*`` stands for all files that match.
 
     Files that match are taken in natural order: ``fringe_2`` before ``fringe_10``.
     """
 
-    fringes: Annotated[
-        Annotated[Text, Tag("text")] | Annotated[tuple[Text, ...], Field(min_length=1), Tag("list")],
-        Discriminator(lambda value: "text" if isinstance(value, str) else "list"),
-    ]
+    fringes: ImageFiles
     dark: Text | None = None
     bright: Text | None = None
     saturation_dn: Positive | None = None
@@ -310,3 +315,58 @@ class DeflectometryModel(Section):
             ("images.bright", self.images.bright),
         )
         yield from ((key, text) for key, text in candidates if text is not None)
+
+
+# --- response of camera and display ---------------------------------------------------------------------------------
+
+
+class DisplaySection(Section):
+    """The grey levels that were shown, in the order of the photographs.
+
+    ``full_level`` is the display's brightest level: 255 for 8 bit, 1 where levels are written as fractions.
+    """
+
+    levels: Annotated[tuple[Sigma, ...], Field(min_length=3)]
+    full_level: Positive = 255.0
+
+    @model_validator(mode="after")
+    def _ascending_within_the_range(self) -> Self:
+        for position, (level, following) in enumerate(pairwise(self.levels), start=1):
+            if following <= level:
+                raise ValueError(
+                    f"levels must ascend, but level {position} is {level:g} and level {position + 1} is {following:g}; "
+                    "put photographs and levels in the order dark to bright"
+                )
+        if self.levels[-1] > self.full_level:
+            raise ValueError(f"level {self.levels[-1]:g} is above full_level = {self.full_level:g}")
+        return self
+
+
+class GreyImagesSection(Section):
+    """Photographs of the grey levels, relative to the folder; a text with ``*`` stands for all files that match.
+
+    ``region_px`` is x and y of the first and of the last pixel to use.
+    """
+
+    grey: ImageFiles
+    saturation_dn: Positive | None = None
+    region_px: tuple[Index, Index, Index, Index] | None = None
+
+    @model_validator(mode="after")
+    def _region_has_an_area(self) -> Self:
+        if self.region_px is not None:
+            x_first, y_first, x_last, y_last = self.region_px
+            if x_last < x_first or y_last < y_first:
+                raise ValueError(f"region_px = {list(self.region_px)}: x and y of the last pixel are below the first")
+        return self
+
+
+class ResponseModel(Section):
+    """The whole measurement.toml of ``kind = "response"``."""
+
+    kind: Literal["response"]
+    name: Text
+    date: datetime.date | datetime.datetime | None = None
+    notes: str = ""
+    display: DisplaySection
+    images: GreyImagesSection

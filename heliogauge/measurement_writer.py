@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge.errors import InputError
-from heliogauge.measurement import MEASUREMENT_FILE, parse_measurement
-from heliogauge.measurement_models import DeflectometryModel
+from heliogauge.measurement import MEASUREMENT_FILE, Model, parse_measurement
 
 
-def write_measurement(folder: Path, content: DeflectometryModel | Mapping[str, Any], *, comment: str = "") -> Path:
+def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comment: str = "") -> Path:
     """Write a measurement.toml that `heliogauge.measurement.load_measurement` accepts.
 
     Parameters
     ----------
     folder : Path
         The measurement's folder; made if absent. An existing measurement.toml is replaced.
-    content : DeflectometryModel or mapping
+    content : model or mapping
         What the file shall say; arrays and numbers of numpy are taken, None leaves a key out.
     comment : str, optional
         Lines to put at the top.
@@ -40,11 +39,7 @@ def write_measurement(folder: Path, content: DeflectometryModel | Mapping[str, A
     The file is written beside and moved into place: it is whole or not there.
     """
     file = folder / MEASUREMENT_FILE
-    given = (
-        content.model_dump(exclude_none=True, exclude_defaults=True)
-        if isinstance(content, DeflectometryModel)
-        else content
-    )
+    given = content.model_dump(exclude_none=True, exclude_defaults=True) if isinstance(content, Model) else content
     tables = _plain(given)
     parse_measurement(tables, file)
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())

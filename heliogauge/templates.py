@@ -133,7 +133,32 @@ remove = "nothing"              # what the headline numbers leave out: nothing |
 #: grid_step_mm = 5.0            # default: about one image pixel on the mirror
 """
 
-_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY}
+_RESPONSE = """\
+# The response of camera and display: one photograph for each of several uniform grey levels on the display.
+# `heliogauge deflectometry patterns` makes such levels (grey_000.png ...) and this file for them (grey.toml).
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+
+# Put the camera where it sees the display, itself or in the mirror, with the exposure of the fringes. The brightest
+# level must not saturate. Keep room light, exposure and white balance the same for all photographs.
+
+kind = "response"
+name = "monitor and camera 1"
+#: date = 2026-01-31
+#: notes = "projector warm for 30 minutes"
+
+# Levels in the order of the photographs, dark to bright. More levels follow the curve more closely.
+[display]
+levels = [0, 16, 32, 48, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240, 255]
+full_level = 255                # the display's brightest level: 255 for 8 bit, 1 for levels written as fractions
+
+[images]
+grey = "grey_*.png"             # as fringes: a text with * (natural order), or a list
+#: saturation_dn = 250           # the level that counts as saturated; default: the largest the file format can hold
+#: region_px = [100, 80, 900, 700]    # x, y of the first and of the last pixel that sees the display; default: pixels
+#                                     # that brighten by at least half of what the brightest do
+"""
+
+_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY, "response": _RESPONSE}
 
 
 def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:

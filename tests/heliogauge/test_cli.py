@@ -103,6 +103,13 @@ def test_unknown_command_suggests_the_near_one() -> None:
     assert "Did you mean 'deflectometry'?" in answer.stderr
 
 
+def test_init_names_every_kind() -> None:
+    from heliogauge.measurement import KINDS
+
+    text = run("init", "--help").stdout
+    assert [kind for kind in KINDS if kind not in text] == []
+
+
 def test_init_writes_a_template_and_refuses_to_overwrite(tmp_path: Path) -> None:
     folder = tmp_path / "a b"
     assert run("init", "deflectometry", str(folder)).stdout.strip() == str(folder / "measurement.toml")
