@@ -1,0 +1,108 @@
+"""What the benchmarks share: tables of measured beside asked, processor time by stage, synthetic input in memory."""
+
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from calibration.screen.response import ScreenResponse
+from data_synth.fringe_scene import FringeScene, SyntheticFringes
+from data_synth.knowledge import Knowledge, measurement_content, response_table
+from data_synth.mirror import Design, SyntheticFacet
+from data_synth.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
+from data_synth.wall import Wall
+from deflectometry.evaluate import MirrorInput, Observation
+from deflectometry.inputs import build_setup
+from deflectometry.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.pipeline import describe_mirror
+from deflectometry.screen_map import ScreenMapLimits
+from deflectometry.setup import Setup
+from heliogauge.measurement import DeflectometryMeasurement, parse_measurement
+from heliogauge.progress import RunningStage, SilentProgress
+
+ROOT = Path(__file__).resolve().parents[1]
+OPENCSP = ROOT.parent / "shared" / "data" / "opencsp"
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+def title(text: str, columns: tuple[str, ...] = ("measured", "asked", "incumbent")) -> None:
+    print(f"\n{text}\n{'':62}" + "".join(f"{column:>18}" for column in columns))
+    if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
+        print("(OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 are not set: CPU times hold the waiting of idle threads)")
+
+
+def row(what: str, *values: str) -> None:
+    print(f"  {what:60}" + "".join(f"{value:>18}" for value in values))
+
+
+class StageClock(SilentProgress):
+    """Processor time of each stage [s]; calls back when a stage begins."""
+
+    def __init__(self, begins=None):
+        super().__init__()
+        self.cpu_s = {}
+        self._begins = begins
+
+    def started(self, stage: RunningStage) -> None:
+        if self._begins is not None:
+            self._begins(stage.name)
+        self.cpu_s[stage.name] = self.cpu_s.get(stage.name, 0.0) - time.process_time()
+
+    def finished(self, stage: RunningStage, duration_s: float) -> None:
+        self.cpu_s[stage.name] += time.process_time()
+
+
+def frame_filling_scene() -> FringeScene:
+    """Return a facet before a larger wall whose image fills nearly all of 1624 x 1232 px."""
+    design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.7, 2.0)
+    facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
+    return facet_scene(
+        "facet that fills the frame", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65),
+        blur_sigma_px=0.5,
+    )  # fmt: skip
+
+
+def evaluation_inputs(scene: FringeScene, knowledge: Knowledge, seed: int = 0) -> tuple[Setup, MirrorInput]:
+    """Build what the measurement file would say of a scene, without the file."""
+    content = measurement_content(scene, ["x.png"] * scene.pattern.n_frames, knowledge, np.random.default_rng(seed))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        measurement = DeflectometryMeasurement(folder, parse_measurement(content, folder / "measurement.toml"), ())
+        setup = build_setup(measurement)
+        return setup, describe_mirror(measurement, setup)
+
+
+def observation_of(scene: FringeScene, fringes: SyntheticFringes, *, response: bool = False) -> Observation:
+    """Return the frames of a scene as they would be read."""
+    return Observation(
+        frames=fringes.frames,
+        pattern=scene.pattern,
+        response=response_of(scene) if response else None,
+        lit=fringes.bright.astype(np.float32) - fringes.dark.astype(np.float32),
+        limits=ScreenMapLimits(saturation_dn=float(scene.sensor.saturation_dn)),
+    )
+
+
+def response_of(scene: FringeScene) -> ScreenResponse:
+    table = response_table(scene)
+    return ScreenResponse(np.array(table["camera_dn"]), np.array(table["display_level"]))
+
+
+#: What the publisher's own program made of the real facet.
+EXPECTED = OPENCSP / "fringe" / "expected_facet" / "data.h5"
+
+
+def import_real_facet(folder: Path, *, with_pose: bool) -> None:
+    """Write the measurement folder of the published real facet, on request with the publisher's pose of the mirror."""
+    files = [
+        OPENCSP / "fringe" / "measurement_facet.h5",
+        OPENCSP / "fringe" / "image_calibration.h5",
+        OPENCSP / "common" / "camera_sofast_downsampled.h5",
+        OPENCSP / "common" / "display_distorted_2d.h5",
+        OPENCSP / "common" / "spatial_orientation.h5",
+        OPENCSP / "common" / "Facet_NSTTF.json",
+        EXPECTED,
+    ]
+    import_opencsp(files, folder, OpencspOptions(pose_from=EXPECTED if with_pose else None))

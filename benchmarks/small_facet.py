@@ -1,0 +1,71 @@
+"""CPU time of the whole command on a small facet (203 x 154 px, 32 frames), imports included, without the report.
+
+Run ``python benchmarks/small_facet.py``. The real facet is used where ../shared/data/opencsp is there, else a synthetic
+one of the same size. User and system time of the child process, one thread.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+from _measure import ONE_THREAD, OPENCSP, ROOT, import_real_facet, row, title
+
+from data_synth.dataset import write_dataset
+from data_synth.presets import small_scene
+from heliogauge.errors import QualityWarning
+
+ASKED_CPU_S, INCUMBENT_CPU_S = 1.0, 1.3
+RUNS = 7
+
+
+def child_cpu_s(environment, *arguments):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        [sys.executable, *arguments], check=True, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measure(environment, what, asked, *arguments):
+    child_cpu_s(environment, *arguments)  # the first run compiles the modules, as installing does, and is not counted
+    times = [child_cpu_s(environment, *arguments) for _ in range(RUNS)]
+    row(what, f"{np.median(times):.2f}", *asked, f"{min(times):.2f} to {max(times):.2f}")
+
+
+def main():
+    warnings.simplefilter("ignore", QualityWarning)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, out = Path(scratch) / "measurement", Path(scratch) / "result"
+        if OPENCSP.is_dir():
+            import_real_facet(folder, with_pose=False)
+            name = "real facet, pose from the outline"
+        else:
+            write_dataset(folder, small_scene())
+            name = "synthetic facet (the real one is not on this machine)"
+        title(f"Whole process, {name}, 203 x 154 px x 32 frames: CPU s, median of {RUNS}",
+              ("measured", "asked", "incumbent", "spread"))  # fmt: skip
+        environment = {
+            **os.environ,
+            **ONE_THREAD,
+            "PYTHONPATH": str(ROOT),
+            "PYTHONPYCACHEPREFIX": f"{scratch}/bytecode",
+        }
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        run = ("-m", "heliogauge", "deflectometry", str(folder), "-o", str(out), "--no-report", "--force")
+        asked = (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}")
+        measure(environment, "heliogauge deflectometry MEAS -o OUT --no-report", asked, *run)
+        for option in ("--version", "--help"):
+            measure(environment, f"heliogauge {option}", ("< 0.5", ""), "-m", "heliogauge", option)
+        libraries = "import numpy, cv2, h5netcdf, pydantic, typer"
+        measure(environment, f"beside it: {libraries}", ("", ""), "-c", libraries)
+        measure(environment, "beside it: the interpreter alone", ("", ""), "-c", "pass")
+
+
+if __name__ == "__main__":
+    main()
