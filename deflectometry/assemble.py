@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from deflectometry.evaluate import Evaluation
+from deflectometry.evaluate import Evaluation, alignment_words
 from deflectometry.gridding import default_step_m, grid_axis
 from heliogauge.flags import SampleFlag
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap, monomials
+from heliogauge.slope_removal import Removal
 from heliogauge.surfaces import Facet
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
@@ -59,8 +60,16 @@ def assemble_maps(evaluation: Evaluation) -> SlopeMap:
         height_m=fields[6], flags=flags, aperture=aperture,
         design=f"ensemble of {len(facets)} facets: {first.design}",
         frame="ensemble frame: x across, y up, seen from the front, z out of the mirror [m]",
-        removed=first.removed,
+        removed=_removed_words(evaluation, len(facets)),
     )  # fmt: skip
+
+
+def _removed_words(evaluation: Evaluation, n_facets: int) -> str:
+    """Say what was taken out; the numbers differ from facet to facet and stand in the facets' own maps."""
+    aligned, removal = alignment_words(evaluation.choices.align, n_facets), evaluation.choices.removal
+    if removal is Removal.NOTHING:
+        return aligned
+    return f"{aligned}; then {removal} of each facet on its own, so that its canting is no longer in the map"
 
 
 def _nodes_of(facet: Facet, grid: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, FloatArray]:

@@ -25,8 +25,9 @@ from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
 from heliogauge.progress import Progress
 from heliogauge.rigid import RigidTransform
-from heliogauge.slope_map import CommonModes, SlopeMap
+from heliogauge.slope_map import SlopeMap
 from heliogauge.slope_removal import Removal, remove
+from heliogauge.slope_statistics import Canting, canting
 from heliogauge.surfaces import Facet, Quadric
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
@@ -163,6 +164,10 @@ class Evaluation:
         Pixels of each measured facet.
     maps : dict of str to SlopeMap
         Slope map of each measured facet.
+    canting : dict of str to Canting
+        How far each measured facet points away from its design, before anything was taken out of its map.
+    choices : Choices
+        How the slopes are reported.
     """
 
     located: LocatedMirror
@@ -171,6 +176,8 @@ class Evaluation:
     solution: ShapeSolution
     images: dict[str, SlopeImage]
     maps: dict[str, SlopeMap]
+    canting: dict[str, Canting]
+    choices: Choices
 
 
 def evaluate_frames(
@@ -237,11 +244,16 @@ def evaluate_frames(
         thinned = [_thin(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
         modes = common_modes(setup, thinned, solution, located.covariance, align=align)
     with progress.stage("maps", steps=len(images)) as stage:
-        maps = {}
-        for name, slope_map in _grid(images, samples, solution, modes, setup, choices):
-            maps[name] = slope_map
+        plan = _plan_grid(images, [sample.facet for sample in samples], choices, len(located.facets))
+        maps, cantings = {}, {}
+        for sample, surface, common in zip(samples, solution.surfaces, modes, strict=True):
+            facet = sample.facet
+            view = (setup.camera, solution.cam_from_mirror @ facet.ensemble_from_facet)
+            slope_map = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
+            cantings[facet.name] = canting(slope_map)
+            maps[facet.name] = remove(slope_map, choices.removal)
             stage.advance()
-    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps)
+    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, cantings, choices)
 
 
 def _warn_of_missing_sigmas(setup: Setup) -> None:
@@ -362,27 +374,13 @@ def _thin(sample: PixelSamples, most: int) -> PixelSamples:
     return replace(sample, pixels_px=sample.pixels_px[::step], u=sample.u[::step], v=sample.v[::step])
 
 
-def _grid(
-    images: dict[str, SlopeImage],
-    samples: Sequence[PixelSamples],
-    solution: ShapeSolution,
-    modes: Sequence[CommonModes],
-    setup: Setup,
-    choices: Choices,
-) -> "list[tuple[str, SlopeMap]]":
-    """Read every facet at the nodes of one grid step, and take out what was asked."""
-    facets = [sample.facet for sample in samples]
+def _plan_grid(images: dict[str, SlopeImage], facets: Sequence[Facet], choices: Choices, n_facets: int) -> GridPlan:
+    """Choose one grid step for all facets, and the words of their maps; n_facets counts those not measured too."""
     step_m = choices.grid_step_m
     if step_m == 0.0:
         finest = min(image.footprint_m for image in images.values())
         step_m = default_step_m(finest, sum(facet.area_m2 for facet in facets))
-    plan = GridPlan(step_m, frame=_frame_words(len(facets)), removed=_removed_words(choices.align, len(facets)))
-    maps = []
-    for facet, surface, common in zip(facets, solution.surfaces, modes, strict=True):
-        view = (setup.camera, solution.cam_from_mirror @ facet.ensemble_from_facet)
-        slope_map = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
-        maps.append((facet.name, remove(slope_map, choices.removal)))
-    return maps
+    return GridPlan(step_m, frame=_frame_words(n_facets), removed=alignment_words(choices.align, n_facets))
 
 
 def _frame_words(n_facets: int) -> str:
@@ -390,7 +388,8 @@ def _frame_words(n_facets: int) -> str:
     return own if n_facets == 1 else f"{own}; one frame for each facet, placed by the ensemble's definition"
 
 
-def _removed_words(align: Align, n_facets: int) -> str:
+def alignment_words(align: Align, n_facets: int) -> str:
+    """Say what the alignment took out of the slopes of a mirror of so many facets."""
     if align is Align.OUTLINE:
         return "nothing; the orientation is that of the pose"
     if n_facets == 1:

@@ -8,7 +8,7 @@ from deflectometry.evaluate import Evaluation, LocatedMirror
 from deflectometry.setup import Setup
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.slope_map import SlopeMap
-from heliogauge.slope_statistics import Removal, SlopeStatistics, canting, curl, fit_quadratic, statistics
+from heliogauge.slope_statistics import Canting, Removal, SlopeStatistics, curl, fit_quadratic, statistics
 from heliogauge.store import Summary
 from heliogauge.validate import FloatArray
 
@@ -54,9 +54,8 @@ def facet_numbers(slope_map: SlopeMap) -> Numbers:
     return numbers
 
 
-def canting_numbers(slope_map: SlopeMap) -> Numbers:
+def canting_numbers(canted: Canting) -> Numbers:
     """Collect the canting of one facet of an ensemble."""
-    canted = canting(slope_map)
     sigma = np.sqrt(np.diag(canted.covariance_slope_rad2))
     return {
         "canting_x_mrad": 1e3 * float(canted.slope_rad[0]),

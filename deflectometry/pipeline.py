@@ -31,6 +31,7 @@ from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.images import read_frames
 from heliogauge.measurement import DeflectometryMeasurement
 from heliogauge.progress import Progress, SilentProgress
+from heliogauge.rigid import skew
 from heliogauge.slope_map import SlopeMap
 from heliogauge.slope_removal import Removal
 from heliogauge.store import (
@@ -265,24 +266,28 @@ def write(result: Result, folder: Path) -> None:
     """
     evaluation = result.evaluation
     maps = dict(evaluation.maps)
-    if len(maps) > 1:
+    if len(evaluation.located.facets) > 1:
         maps[ASSEMBLED] = result.assembled
     attributes = {"name": result.name, "input_sha256": result.input_sha256, "pose": evaluation.located.source}
     write_slope_map(folder / "slope_map.nc", maps, attributes)
     write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": result.name})
-    poses = {
-        facet.name: PhotoPose(
-            "camera",
-            evaluation.solution.cam_from_mirror @ facet.ensemble_from_facet,
-            evaluation.located.covariance,
-            None if evaluation.located.evidence is None else evaluation.located.evidence.residual_rms_px,
-        )
-        for facet in evaluation.located.facets
-    }
-    write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, poses)
+    write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, _facet_poses(evaluation))
     if evaluation.located.evidence is not None:
         write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
     write_summary(folder / "summary.json", summarise(result))
+
+
+def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
+    """Return the pose of each facet; a turn of an ensemble also shifts the facets away from its origin."""
+    located, cam_from_mirror = evaluation.located, evaluation.solution.cam_from_mirror
+    residual = None if located.evidence is None else located.evidence.residual_rms_px
+    poses = {}
+    for facet in located.facets:
+        carry = np.eye(6)
+        carry[3:, :3] = -skew(cam_from_mirror.rotate(facet.ensemble_from_facet.translation_m))
+        pose = cam_from_mirror @ facet.ensemble_from_facet
+        poses[facet.name] = PhotoPose("camera", pose, carry @ located.covariance @ carry.T, residual)
+    return poses
 
 
 def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
@@ -295,8 +300,11 @@ def summarise(result: Result) -> Summary:
     evaluation = result.evaluation
     numbers = facet_numbers(result.assembled) | pose_numbers(evaluation.located, evaluation)
     facets = {}
-    if len(evaluation.maps) > 1:
-        facets = {name: canting_numbers(one) | facet_numbers(one) for name, one in evaluation.maps.items()}
+    if len(evaluation.located.facets) > 1:
+        facets = {
+            name: canting_numbers(evaluation.canting[name]) | facet_numbers(one)
+            for name, one in evaluation.maps.items()
+        }
     texts = {
         "design": result.assembled.design,
         "removed": result.assembled.removed,

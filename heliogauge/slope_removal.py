@@ -14,12 +14,16 @@ from heliogauge.validate import BoolArray, FloatArray
 
 
 class Removal(StrEnum):
-    """What is taken out of the slope errors before their RMS is formed; each includes the ones before it."""
+    """What is taken out of the slope errors before their RMS is formed; each includes the ones before it.
+
+    TILT: the mean slope error. FOCUS: tilt and the focal length of the design. QUADRATIC: tilt, both focal lengths and
+    twist. The values are the words of measurement.toml and of ``--remove``.
+    """
 
     NOTHING = "nothing"
     TILT = "tilt"
-    FOCUS = "tilt and focal length"
-    QUADRATIC = "tilt, both focal lengths and twist"
+    FOCUS = "focus"
+    QUADRATIC = "quadratic"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

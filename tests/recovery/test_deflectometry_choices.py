@@ -1,0 +1,88 @@
+"""Choices of the evaluation, and ensembles of which a part is dark: file, summary and maps say the same."""
+
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+
+from data_synth.dataset import DatasetOptions, write_dataset
+from data_synth.knowledge import Knowledge
+from data_synth.presets import FULL_CAMERA, ensemble_scene, preset_scene
+from deflectometry.pipeline import Options, run, summarise, write
+from heliogauge.measurement import load_measurement
+from heliogauge.measurement_models import EvaluationSection
+from heliogauge.report_results import open_results
+from heliogauge.slope_removal import Removal
+from heliogauge.slope_statistics import statistics
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pair") / "m"
+    write_dataset(
+        folder, ensemble_scene(columns=2, rows=1, camera=FULL_CAMERA.scaled(0.25)), DatasetOptions(3, Knowledge())
+    )
+    return folder
+
+
+def test_file_and_command_line_know_every_removal(tmp_path):
+    """What measurement.toml and --remove accept are the values of the enumeration."""
+    assert get_args(EvaluationSection.model_fields["remove"].annotation) == tuple(Removal)
+    write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(3, Knowledge()))
+    left = []
+    for removal in Removal:
+        result = run(load_measurement(tmp_path / "m"), Options(remove=removal))
+        (tmp_path / removal).mkdir()
+        write(result, tmp_path / removal)
+        left.append(statistics(result.assembled).sd_rad)
+    assert left == sorted(left, reverse=True)
+    assert left[3] < 0.95 * left[0]
+
+
+def test_canting_is_that_of_the_facets_whatever_is_removed_from_the_maps(pair):
+    as_measured = summarise(run(load_measurement(pair))).facets
+    result = run(load_measurement(pair), Options(remove=Removal.TILT))
+    without_tilt = summarise(result).facets
+    for name, numbers in as_measured.items():
+        for key in ("canting_x_mrad", "sigma_canting_x_mrad", "canting_y_mrad", "sigma_canting_y_mrad"):
+            assert without_tilt[name][key] == numbers[key]
+        assert np.hypot(numbers["canting_x_mrad"], numbers["canting_y_mrad"]) > 0.1
+    assert "tilt of each facet" in result.assembled.removed
+    assert "mrad" not in result.assembled.removed
+
+
+def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tmp_path):
+    whole = run(load_measurement(pair))
+    dark = whole.evaluation.facet_index == 1
+    noise = np.random.default_rng(0).normal(5, 1, np.count_nonzero(dark)).clip(0, 255).astype(np.uint8)
+    (tmp_path / "m").mkdir()
+    for path in pair.iterdir():
+        (tmp_path / "m" / path.name).write_bytes(path.read_bytes())
+    for path in (tmp_path / "m").glob("*.png"):
+        if path.stem not in ("dark", "bright"):
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            image[dark] = noise
+            cv2.imwrite(str(path), image)
+    result = run(load_measurement(tmp_path / "m"))
+    assert any("facet_0_1 was not measured" in text for text in result.warnings)
+    (tmp_path / "out").mkdir()
+    write(result, tmp_path / "out")
+    stored = open_results(tmp_path / "out")
+    assert list(stored.facets) == ["facet_0_0"]
+    assert stored.slope_map.frame == result.assembled.frame
+    assert stored.slope_map.measured_share == stored.summary.numbers["measured_share"] == pytest.approx(0.45, abs=0.03)
+    assert list(stored.summary.facets) == ["facet_0_0"]
+
+
+def test_pose_sigma_of_a_facet_contains_the_turn_of_the_ensemble(pair, tmp_path):
+    result = run(load_measurement(pair))
+    write(result, tmp_path)
+    located, poses = result.evaluation.located, open_results(tmp_path).poses
+    rng = np.random.default_rng(1)
+    steps = rng.multivariate_normal(np.zeros(6), located.covariance, 4000)
+    facet = located.facets[1]
+    mirror = result.evaluation.solution.cam_from_mirror
+    places = np.array([(mirror.moved(step) @ facet.ensemble_from_facet).translation_m for step in steps])
+    stated = np.sqrt(np.diag(poses[facet.name].covariance)[3:])
+    assert places.std(axis=0) == pytest.approx(stated, rel=0.05)
