@@ -7,9 +7,10 @@ import numpy as np
 from deflectometry.evaluate import Evaluation, LocatedMirror
 from deflectometry.setup import Setup
 from heliogauge.flags import FLAG_TEXTS, count_flags
+from heliogauge.notation import number_text
 from heliogauge.slope_map import SlopeMap
 from heliogauge.slope_statistics import Canting, Removal, SlopeStatistics, curl, fit_quadratic, statistics
-from heliogauge.store import Summary
+from heliogauge.store import Summary, unit_of
 from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]
@@ -176,14 +177,15 @@ def headline_text(summary: Summary) -> str:
         Lines with values, sigmas and what they refer to.
     """
 
-    def number(key: str, digits: int) -> str:
-        return f"{summary.numbers[key]:.{digits}f} +- {summary.numbers[f'sigma_{key}']:.{digits}f}"
+    def number(key: str) -> str:
+        value, sigma = summary.numbers[key], summary.numbers[f"sigma_{key}"]
+        return "not determined" if value is None else number_text(float(value), sigma, unit_of(key)[1])
 
     lines = [
         f"{summary.name}: slope deviation of the normal against {summary.texts['design']}",
-        f"  as measured      SDx {number('sdx_mrad', 3)} mrad   SDy {number('sdy_mrad', 3)} mrad",
-        f"  best-fit focus   SDx {number('sdx_best_focus_mrad', 3)} mrad   SDy {number('sdy_best_focus_mrad', 3)} mrad",
-        f"  focal length     x {number('focal_length_x_m', 2)} m   y {number('focal_length_y_m', 2)} m",
+        f"  as measured      SDx {number('sdx_mrad')}   SDy {number('sdy_mrad')}",
+        f"  best-fit focus   SDx {number('sdx_best_focus_mrad')}   SDy {number('sdy_best_focus_mrad')}",
+        f"  focal length     x {number('focal_length_x_m')}   y {number('focal_length_y_m')}",
         f"  removed          {summary.texts['removed']}",
         f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",
     ]

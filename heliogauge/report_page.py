@@ -5,7 +5,8 @@ import html
 import numpy as np
 
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
-from heliogauge.report_html import Html, join, number_text, show, table
+from heliogauge.notation import number_text
+from heliogauge.report_html import Html, join, show, table
 from heliogauge.report_results import Results, open_results
 from heliogauge.report_sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
 from heliogauge.slope_map import SlopeMap

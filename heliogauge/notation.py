@@ -1,0 +1,42 @@
+"""Numbers as people read them: to the digits that the standard deviation allows."""
+
+import math
+
+
+def number_text(value: float, sigma: float | None, unit: str, name: str = "") -> str:
+    """Print a number with its standard deviation, both to the digits that the latter allows.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    sigma : float or None
+        Its standard deviation.
+    unit : str
+        Its unit; rad is printed in mrad, lengths below 0.1 m in mm.
+    name : str, optional
+        A name ending with ``_share`` is printed in per cent.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Examples
+    --------
+    >>> number_text(1.23456e-3, 1.2e-6, "rad")
+    '1.2346 \u00b1 0.0012 mrad'
+    >>> number_text(0.98765, None, "", "measured_share")
+    '98.77 %'
+    """
+    if name.endswith("_share"):
+        return f"{100 * value:.2f} %"
+    if unit == "rad" or (unit == "m" and abs(value) < 0.1):
+        value, unit = 1e3 * value, "m" + unit
+        sigma = None if sigma is None else 1e3 * sigma
+    if isinstance(value, int):
+        return f"{value} {unit}".strip()
+    if sigma is None or not math.isfinite(sigma) or sigma <= 0:
+        return f"{value:.4g} {unit}".strip()
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    return f"{value:.{digits}f} \u00b1 {sigma:.{digits}f} {unit}".strip()
