@@ -1,6 +1,6 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,11 +98,36 @@ def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | No
     return traced
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertainPose:
+    """The pose of a mirror before alignment, how well it is known, and how it follows camera and screen.
+
+    Parameters
+    ----------
+    cam_from_mirror : RigidTransform
+        The pose.
+    covariance : ndarray, shape (6, 6)
+        Covariance for steps of `RigidTransform.moved` [rad, m], for camera and screen as given.
+    with_setup : callable, optional
+        The pose that the same observations give with another setup; without it the pose stays where it is.
+    """
+
+    cam_from_mirror: RigidTransform
+    covariance: FloatArray
+    with_setup: Callable[[Setup], RigidTransform] | None = None
+
+    def following(self, setup: Setup, aligned: RigidTransform) -> RigidTransform:
+        """Carry an aligned pose along with what another setup does to the pose."""
+        if self.with_setup is None:
+            return aligned
+        return self.with_setup(setup) @ self.cam_from_mirror.inverse() @ aligned
+
+
 def common_modes(
     setup: Setup,
     samples: Sequence[PixelSamples],
     solution: ShapeSolution,
-    covariance_cam_from_mirror: FloatArray,
+    located: UncertainPose,
     *,
     align: bool,
 ) -> list[CommonModes]:
@@ -116,8 +141,8 @@ def common_modes(
         Pixels of each facet.
     solution : ShapeSolution
         The shape found with the values as given.
-    covariance_cam_from_mirror : ndarray, shape (6, 6)
-        Covariance of the mirror's pose for steps of `RigidTransform.moved` [rad, m].
+    located : UncertainPose
+        The mirror's pose.
     align : bool
         As in `deflectometry.slopes.solve_shape`.
 
@@ -129,49 +154,56 @@ def common_modes(
     Notes
     -----
     Each covariance is split into its principal directions; the whole solution (shape and alignment included) is
-    repeated with the input moved by one sigma along each, and the change of the slope errors is fitted by a cubic.
-    Mirror pose, screen and camera count as independent of each other.
+    repeated with the input moved by one sigma along each, and the change of the slopes is fitted by a cubic. A pixel
+    that then sees another point of the mirror is compared with the slope of the smooth shape there. A pose that was
+    found from the image, or from a distance to the screen, follows camera and screen; what is left of its uncertainty
+    is independent of theirs. (With the pose held in place, a focal length off by 0.15 % and a distance that gave way
+    to it would count five times too much, a principal point in y half of its true share.)
     """
     # The base must be at rest on these very samples, or the first step would move it too.
     start = solve_shape(
         trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution, rounds=RoundLimits(30, 1)
     )
-    base = _slope_errors(trace_samples(setup, samples), start)
+    base = _departures(trace_samples(setup, samples), start, start)
     sources: list[str] = []
     changes: list[list[FloatArray]] = []
-    for source, moved, pose, warp in _perturbations(setup, start.cam_from_mirror, covariance_cam_from_mirror):
+    for source, moved, pose, warp in _perturbations(setup, start.cam_from_mirror, located):
         traced = trace_samples(moved, samples, warp)
         shape = solve_shape(traced, pose, align=align, start=start, rounds=RoundLimits(2, 1, must_settle=False))
         sources.append(source)
-        changes.append([after[1] - before[1] for after, before in zip(_slope_errors(traced, shape), base, strict=True)])
+        moved_on = _departures(traced, shape, start)
+        changes.append([after[1] - before[1] for after, before in zip(moved_on, base, strict=True)])
     return [_as_modes(sources, [change[k] for change in changes], base[k][0], samples[k]) for k in range(len(samples))]
 
 
-def _slope_errors(samples: Sequence[FacetSamples], solution: ShapeSolution) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the positions and the slope errors against the design of each facet's samples."""
+def _departures(
+    samples: Sequence[FacetSamples], solution: ShapeSolution, start: ShapeSolution
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the positions of each facet's samples, and their slopes minus those of the start's shape there."""
     results = []
-    for sample, surface in zip(samples, solution.surfaces, strict=True):
+    for sample, surface, smooth in zip(samples, solution.surfaces, start.surfaces, strict=True):
         facet_from_cam = (solution.cam_from_mirror @ sample.facet.ensemble_from_facet).inverse()
         camera = facet_from_cam.translation_m
         points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
         screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
         slopes = np.stack(slopes_at(points, camera, screen))
-        results.append((points[:2], slopes - np.stack(surface.design.gradient(points[0], points[1]))))
+        results.append((points[:2], slopes - np.stack(smooth.gradient(points[0], points[1]))))
     return results
 
 
 def _perturbations(
-    setup: Setup, cam_from_mirror: RigidTransform, covariance_pose: FloatArray
+    setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose
 ) -> Iterator[tuple[str, Setup, RigidTransform, Warp | None]]:
     """Yield the inputs moved by one sigma along each principal direction of each covariance."""
-    for step in principal_steps(covariance_pose):
+    for step in principal_steps(located.covariance):
         yield "mirror pose", setup, cam_from_mirror.moved(step), None
     for step in principal_steps(setup.covariance_cam_from_screen):
         moved = replace(setup, cam_from_screen=setup.cam_from_screen.moved(step))
-        yield "screen pose", moved, cam_from_mirror, None
+        yield "screen pose", moved, located.following(moved, cam_from_mirror), None
     for step in principal_steps(setup.camera.covariance):
         camera = setup.camera.with_parameters(setup.camera.parameters + step)
-        yield "camera", replace(setup, camera=camera), cam_from_mirror, None
+        moved = replace(setup, camera=camera)
+        yield "camera", moved, located.following(moved, cam_from_mirror), None
     if setup.sigma_screen_points_m > 0:
         for warp in _screen_warps(setup.sigma_screen_points_m):
             yield "screen shape", setup, cam_from_mirror, warp

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.common_modes import PixelSamples, common_modes, trace_samples
+from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, trace_samples
 from deflectometry.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.mirror_outline import mirror_masks
 from deflectometry.mirror_pose import MirrorPose, locate_mirror, pose_from_points
@@ -242,7 +242,7 @@ def evaluate_frames(
             images[sample.facet.name] = measure_slopes(setup, screen_map, masks.facet_index == index, pose, surface)
     with progress.stage("uncertainty"):
         thinned = [_thin(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
-        modes = common_modes(setup, thinned, solution, located.covariance, align=align)
+        modes = common_modes(setup, thinned, solution, _uncertain_pose(located), align=align)
     with progress.stage("maps", steps=len(images)) as stage:
         plan = _plan_grid(images, [sample.facet for sample in samples], choices, len(located.facets))
         maps, cantings = {}, {}
@@ -372,6 +372,17 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
 def _thin(sample: PixelSamples, most: int) -> PixelSamples:
     step = max(1, len(sample.pixels_px) // most)
     return replace(sample, pixels_px=sample.pixels_px[::step], u=sample.u[::step], v=sample.v[::step])
+
+
+def _uncertain_pose(located: LocatedMirror) -> UncertainPose:
+    if located.evidence is None:
+        return UncertainPose(located.cam_from_mirror, located.covariance)
+    observations, pose = located.evidence.observations, located.cam_from_mirror
+    return UncertainPose(
+        pose,
+        located.covariance,
+        lambda setup: observations.pose_with(setup.camera, setup.cam_from_screen.translation_m, pose),
+    )
 
 
 def _plan_grid(images: dict[str, SlopeImage], facets: Sequence[Facet], choices: Choices, n_facets: int) -> GridPlan:

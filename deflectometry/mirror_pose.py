@@ -6,7 +6,7 @@ they fit among themselves, so that a distance measured with its own sigma takes 
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from deflectometry.pose_start import mirror_regions, point_poses, start_poses
 from heliogauge.camera import Camera
 from heliogauge.chi_square import chi_square_cdf
 from heliogauge.errors import EstimationError, InputError, QualityWarning
-from heliogauge.least_squares import POSE, POSE_NAMES, Constraint, Options, Problem, Solution, solve
+from heliogauge.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
 from heliogauge.rigid import RigidTransform
 from heliogauge.surfaces import Facet
 from heliogauge.validate import FloatArray, freeze
@@ -91,6 +91,8 @@ class MirrorPose:
         The edge points (or known points) that were used (x, y) [px].
     residuals_px : ndarray, shape (n_points, 2)
         Projected outline (or point) minus measured; of an edge point the part across the side [px].
+    observations : PoseObservations
+        What the pose was adjusted to.
     """
 
     cam_from_mirror: RigidTransform
@@ -106,6 +108,7 @@ class MirrorPose:
     distance_tests: tuple[DistanceTest, ...]
     points_px: FloatArray
     residuals_px: FloatArray
+    observations: "PoseObservations"
 
     @property
     def mask_margin_px(self) -> float:
@@ -228,12 +231,11 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
     side_px = np.hypot(
         knowledge.side_share * edges.width_px, knowledge.sigma_outline_m * edges.pixels_per_metre(camera, best.pose)
     )
-    outline = _Outline(edges, sigma_px, side_px)
-    image_only = _adjust(camera, best.pose, outline, knowledge.points).require("mirror pose")
-    extra = tuple(distance.constraint() for distance in knowledge.distances)
+    observations = PoseObservations(_Outline(edges, sigma_px, side_px), knowledge.points, knowledge.distances)
+    image_only = observations.image_only().adjust(camera, best.pose).require("mirror pose")
     final = image_only
-    if extra:
-        final = _adjust(camera, image_only.state, outline, knowledge.points, extra).require("mirror pose")
+    if knowledge.distances:
+        final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
     _warn(tests, share, rms)
@@ -259,6 +261,7 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         distance_tests=tests,
         points_px=freeze(edges.image_px),
         residuals_px=freeze(edges.rows(camera, final.state)[0][:, None] * edges.normals),
+        observations=observations,
     )
 
 
@@ -271,22 +274,75 @@ class _Outline:
     sigma_side_px: FloatArray
 
 
-def _adjust(
-    camera: Camera,
-    start: RigidTransform,
-    outline: "_Outline | None",
-    points: KnownPoints,
-    extra: tuple[Constraint[RigidTransform], ...] = (),
-) -> Solution[RigidTransform]:
-    def evaluate(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
-        residuals, derivatives = points.rows(camera, pose)
-        if outline is None:
-            return residuals, derivatives
-        across, d_across = outline.edges.whitened(camera, pose, outline.sigma_px, outline.sigma_side_px)
-        return np.concatenate([across, residuals]), np.concatenate([d_across, derivatives])
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseObservations:
+    """What a pose is adjusted to; kept, because the pose follows when camera or screen stand elsewhere.
 
-    # A ten-thousandth of a sigma is enough; iterating to round-off doubles the time.
-    return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
+    Parameters
+    ----------
+    outline : _Outline or None
+        Edge points, where there is an outline.
+    points : KnownPoints
+        Known points.
+    distances : tuple of DistanceObservation
+        Distances to the origin of the screen.
+    """
+
+    outline: _Outline | None
+    points: KnownPoints
+    distances: tuple[DistanceObservation, ...]
+
+    def image_only(self) -> "PoseObservations":
+        """Return the observations without the distances."""
+        return replace(self, distances=())
+
+    def adjust(self, camera: Camera, start: RigidTransform) -> Solution[RigidTransform]:
+        """Find the pose that fits best.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera.
+        start : RigidTransform
+            Pose near by.
+
+        Returns
+        -------
+        Solution
+            The adjusted pose with covariance.
+        """
+
+        def evaluate(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
+            residuals, derivatives = self.points.rows(camera, pose)
+            if self.outline is None:
+                return residuals, derivatives
+            outline = self.outline
+            across, d_across = outline.edges.whitened(camera, pose, outline.sigma_px, outline.sigma_side_px)
+            return np.concatenate([across, residuals]), np.concatenate([d_across, derivatives])
+
+        extra = tuple(distance.constraint() for distance in self.distances)
+        # A ten-thousandth of a sigma is enough; iterating to round-off doubles the time.
+        return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
+
+    def pose_with(self, camera: Camera, screen_origin_m: FloatArray, start: RigidTransform) -> RigidTransform:
+        """Return the pose that the same observations give with another camera, or a screen elsewhere.
+
+        Parameters
+        ----------
+        camera : Camera
+            The other camera.
+        screen_origin_m : ndarray, shape (3,)
+            Origin of the screen in the camera frame [m].
+        start : RigidTransform
+            Pose near by.
+
+        Returns
+        -------
+        RigidTransform
+            cam_from_mirror.
+        """
+        distances = tuple(replace(one, cam_point_m=screen_origin_m) for one in self.distances)
+        return replace(self, distances=distances).adjust(camera, start).require("mirror pose").state
 
 
 def _test_distance(
@@ -348,13 +404,13 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     """
     points = knowledge.points
     starts = point_poses(camera, points.points_m, points.image_px)
-    solutions = [_adjust(camera, start.cam_from_mirror, None, points) for start in starts]
+    observations = PoseObservations(None, points, knowledge.distances)
+    solutions = [observations.image_only().adjust(camera, start.cam_from_mirror) for start in starts]
     image_only = min(solutions, key=lambda solution: float(solution.residuals @ solution.residuals))
     image_only = image_only.require("mirror pose from known points")
-    extra = tuple(distance.constraint() for distance in knowledge.distances)
     final = image_only
-    if extra:
-        final = _adjust(camera, image_only.state, None, points, extra).require("mirror pose")
+    if knowledge.distances:
+        final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [_points_rms(camera, points, solution.state) for solution in (image_only, final)]
     # 6 sigma for every point at once is no bad luck.
     if image_only.redundancy and image_only.variance_factor > 36.0:
@@ -370,7 +426,7 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     count = len(points.points_m)
     return MirrorPose(
         final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, count, 0, np.zeros(0), tests,
-        points.image_px, misses,
+        points.image_px, misses, observations,
     )  # fmt: skip
 
 

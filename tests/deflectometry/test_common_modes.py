@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deflectometry.common_modes import PixelSamples, common_modes, principal_steps, trace_samples
+from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, principal_steps, trace_samples
 from deflectometry.setup import Setup
 from deflectometry.slopes import slopes_at, solve_shape
 from heliogauge.surfaces import Facet, paraboloid
@@ -75,7 +75,9 @@ def test_common_sigma_is_the_scatter(uncertain, cam_from_mirror, align):
         samples = [PixelSamples(facet, pixels, u, v)]
         error, solution = measured_errors(uncertain, cam_from_mirror, samples, align)
         errors.append(error)
-    modes = common_modes(uncertain, samples, solution, SIGMA_POSE, align=align)[0].evaluate(*PROBES)
+    modes = common_modes(uncertain, samples, solution, UncertainPose(cam_from_mirror, SIGMA_POSE), align=align)[
+        0
+    ].evaluate(*PROBES)
     predicted = np.sqrt((modes**2).sum(axis=0))
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))
     # Aligned, the middle has no error left to scatter; it is compared by what is left of the largest.
@@ -94,7 +96,7 @@ def test_alignment_takes_the_tilt_out_of_the_uncertainty(uncertain, cam_from_mir
     middle = []
     for align in (True, False):
         solution = solve_shape(trace_samples(uncertain, samples), cam_from_mirror, align=align)
-        modes = common_modes(uncertain, samples, solution, SIGMA_POSE, align=align)[0]
+        modes = common_modes(uncertain, samples, solution, UncertainPose(cam_from_mirror, SIGMA_POSE), align=align)[0]
         middle.append(np.sqrt((modes.evaluate(np.zeros(1), np.zeros(1)) ** 2).sum()))
     assert middle[1] > 5e-4
     assert middle[0] < 1e-5
@@ -107,12 +109,16 @@ def test_sources_without_sigma_give_no_modes(laboratory, cam_from_mirror):
     u, v, _, _ = trace_pixels(exact, pixels, cam_from_mirror, height, gradient)
     samples = [PixelSamples(facet, pixels, u, v)]
     solution = solve_shape(trace_samples(exact, samples), cam_from_mirror, align=True)
-    modes = common_modes(exact, samples, solution, np.zeros((6, 6)), align=True)[0]
+    modes = common_modes(exact, samples, solution, UncertainPose(cam_from_mirror, np.zeros((6, 6))), align=True)[0]
     assert modes.sources == ()
     assert modes.evaluate(np.zeros(3), np.zeros(3)).shape == (0, 2, 3)
-    shaped = common_modes(replace(exact, sigma_screen_points_m=1e-3), samples, solution, np.zeros((6, 6)), align=True)[
-        0
-    ]
+    shaped = common_modes(
+        replace(exact, sigma_screen_points_m=1e-3),
+        samples,
+        solution,
+        UncertainPose(cam_from_mirror, np.zeros((6, 6))),
+        align=True,
+    )[0]
     assert set(shaped.sources) == {"screen shape"}
 
 
