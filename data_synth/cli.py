@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Quiet, Verbose
+from heliogauge.commands import Quiet, Verbose, parse_periods
 
 app = typer.Typer(
     help="Make a measurement folder with known truth.",
@@ -59,7 +59,7 @@ def fringes(
     from data_synth.dataset import DatasetOptions, write_dataset
     from data_synth.faults import Fault
     from data_synth.knowledge import Knowledge
-    from data_synth.presets import parse_periods, preset_scene
+    from data_synth.presets import preset_scene
     from deflectometry.patterns import make_pattern
     from heliogauge.terminal import terminal_progress
 

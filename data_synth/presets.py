@@ -349,32 +349,3 @@ def preset_scene(name: str) -> FringeScene:
     if name not in PRESETS:
         raise InputError(f"preset {name!r}: one of {', '.join(PRESETS)} is needed")
     return PRESETS[name]()
-
-
-def parse_periods(text: str) -> tuple[float, ...]:
-    """Read numbers of periods that are separated by commas.
-
-    Parameters
-    ----------
-    text : str
-        Such as ``0.9,3.9,15.9``.
-
-    Returns
-    -------
-    tuple of float
-        The numbers.
-
-    Raises
-    ------
-    InputError
-        Something else than numbers.
-
-    Examples
-    --------
-    >>> parse_periods("0.9,3.9")
-    (0.9, 3.9)
-    """
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(f"periods {text!r}: numbers with commas are needed, such as 0.9,3.9,15.9") from error

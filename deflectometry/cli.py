@@ -1,11 +1,21 @@
-"""Commands of deflectometry: evaluate a measurement folder, import one made with OpenCSP."""
+"""Commands of deflectometry: make patterns, evaluate a measurement folder, import one made with OpenCSP."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import (
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    make_app,
+    parse_periods,
+)
 
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
 
@@ -109,3 +119,51 @@ def import_opencsp_command(
     for one in caught:
         typer.echo(f"warning: {one.message}", err=True)
     typer.echo(f"measurement folder: {folder}; evaluate it with `heliogauge deflectometry {folder} -o RESULT`")
+
+
+@app.command("patterns")
+def patterns_command(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    width_px: Annotated[int, typer.Option("--width-px", min=1, help="Width of the displayed image.")],
+    height_px: Annotated[int, typer.Option("--height-px", min=1, help="Height of the displayed image.")],
+    periods: Annotated[
+        str, typer.Option("--periods", help="Periods over the displayed image, both directions, with commas.")
+    ] = "0.9,3.9,15.9,63.9",
+    steps: Annotated[int, typer.Option("--steps", min=3, help="Frames of each period, 360 deg / steps apart.")] = 4,
+    first: Annotated[Literal["y", "x"], typer.Option("--first", help="Direction that comes first.")] = "y",
+    bits: Annotated[Literal["8", "16"], typer.Option("--bits", help="Bit depth of the frames.")] = "8",
+    level_min: Annotated[
+        float | None,
+        typer.Option("--level-min", min=0.0, max=1.0, help="Darkest level, share of the range.  [default: all of it]"),
+    ] = None,
+    level_max: Annotated[
+        float | None,
+        typer.Option(
+            "--level-max", min=0.0, max=1.0, help="Brightest level, share of the range.  [default: all of it]"
+        ),
+    ] = None,
+    response: Annotated[
+        Path | None,
+        typer.Option("--response", metavar="CSV", help="Compensate, so that the camera sees sinusoids: response.csv."),
+    ] = None,
+    response_full_level: Annotated[
+        float, typer.Option("--response-full-level", min=0.0, help="Its display_level that is full range.")
+    ] = 1.0,
+    grey_steps: Annotated[
+        int, typer.Option("--grey-steps", min=3, max=256, help="Grey levels to calibrate the response.")
+    ] = 33,
+    force: Annotated[bool, typer.Option("--force", help="Replace earlier patterns.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the frames to display, pattern.toml for measurement.toml, and grey steps to calibrate the response."""
+    from deflectometry.pattern_files import DisplayOptions, PatternOptions, write_patterns
+    from deflectometry.patterns import Axis
+    from heliogauge.terminal import terminal_progress
+
+    display = DisplayOptions(width_px, height_px, int(bits), level_min, level_max, response, response_full_level)
+    options = PatternOptions(parse_periods(periods), steps, Axis(first), grey_steps)
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    pattern = write_patterns(out, display, options, force=force, progress=progress)
+    if not quiet:
+        typer.echo(f"{pattern.n_frames} fringe frames, bright.png, dark.png and {grey_steps} grey levels: {out}")

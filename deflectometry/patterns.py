@@ -307,6 +307,52 @@ def gamma_table(gamma: float, n: int = 1025) -> FloatArray:
     return np.asarray(np.linspace(0.0, 1.0, n) ** (1.0 / positive("gamma", gamma, "the display's exponent")))
 
 
+def response_table(camera_dn: npt.ArrayLike, display_level: npt.ArrayLike, n: int = 4097) -> FloatArray:
+    """Return the levels that make the camera see a display as linear, from a measured response.
+
+    Parameters
+    ----------
+    camera_dn : array_like, shape (m,), m >= 2
+        Readings of the camera, strictly ascending [DN].
+    display_level : array_like, shape (m,)
+        Levels that gave them, as shares of the display's range, strictly ascending within 0..1.
+    n : int, optional
+        Number of nodes of the table.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Level fraction for equally spaced fractions of the light, for `DisplayLevels.level_from_light`.
+
+    Raises
+    ------
+    InputError
+        Fewer than two nodes, values not ascending, or levels outside 0..1.
+
+    Notes
+    -----
+    Linear between the nodes, as the evaluation takes it: with 33 nodes of a display with exponent 2.2 the light is
+    right within 3e-4 of its range. Beyond the first and the last node the outermost segments go on; the caller keeps
+    to the levels in between (`DisplayLevels.minimum`, `maximum`).
+    """
+    reading = float_array("response camera_dn", camera_dn, (None,))
+    level = float_array("response display_level", display_level, (reading.size,))
+    if reading.size < 2 or np.any(np.diff(reading) <= 0) or np.any(np.diff(level) <= 0):
+        raise InputError("response: at least two nodes with camera_dn and display_level strictly ascending are needed")
+    if level[0] < -1e-9 or level[-1] > 1 + 1e-9:
+        raise InputError(
+            f"response: display_level must be a share of the display's range, 0 to 1, not {level[0]:g} to {level[-1]:g}"
+        )
+    gain = np.diff(reading) / np.diff(level)
+    if level[0] > 0:
+        reading, level = np.insert(reading, 0, reading[0] - gain[0] * level[0]), np.insert(level, 0, 0.0)
+    if level[-1] < 1:
+        reading, level = np.append(reading, reading[-1] + gain[-1] * (1 - level[-1])), np.append(level, 1.0)
+    table = np.interp(np.linspace(reading[0], reading[-1], n), reading, level)
+    table[0], table[-1] = 0.0, 1.0
+    return np.asarray(table, dtype=np.float64)
+
+
 def render_frames(
     pattern: FringePattern, width_px: int, height_px: int, levels: DisplayLevels | None = None
 ) -> Iterator[npt.NDArray[np.uint8] | npt.NDArray[np.uint16]]:

@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from heliogauge.errors import InputError
+
 MeasurementFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Folder with measurement.toml and its images.", show_default=False)
 ]
@@ -79,3 +81,32 @@ def make_app(summary: str) -> typer.Typer:
     # With a callback typer keeps the group even while it holds a single command.
     app.callback()(lambda: None)
     return app
+
+
+def parse_periods(text: str) -> tuple[float, ...]:
+    """Read numbers of fringe periods that are separated by commas.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``0.9,3.9,15.9``.
+
+    Returns
+    -------
+    tuple of float
+        The numbers.
+
+    Raises
+    ------
+    InputError
+        Something else than numbers.
+
+    Examples
+    --------
+    >>> parse_periods("0.9,3.9")
+    (0.9, 3.9)
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"periods {text!r}: numbers with commas are needed, such as 0.9,3.9,15.9") from error

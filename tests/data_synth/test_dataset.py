@@ -15,9 +15,10 @@ from data_synth.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.knowledge import Knowledge, screen_table
 from data_synth.mirror import Design, SyntheticFacet
 from data_synth.pinhole import PinholeCamera
-from data_synth.presets import PRESETS, facet_scene, parse_periods, preset_scene, rectangle, standard_errors
+from data_synth.presets import PRESETS, facet_scene, preset_scene, rectangle, standard_errors
 from data_synth.wall import Wall
 from deflectometry.patterns import make_pattern
+from heliogauge.commands import parse_periods
 from heliogauge.errors import InputError
 from heliogauge.images import read_frames
 from heliogauge.measurement import load_measurement
