@@ -8,8 +8,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from heliogauge import __version__
 from heliogauge.templates import write_template
 
-# The page on measurement files shows the template that `heliogauge init` writes, not a copy that could grow old.
+# The pages on measurement files show the templates that `heliogauge init` writes, not copies that could grow old.
 write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
+write_template("response", Path(__file__).resolve().parent / "_build" / "response", force=True)
 
 project = "heliogauge"
 copyright = "the heliogauge contributors"
