@@ -1,0 +1,406 @@
+"""Normal equations of a bundle adjustment, targets eliminated (Schur complement), whole blocks at a time."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from heliogauge.gauss_newton import EPSILON
+from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.bundle_problem import Layout
+from photogrammetry.bundle_rows import BundleModel, CameraRows, ExtraRows, runs
+from photogrammetry.bundle_state import BundleState
+from photogrammetry.datum import Movements, free_movements, similarity_movements
+from photogrammetry.observations import IntArray
+
+# Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
+EIGENVALUE_TOLERANCE = 1e-12
+# Below this the damping moves a step by less than what it is for; the undamped factors serve then.
+_NO_DAMPING = 1e-3
+# Coupling blocks of targets and dense part are kept in memory up to this size, beyond they are formed again [bytes].
+_KEEP_BYTES = 1.5e9
+_CHUNK_BYTES = 1.5e8
+
+
+class Coupling(NamedTuple):
+    """Coupling of some eliminated targets with the dense part, in scaled coordinates.
+
+    ``matrix`` has shape (r, 3 k) with the rows ``rows`` of the dense part (all if None) and the targets ``first`` to
+    ``last`` of the eliminated ones, each multiplied by the inverse root of its own normal matrix.
+    """
+
+    first: int
+    last: int
+    rows: IntArray | None
+    matrix: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalBlocks:
+    """Normal equations before elimination.
+
+    Parameters
+    ----------
+    dense : ndarray, shape (g, g)
+        Photos, intrinsics and kept targets.
+    dense_gradient : ndarray, shape (g,)
+        Their gradient.
+    targets : ndarray, shape (e, 3, 3)
+        Own blocks of the eliminated targets.
+    target_gradient : ndarray, shape (e, 3)
+        Their gradient.
+    """
+
+    dense: FloatArray
+    dense_gradient: FloatArray
+    targets: FloatArray
+    target_gradient: FloatArray
+
+
+def normal_blocks(layout: Layout, rows: tuple[CameraRows, ...], extra: ExtraRows) -> NormalBlocks:
+    """Sum up the normal equations.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the unknowns.
+    rows : tuple of CameraRows
+        Whitened, weighted image residuals.
+    extra : ExtraRows
+        Constraints and priors.
+
+    Returns
+    -------
+    NormalBlocks
+        All but the coupling of targets with the dense part.
+    """
+    count = layout.eliminated.size
+    dense, gradient = np.zeros((layout.n_global, layout.n_global)), np.zeros(layout.n_global)
+    # Nine sums for each target: six of the symmetric block and three of the gradient.
+    sums = np.zeros((9, count + 1))
+    for one in rows:
+        _add_dense(layout, one, dense, gradient)
+        slot = layout.slot[one.targets]
+        # Kept and fixed targets go to a bin of their own (slot -1 is the last) and are dropped.
+        d, r = one.target_columns, one.residuals
+        products = [(d[0, i], d[0, j], d[1, i], d[1, j]) for i, j in _SYMMETRIC]
+        products += [(d[0, i], r[0], d[1, i], r[1]) for i in range(3)]
+        places = np.where(slot < 0, count, slot)
+        for row, (a, b, c, e) in zip(sums, products, strict=True):
+            row += np.bincount(places, weights=a * b + c * e, minlength=count + 1)
+        _add_kept(layout, one, dense, gradient)
+    blocks = np.empty((count, 3, 3))
+    for row, (i, j) in zip(sums, _SYMMETRIC, strict=False):
+        blocks[:, i, j] = blocks[:, j, i] = row[:count]
+    normal = NormalBlocks(dense, gradient, blocks, np.ascontiguousarray(sums[6:, :count].T))
+    _add_extra(layout, extra, normal)
+    return normal
+
+
+_SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def _add_dense(layout: Layout, rows: CameraRows, dense: FloatArray, gradient: FloatArray) -> None:
+    """Add the products of pose and intrinsics, one matrix product for each photo and image axis."""
+    width = 7 + rows.n_free
+    columns = layout.intrinsic_columns[rows.camera]
+    for photo, first, last in runs(rows.photos, rows.starts):
+        part = rows.jacobian[:, :width, first:last]
+        gram = part[0] @ part[0].T + part[1] @ part[1].T
+        place = slice(6 * photo, 6 * photo + 6)
+        dense[place, place] += gram[:6, :6]
+        gradient[place] += gram[:6, -1]
+        if columns.size:
+            own = slice(int(columns[0]), int(columns[-1]) + 1)
+            dense[place, own] += gram[:6, 6:-1]
+            dense[own, place] += gram[6:-1, :6]
+            dense[own, own] += gram[6:-1, 6:-1]
+            gradient[own] += gram[6:-1, -1]
+
+
+def _add_kept(layout: Layout, rows: CameraRows, dense: FloatArray, gradient: FloatArray) -> None:
+    """Add the image points of targets that stay in the dense part (two for each scale bar)."""
+    column = layout.kept_column[rows.targets]
+    which = np.nonzero(column >= 0)[0]
+    if not which.size:
+        return
+    d_target = rows.target_columns[:, :, which]
+    n_dense = 6 + rows.n_free
+    d_dense = rows.jacobian[:, :n_dense, which]
+    own = column[which][:, None] + np.arange(3)
+    others = np.empty((which.size, n_dense), dtype=np.intp)
+    others[:, :6] = 6 * rows.photos[which][:, None] + np.arange(6)
+    others[:, 6:] = layout.intrinsic_columns[rows.camera]
+    cross = np.einsum("ram,rbm->mab", d_dense, d_target)
+    np.add.at(dense, (others[:, :, None], own[:, None, :]), cross)
+    np.add.at(dense, (own[:, :, None], others[:, None, :]), np.swapaxes(cross, 1, 2))
+    np.add.at(dense, (own[:, :, None], own[:, None, :]), np.einsum("ram,rbm->mab", d_target, d_target))
+    np.add.at(gradient, own, np.einsum("ram,rm->ma", d_target, rows.residuals[:, which]))
+
+
+def _add_extra(layout: Layout, extra: ExtraRows, normal: NormalBlocks) -> None:
+    """Add constraints on targets and priors on intrinsics."""
+    for residuals, jacobian, targets in zip(extra.residuals, extra.jacobians, extra.targets, strict=True):
+        for place, target in enumerate(targets.tolist()):
+            slot = layout.slot[target]
+            if slot >= 0:
+                own = jacobian[:, place]
+                normal.targets[slot] += own.T @ own
+                normal.target_gradient[slot] += own.T @ residuals
+        kept = np.nonzero(layout.kept_column[targets] >= 0)[0]
+        if kept.size:
+            columns = (layout.kept_column[targets[kept]][:, None] + np.arange(3)).ravel()
+            own = jacobian[:, kept].reshape(len(residuals), -1)
+            normal.dense[np.ix_(columns, columns)] += own.T @ own
+            normal.dense_gradient[columns] += own.T @ residuals
+    if extra.prior_residuals.size:
+        first = 6 * layout.n_photos
+        own_columns = slice(first, first + extra.prior_jacobian.shape[1])
+        normal.dense[own_columns, own_columns] += extra.prior_jacobian.T @ extra.prior_jacobian
+        normal.dense_gradient[own_columns] += extra.prior_jacobian.T @ extra.prior_residuals
+
+
+class DenseFactor:
+    """Factorised dense part after elimination: Cholesky, or eigenvectors where it is singular.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (g, g)
+        The scaled matrix; overwritten.
+    """
+
+    def __init__(self, matrix: FloatArray) -> None:
+        from scipy.linalg import lapack
+
+        #: Directions that nothing holds, shape (g, k).
+        self.lost: FloatArray = np.zeros((matrix.shape[0], 0))
+        self._vectors: FloatArray | None = None
+        norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
+        lower, info = lapack.dpotrf(matrix, lower=1, clean=1)
+        condition = lapack.dpocon(lower, norm, uplo="L")[0] if info == 0 and matrix.size else 1.0
+        # The estimate is for another norm: look closely well before the limit.
+        if info == 0 and condition > 10 * EIGENVALUE_TOLERANCE:
+            self._lower: FloatArray = lower
+            return
+        values, vectors = np.linalg.eigh(matrix)
+        held = values > EIGENVALUE_TOLERANCE * max(float(values[-1]), 0.0)
+        self.lost = vectors[:, ~held]
+        self._vectors = vectors[:, held] / np.sqrt(values[held])
+
+    def half(self, right: FloatArray) -> FloatArray:
+        """Return F b with ``F^T F`` the (pseudo-)inverse of the matrix, shape (k, c)."""
+        if self._vectors is not None:
+            return np.asarray(self._vectors.T @ right)
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self._lower, right, lower=True, check_finite=False))
+
+    def back(self, half: FloatArray) -> FloatArray:
+        """Return ``F^T`` times the result of `half`."""
+        if self._vectors is not None:
+            return np.asarray(self._vectors @ half)
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self._lower, half, lower=True, trans="T", check_finite=False))
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the (pseudo-)inverse times a right-hand side."""
+        return self.back(self.half(right))
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Normal equations with one damping: roots of the targets' blocks, factor of what is left."""
+
+    roots: FloatArray
+    lost_targets: FloatArray
+    factor: DenseFactor
+    couplings: tuple[Coupling, ...] | None
+    dense_right: FloatArray
+    target_right: FloatArray
+
+
+class SchurSystem:
+    """One linearised bundle adjustment; satisfies `heliogauge.gauss_newton.LinearSystem`.
+
+    Parameters
+    ----------
+    model : BundleModel
+        Layout and order of the image points.
+    state : BundleState
+        Where it is linearised.
+    evaluated : tuple of (tuple of CameraRows, ExtraRows)
+        Residuals and derivatives there.
+    root : ndarray, shape (m,), optional
+        Roots of the weights of the image points; all 1 if not given.
+    scale_floor : ndarray, shape (n,), optional
+        Smallest column scale.
+    """
+
+    def __init__(
+        self,
+        model: BundleModel,
+        state: BundleState,
+        evaluated: tuple[tuple[CameraRows, ...], ExtraRows],
+        *,
+        root: FloatArray | None = None,
+        scale_floor: FloatArray | None = None,
+    ) -> None:
+        self.layout: Layout = model.layout
+        self.rows: tuple[CameraRows, ...] = evaluated[0]
+        if root is not None:
+            parts = model.camera_slices
+            self.rows = tuple(one.scaled(root[part]) for one, part in zip(self.rows, parts, strict=True))
+        self.extra: ExtraRows = evaluated[1]
+        self.normal: NormalBlocks = normal_blocks(self.layout, self.rows, self.extra)
+        diagonals = [np.diag(self.normal.dense), np.einsum("eii->ei", self.normal.targets).ravel()]
+        norms = np.sqrt(np.concatenate(diagonals))
+        scale = norms if scale_floor is None else np.maximum(norms, scale_floor)
+        self.scale: FloatArray = np.where(scale > 0, scale, 1.0)
+        self.rounding: float = EPSILON * float(np.linalg.norm(self.scale * model.values(state)))
+        known = list(zip(self.extra.jacobians, self.extra.targets, strict=True))
+        fixed = model.problem.target_indices(model.problem.fixed)
+        #: Movements of the whole network that nothing sees.
+        self.movements: Movements = free_movements(similarity_movements(state), known, fixed)
+
+    @property
+    def dense_scale(self) -> FloatArray:
+        """Column scale of the dense part, shape (g,)."""
+        return self.scale[: self.layout.n_global]
+
+    @property
+    def target_scale(self) -> FloatArray:
+        """Column scale of the eliminated targets, shape (e, 3)."""
+        return self.scale[self.layout.n_global :].reshape(-1, 3)
+
+    @cached_property
+    def dense_movements(self) -> FloatArray:
+        """The free movements in the dense part, shape (g, d)."""
+        layout, count = self.layout, self.movements.count
+        result = np.zeros((layout.n_global, count))
+        result[: 6 * layout.n_photos] = self.movements.poses.reshape(-1, count)
+        if layout.kept.size:
+            result[layout.n_global - 3 * layout.kept.size :] = self.movements.points[layout.kept].reshape(-1, count)
+        return result
+
+    @property
+    def rank(self) -> int:
+        """Number of determined directions on top of the datum."""
+        undamped = self.undamped
+        lost = undamped.factor.lost.shape[1] + int(undamped.lost_targets.sum())
+        return int(self.layout.n - self.movements.count - lost)
+
+    @cached_property
+    def undamped(self) -> Elimination:
+        """The elimination without damping."""
+        return self.eliminated(0.0)
+
+    @cached_property
+    def _undamped_step(self) -> tuple[FloatArray, float]:
+        return self._solved(self.undamped, 0.0)
+
+    @cached_property
+    def decrement(self) -> float:
+        """Length of the residuals that the undamped step would remove."""
+        return float(np.sqrt(2 * max(self._undamped_step[1], 0.0)))
+
+    def step(self, damping: float) -> tuple[FloatArray, float]:
+        """Return the damped step and the decrease of the cost it promises."""
+        if damping <= _NO_DAMPING:
+            return self._undamped_step
+        return self._solved(self.eliminated(damping), damping)
+
+    def eliminated(self, damping: float) -> Elimination:
+        """Eliminate the targets and factorise the rest."""
+        layout, scale = self.layout, self.dense_scale
+        roots, lost = _target_roots(self.normal.targets, self.target_scale, damping)
+        right = np.einsum("eji,ej->ei", roots, self.normal.target_gradient)
+        matrix = self.normal.dense / scale[:, None] / scale
+        matrix.flat[:: layout.n_global + 1] += damping
+        border = np.linalg.qr(self.dense_movements * scale[:, None])[0]
+        # The movements are an exact null space: this gives them the eigenvalue 1 and changes nothing else.
+        matrix += border @ border.T
+        dense_right = self.normal.dense_gradient / scale
+        keep: list[Coupling] | None = [] if 24.0 * layout.n_global * layout.eliminated.size < _KEEP_BYTES else None
+        for block in self._formed(roots):
+            product = block.matrix @ block.matrix.T
+            change = block.matrix @ right[block.first : block.last].ravel()
+            if block.rows is None:
+                matrix -= product
+                dense_right -= change
+            else:
+                matrix[np.ix_(block.rows, block.rows)] -= product
+                dense_right[block.rows] -= change
+            if keep is not None:
+                keep.append(block)
+        factor = DenseFactor(matrix)
+        return Elimination(roots, lost, factor, None if keep is None else tuple(keep), dense_right, right)
+
+    def couplings(self, elimination: Elimination) -> Iterator[Coupling]:
+        """Yield the coupling blocks of an elimination."""
+        yield from self._formed(elimination.roots) if elimination.couplings is None else elimination.couplings
+
+    def _formed(self, roots: FloatArray) -> Iterator[Coupling]:
+        layout = self.layout
+        count = int(layout.eliminated.size)
+        at_once = max(1, int(_CHUNK_BYTES / (24.0 * max(layout.n_global, 1))))
+        for first in range(0, count, at_once):
+            yield self._coupling(roots, first, min(first + at_once, count))
+
+    def _coupling(self, roots: FloatArray, first: int, last: int) -> Coupling:
+        layout, scale, count = self.layout, self.dense_scale, last - first
+        matrix = np.zeros((layout.n_global, 3 * count))
+        poses = matrix[: 6 * layout.n_photos].reshape(layout.n_photos, 6, count, 3)
+        for one in self.rows:
+            slot = layout.slot[one.targets]
+            which: slice | IntArray = slice(None)
+            if first > 0 or last < layout.eliminated.size or (slot < 0).any():
+                which = np.nonzero((slot >= first) & (slot < last))[0]
+            own, photos, slot = one.jacobian[:, :, which], one.photos[which], slot[which] - first
+            d_target = _times_roots(own[:, 7 + one.n_free :], roots[first:last], slot)
+            inverse = 1 / scale[: 6 * layout.n_photos].reshape(-1, 6)[photos].T
+            blocks = own[0, :6, None] * d_target[0] + own[1, :6, None] * d_target[1]
+            blocks *= inverse[:, None]
+            poses[photos, :, slot] = np.moveaxis(blocks, -1, 0)
+            for column, place in enumerate(layout.intrinsic_columns[one.camera].tolist()):
+                both = own[:, 6 + column, None] * d_target
+                for axis in range(3):
+                    weights = (both[0, axis] + both[1, axis]) / scale[place]
+                    matrix[place, axis::3] += np.bincount(slot, weights=weights, minlength=count)
+        rows = np.nonzero(matrix.any(axis=1))[0]
+        # Products with a part of the rows pay when the targets of this block are seen by few of the photos.
+        if rows.size < 0.8 * layout.n_global:
+            return Coupling(first, last, rows, matrix[rows])
+        return Coupling(first, last, None, matrix)
+
+    def _solved(self, elimination: Elimination, damping: float) -> tuple[FloatArray, float]:
+        """Return the step and the promised decrease ``-g.s / 2 + damping |D s|^2 / 2``."""
+        dense = -elimination.factor.solve(elimination.dense_right)
+        inner = np.empty_like(elimination.target_right)
+        for block in self.couplings(elimination):
+            part = dense if block.rows is None else dense[block.rows]
+            inner[block.first : block.last] = (block.matrix.T @ part).reshape(-1, 3)
+        targets = -np.einsum("eij,ej->ei", elimination.roots, elimination.target_right + inner)
+        step = np.concatenate([dense / self.dense_scale, targets.ravel()])
+        gradient = np.concatenate([self.normal.dense_gradient, self.normal.target_gradient.ravel()])
+        scaled = step * self.scale
+        return step, 0.5 * (damping * float(scaled @ scaled) - float(gradient @ step))
+
+
+def _target_roots(blocks: FloatArray, scale: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
+    """Return R with ``R R^T`` the (pseudo-)inverse of each block, shape (e, 3, 3), and the rank that each lacks."""
+    if not len(blocks):
+        return np.zeros((0, 3, 3)), np.zeros(0)
+    scaled = blocks / scale[:, :, None] / scale[:, None, :] + damping * np.eye(3)
+    values, vectors = np.linalg.eigh(scaled)
+    held: BoolArray = values > EIGENVALUE_TOLERANCE * np.maximum(values[:, -1:], 1e-300)
+    inverse = np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)
+    return vectors * inverse[:, None, :] / scale[:, :, None], (~held).sum(axis=1).astype(np.float64)
+
+
+def _times_roots(d_target: FloatArray, roots: FloatArray, slot: IntArray) -> FloatArray:
+    """Multiply derivatives by targets, shape (2, 3, m), by the roots of their targets."""
+    own = np.ascontiguousarray(roots.reshape(-1, 9)[slot].T).reshape(3, 3, -1)
+    return np.asarray(d_target[:, 0, None] * own[0] + d_target[:, 1, None] * own[1] + d_target[:, 2, None] * own[2])

@@ -1,0 +1,228 @@
+"""Datum of a photo network: where position, rotation and scale come from, and how a covariance changes with it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.rigid import skew
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle_state import BundleState
+from photogrammetry.observations import IntArray
+
+# A movement that changes what is known by less than this share of what it could change is free.
+_FREE = 1e-9
+
+
+class DatumKind(StrEnum):
+    """How the freedom that the observations leave is taken away."""
+
+    INNER = "inner constraints"
+    MINIMAL = "minimal constraints (3-2-1)"
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
+
+    Parameters
+    ----------
+    kind : DatumKind, optional
+        Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against the
+        start are zero, which gives them the smallest mean variance. Minimal constraints hold coordinates of three
+        targets, as many as needed.
+    targets : tuple of str, optional
+        The chosen targets; for inner constraints all by default, for minimal ones three.
+
+    Raises
+    ------
+    InputError
+        Minimal constraints without exactly three targets.
+    """
+
+    kind: DatumKind = DatumKind.INNER
+    targets: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind is DatumKind.MINIMAL and len(set(self.targets)) != 3:
+            raise InputError(f"datum: minimal constraints need three targets, not {len(set(self.targets))}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movements:
+    """Movements of the whole network that no image point sees; the derivative of everything by them.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3, d)
+        Movement of the targets.
+    poses : ndarray, shape (p, 6, d)
+        Movement of the poses, as steps of `RigidTransform.moved`.
+    shares : ndarray, shape (7, d)
+        Shares of three shifts, three rotations and a stretch in each movement.
+    """
+
+    points: FloatArray
+    poses: FloatArray
+    shares: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of movements."""
+        return int(self.points.shape[2])
+
+    def combined(self, directions: FloatArray) -> "Movements":
+        """Return linear combinations, ``directions`` of shape (d, e)."""
+        return Movements(self.points @ directions, self.poses @ directions, self.shares @ directions)
+
+    def describe(self) -> str:
+        """Say in words which movements these are."""
+        weights = (np.linalg.qr(self.shares)[0] ** 2).sum(axis=1) if self.count else np.zeros(7)
+        parts = {"position": weights[:3].sum(), "rotation": weights[3:6].sum(), "scale": weights[6]}
+        words = [f"{int(np.rint(v))} of {k}" if k != "scale" else k for k, v in parts.items() if np.rint(v) > 0]
+        return ", ".join(words) if words else "nothing"
+
+
+def similarity_movements(state: BundleState) -> Movements:
+    """Return the seven movements of a network as a whole.
+
+    Parameters
+    ----------
+    state : BundleState
+        Where the network is.
+
+    Returns
+    -------
+    Movements
+        Three shifts, three rotations about the centre and a stretch from it, each of unit size at the mean distance.
+
+    Notes
+    -----
+    A world that moves by ``a + w x (X - c) + s (X - c)`` leaves every image point where it is when the poses turn by
+    ``-R w`` and shift by ``-R a + R (w x c) + s (t + R c)``.
+    """
+    points, rotations = state.points_m, state.rotations
+    center = points.mean(axis=0)
+    arms = points - center
+    size = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-300)
+    d_points = np.zeros((len(points), 3, 7))
+    d_points[:, :, :3] = np.eye(3)
+    d_points[:, :, 3:6] = -skew(arms) / size
+    d_points[:, :, 6] = arms / size
+    d_poses = np.zeros((len(rotations), 6, 7))
+    d_poses[:, 3:, :3] = -rotations
+    d_poses[:, :3, 3:6] = -rotations / size
+    d_poses[:, 3:, 3:6] = -rotations @ skew(center) / size
+    d_poses[:, 3:, 6] = (state.translations_m + rotations @ center) / size
+    return Movements(d_points, d_poses, np.eye(7))
+
+
+def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntArray]], fixed: IntArray) -> Movements:
+    """Return the movements that no constraint and no fixed target sees.
+
+    Parameters
+    ----------
+    movements : Movements
+        The seven of `similarity_movements`.
+    known : sequence of (ndarray of shape (r, k, 3), ndarray of int of shape (k,))
+        Derivatives of each constraint and the targets they belong to.
+    fixed : ndarray of int
+        Targets without error.
+
+    Returns
+    -------
+    Movements
+        None to seven of them.
+    """
+    seen = [np.einsum("rkc,kcd->rd", jacobian, movements.points[targets]) for jacobian, targets in known]
+    seen.append(movements.points[fixed].reshape(-1, movements.count))
+    # Each row against what it could see at most: a distance of sigma 1 um must not hide one of sigma 1 m.
+    sizes = [np.sqrt((jacobian**2).sum(axis=(1, 2))) for jacobian, _ in known] + [np.ones(3 * fixed.size)]
+    rows = np.concatenate(seen) / np.maximum(np.concatenate(sizes), 1e-300)[:, None]
+    if not rows.size:
+        return movements
+    _, singular, right = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(singular > _FREE * max(1.0, singular[0])))
+    return movements.combined(right[rank:].T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatumConstraints:
+    """Constraint columns of a datum on the targets, with its name.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, 3, d)
+        Steps obey ``sum columns[i, c] * step[i, c] = 0``.
+    text : str
+        The datum in words, to print with every sigma.
+    """
+
+    columns: FloatArray
+    text: str
+
+
+def datum_constraints(
+    datum: Datum, movements: Movements, chosen: IntArray, *, defined: str = "", names: Sequence[str] = ()
+) -> DatumConstraints:
+    """Build the constraints that take away the free movements.
+
+    Parameters
+    ----------
+    datum : Datum
+        The wanted kind.
+    movements : Movements
+        What is free.
+    chosen : ndarray of int
+        The datum's targets.
+    defined : str, optional
+        What constraints and fixed targets define, in words.
+    names : sequence of str, optional
+        Names of the chosen targets, for the text.
+
+    Returns
+    -------
+    DatumConstraints
+        One column for each free movement.
+
+    Raises
+    ------
+    EstimationError
+        The chosen targets do not hold the free movements (too few, or on one line).
+    """
+    columns = np.zeros(movements.points.shape)
+    rest = f"; the rest from {defined}" if defined else ""
+    if movements.count == 0:
+        return DatumConstraints(columns, f"all of it from {defined}")
+    own = movements.points[chosen].reshape(-1, movements.count)
+    singular = np.linalg.svd(own, compute_uv=False)
+    if singular.size < movements.count or singular[-1] < 1e-7 * singular[0]:
+        raise EstimationError(
+            f"datum: {chosen.size} targets do not define {movements.describe()} of the network; choose at least three "
+            "that are not on one line"
+        )
+    if datum.kind is DatumKind.INNER:
+        columns[chosen] = movements.points[chosen]
+        text = f"{datum.kind.value} over {chosen.size} targets ({movements.describe()})"
+        return DatumConstraints(columns, text + rest)
+    held = _best_rows(own)
+    labels = []
+    for column, row in enumerate(sorted(held)):
+        columns[chosen[row // 3], row % 3, column] = 1.0
+        labels.append(f"{'xyz'[row % 3]} of {names[row // 3] if names else chosen[row // 3]}")
+    return DatumConstraints(columns, f"{datum.kind.value}: {', '.join(labels)} held" + rest)
+
+
+def _best_rows(matrix: FloatArray) -> list[int]:
+    """Choose as many rows as there are columns, the farthest from those already chosen first (pivoted Gram-Schmidt)."""
+    rest, chosen = matrix.copy(), []
+    for _ in range(matrix.shape[1]):
+        lengths = (rest**2).sum(axis=1)
+        # A small preference for earlier rows keeps the choice the same on every machine.
+        row = int(np.argmax(lengths * (1 - 1e-6 * np.arange(len(lengths)))))
+        chosen.append(row)
+        unit = rest[row] / np.sqrt(lengths[row])
+        rest = rest - np.outer(rest @ unit, unit)
+    return chosen
