@@ -27,7 +27,7 @@ class Knowledge:
     sigma_screen_rotation_mrad, sigma_screen_translation_mm : float, optional
         Errors of the screen's pose.
     sigma_focal_px, sigma_center_px : float, optional
-        Errors of the camera.
+        Errors of the camera, independent in x and y as measurement.toml has it.
     response : bool, optional
         Give the response of camera and display (as measured with grey steps) in response.csv.
     """
@@ -100,12 +100,12 @@ def measurement_content(
 
 def _camera(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
     camera = scene.bench.camera
-    focal_error, center_error_x, center_error_y = rng.standard_normal(3)
+    focal_error_x, focal_error_y, center_error_x, center_error_y = rng.standard_normal(4)
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
-        "focal_x_px": camera.focal_x_px + knowledge.sigma_focal_px * focal_error,
-        "focal_y_px": camera.focal_y_px + knowledge.sigma_focal_px * focal_error,
+        "focal_x_px": camera.focal_x_px + knowledge.sigma_focal_px * focal_error_x,
+        "focal_y_px": camera.focal_y_px + knowledge.sigma_focal_px * focal_error_y,
         "center_x_px": camera.center_x_px + knowledge.sigma_center_px * center_error_x,
         "center_y_px": camera.center_y_px + knowledge.sigma_center_px * center_error_y,
         **{name: getattr(camera, name) for name in ("k1", "k2", "k3", "p1", "p2")},

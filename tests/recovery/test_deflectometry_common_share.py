@@ -61,12 +61,12 @@ def stated(key, value):
 @pytest.mark.parametrize(
     ("sigma_key", "sigma", "key", "step", "entry", "source"),
     [
-        ("sigma_center_px", 0.5, "center_x_px", 0.5, None, "camera"),
-        ("sigma_center_px", 0.5, "center_y_px", 0.5, None, "camera"),
+        ("sigma_center_px", 1.0, "center_x_px", 1.0, None, "camera"),
+        ("sigma_center_px", 1.0, "center_y_px", 1.0, None, "camera"),
         ("sigma_focal_px", 0.5, "focal_x_px", 0.5, None, "camera"),
         ("sigma_focal_px", 0.5, "focal_y_px", 0.5, None, "camera"),
-        ("sigma_translation_mm", "[3.0, 0.0, 0.0]", "translation_m", 3e-3, 0, "screen pose"),
-        ("sigma_translation_mm", "[0.0, 0.0, 3.0]", "translation_m", 3e-3, 2, "screen pose"),
+        ("sigma_translation_mm", "[15.0, 0.0, 0.0]", "translation_m", 15e-3, 0, "screen pose"),
+        ("sigma_translation_mm", "[0.0, 0.0, 15.0]", "translation_m", 15e-3, 2, "screen pose"),
     ],
 )
 def test_a_setup_off_by_one_sigma_changes_the_map_by_its_mode(folder, sigma_key, sigma, key, step, entry, source):
@@ -80,4 +80,6 @@ def test_a_setup_off_by_one_sigma_changes_the_map_by_its_mode(folder, sigma_key,
     modes = without_mean(before.common.evaluate(grid[0][both], grid[1][both]))
     chosen = [k for k, name in enumerate(before.common.sources) if name == source]
     best = min(np.sqrt(np.mean((change - sign * modes[k]) ** 2)) for k in chosen for sign in (1, -1))
-    assert best < 0.05 * np.sqrt(np.mean(change**2)) + 1e-7
+    # 0.3 urad: what is no cubic, when edges are found at other places.
+    assert best < 0.12 * np.sqrt(np.mean(change**2)) + 3e-7
+    assert np.sqrt(np.mean(change**2)) > 2e-6
