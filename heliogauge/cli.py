@@ -35,7 +35,9 @@ class Mounted(NamedTuple):
 MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
     "calibrate": Mounted("calibration.cli", "Calibrate what measures: response of camera and display."),
-    "deflectometry": Mounted("deflectometry.cli", "Fringe images of a mirror -> slope map (and import-opencsp)."),
+    "deflectometry": Mounted(
+        "deflectometry.cli", "Fringe images of a mirror -> slope map (and patterns, import-opencsp)."
+    ),
 }
 
 ORDER = ("demo", "init", "synth", "calibrate", "deflectometry", "report")
