@@ -4,13 +4,17 @@ The notebook is package data of the package that measured (``deflectometry/repor
 very Python, so no kernel needs to be installed for it, and only the numbers in the folder enter it.
 """
 
+import asyncio
+import atexit
 import html
 import os
 import re
 import sys
 import sysconfig
 import tempfile
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -110,13 +114,71 @@ def _execute(notebook: Any, folder: Path) -> Any:
             resources={"metadata": {"path": str(folder)}},
             # Times of each cell would make two reports of the same results differ.
             record_timing=False,
+            # The kernel has nothing to say goodbye for.
+            shutdown_kernel="immediate",
         )
         try:
-            return client.execute()
+            return _InterruptibleRun(client).result()
         except CellExecutionError as error:
             if error.ename == InputError.__name__:
                 raise InputError(f"{folder}: no report can be made: {error.evalue}") from None
             raise
+
+
+class _InterruptibleRun:
+    """Executes a notebook in a thread of its own, so that Ctrl-C and a termination signal reach the caller.
+
+    Notes
+    -----
+    In the main thread nbclient takes over both signals and ends with a traceback of its own when one comes. Here the
+    caller waits; what interrupts it cancels the run and stops the kernel, which would live on in its own session.
+    """
+
+    def __init__(self, client: NotebookClient) -> None:
+        self._client = client
+        self._outcome: Future[Any] = Future()
+        self._started = threading.Event()
+        self._interrupted = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def result(self) -> Any:
+        """Return the executed notebook, or raise what its execution raised."""
+        threading.Thread(target=self._work, name="report").start()
+        try:
+            return self._outcome.result()
+        except BaseException:
+            # An interruption comes here while the thread still works; its own errors come here when it has ended.
+            self._started.wait()
+            if self._loop is not None and not self._outcome.done():
+                self._loop.call_soon_threadsafe(self._interrupted.set)
+                wait([self._outcome])
+            raise
+
+    def _work(self) -> None:
+        try:
+            notebook = asyncio.run(self._run())
+        except BaseException as error:
+            self._started.set()
+            self._outcome.set_exception(error)
+        else:
+            self._outcome.set_result(notebook)
+
+    async def _run(self) -> Any:
+        self._loop = asyncio.get_running_loop()
+        self._started.set()
+        running = asyncio.ensure_future(self._client.async_execute())
+        stopping = asyncio.ensure_future(self._interrupted.wait())
+        await asyncio.wait({running, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        if not running.done():
+            running.cancel()
+            await asyncio.wait({running})
+            manager = self._client.km
+            if manager is not None and manager.has_kernel:
+                await manager.shutdown_kernel(now=True)
+        stopping.cancel()
+        # nbclient cleans up once more when the process ends; there is nothing left then.
+        atexit.unregister(self._client._cleanup_kernel)
+        return running.result()
 
 
 @contextmanager
