@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deflectometry.common_modes import spread_indices
 from deflectometry.evaluate import Evaluation, alignment_words
 from deflectometry.gridding import default_step_m, grid_axis
 from heliogauge.flags import SampleFlag
@@ -124,7 +125,7 @@ def _joint_modes(
     for common, place, nodes in parts:
         if common.sources != sources:
             continue
-        thinned = nodes[:, :: max(1, nodes.shape[1] // 200)]
+        thinned = nodes[:, spread_indices(nodes.shape[1], 200)]
         modes = common.evaluate(thinned[0], thinned[1])
         values.append(np.einsum("ab,kbn->kan", place.rotation[:2, :2], modes))
         ensemble = place.apply(np.stack([thinned[0], thinned[1], np.zeros(thinned.shape[1])], axis=-1))

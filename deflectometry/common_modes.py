@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from deflectometry.setup import Setup
 from deflectometry.slopes import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
@@ -35,6 +36,32 @@ class PixelSamples:
     pixels_px: FloatArray
     u: Float32Array | FloatArray
     v: Float32Array | FloatArray
+
+
+def spread_indices(count: int, most: int) -> npt.NDArray[np.intp]:
+    """Pick indices spread evenly over all, but not in step with any row length.
+
+    Parameters
+    ----------
+    count : int
+        How many there are.
+    most : int
+        How many to pick at most.
+
+    Returns
+    -------
+    ndarray of int
+        Ascending indices.
+
+    Notes
+    -----
+    One from each of `most` equal parts, its place within the part from the golden ratio. Every k-th pixel would do
+    for a round mirror; of one that fills 800 x 1000 px exactly it takes pixels of two columns only.
+    """
+    if count <= most:
+        return np.arange(count)
+    part = np.arange(most)
+    return np.unique(((part + part * 0.6180339887498949 % 1.0) * (count / most)).astype(np.intp))
 
 
 @dataclass(frozen=True, slots=True)

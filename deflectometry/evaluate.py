@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, trace_samples
+from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, spread_indices, trace_samples
 from deflectometry.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.mirror_outline import mirror_masks
 from deflectometry.mirror_pose import MirrorPose, locate_mirror, pose_from_points
@@ -347,7 +347,7 @@ def _usable_facets(
         if usable.size < FEWEST_PIXELS:
             warnings.warn(_why_not(facet, region, screen_map), QualityWarning, stacklevel=2)
             continue
-        chosen = usable[:: max(1, usable.size // SHAPE_PIXELS)]
+        chosen = usable[spread_indices(usable.size, SHAPE_PIXELS)]
         row, column = np.divmod(chosen, facet_index.shape[1])
         pixels = np.stack([column, row], axis=-1).astype(np.float64)
         measured.append(index)
@@ -370,8 +370,8 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
 
 
 def _thin(sample: PixelSamples, most: int) -> PixelSamples:
-    step = max(1, len(sample.pixels_px) // most)
-    return replace(sample, pixels_px=sample.pixels_px[::step], u=sample.u[::step], v=sample.v[::step])
+    chosen = spread_indices(len(sample.pixels_px), most)
+    return replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
 
 
 def _uncertain_pose(located: LocatedMirror) -> UncertainPose:

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, principal_steps, trace_samples
+from deflectometry.common_modes import (
+    PixelSamples,
+    UncertainPose,
+    common_modes,
+    principal_steps,
+    spread_indices,
+    trace_samples,
+)
 from deflectometry.setup import Setup
 from deflectometry.slopes import slopes_at, solve_shape
 from heliogauge.surfaces import Facet, paraboloid
@@ -132,3 +139,15 @@ def test_principal_steps_add_up_to_the_covariance():
     assert np.allclose(steps.T @ steps / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-12)
     assert steps.shape == (5, 7)
     assert principal_steps(np.zeros((6, 6))).shape == (0, 6)
+
+
+@pytest.mark.parametrize(("width", "height"), [(400, 500), (800, 1000), (640, 500), (70, 200)])
+def test_pixels_are_picked_over_all_columns_and_rows(width, height):
+    """Whole rows of equal length: every k-th of 800 x 1000 pixels lies in one of two columns."""
+    chosen = spread_indices(width * height, 2000)
+    assert 1990 <= chosen.size <= 2000
+    assert np.all(np.diff(chosen) > 0)
+    row, column = np.divmod(chosen, width)
+    for place, size in ((row, height), (column, width)):
+        assert np.histogram(place, bins=8, range=(0, size))[0] == pytest.approx([250] * 8, abs=40)
+    assert spread_indices(7, 2000).tolist() == list(range(7))
