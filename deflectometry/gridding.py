@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from deflectometry.integrate import integrate_slopes
 from deflectometry.slope_image import SlopeImage
@@ -170,18 +171,27 @@ def _sample(
         weight = (count >= 0.5 * width * width).astype(np.float64)
         planes = [plane * weight for plane in planes]
     rows, columns = weight.shape
-    near_column, near_row = np.rint(pixels[:, 0]).astype(int), np.rint(pixels[:, 1]).astype(int)
-    inside = (near_column >= 0) & (near_column < columns) & (near_row >= 0) & (near_row < rows)
-    nearest = np.where(inside, near_row * columns + near_column, 0)
+    # OpenCV anchors an even box half a pixel past its middle.
+    at = pixels + (0.5 if width % 2 == 0 else 0.0)
+    nearest, inside = _nearest(pixels, (rows, columns))
+    nearest_box, inside_box = _nearest(at, (rows, columns))
     flags = np.where(inside, image.flags.ravel()[nearest], np.uint32(SampleFlag.NOT_SEEN)).astype(np.uint32)
-    usable_node = inside & (weight.ravel()[nearest] > 0)
+    usable_node = inside & inside_box & (weight.ravel()[nearest_box] > 0)
     # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
     flags[usable_node] &= ~np.uint32(REJECTED)
-    total, residual, variance = _interpolate(pixels, weight, planes)
+    flags[~usable_node & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
+    total, residual, variance = _interpolate(at, weight, planes, width)
     with np.errstate(invalid="ignore", divide="ignore"):
         residual = np.where(usable_node, residual / total, np.nan)
         sigma = np.where(usable_node, np.sqrt(variance) / total, np.nan)
     return residual, sigma, flags
+
+
+def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[npt.NDArray[np.intp], BoolArray]:
+    """Return the flat index of the nearest pixel of an image, and whether there is one."""
+    column, row = np.rint(pixels[:, 0]).astype(np.intp), np.rint(pixels[:, 1]).astype(np.intp)
+    inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, 0), np.asarray(inside)
 
 
 def _box_sum(plane: FloatArray, width: int) -> FloatArray:
@@ -189,11 +199,12 @@ def _box_sum(plane: FloatArray, width: int) -> FloatArray:
 
 
 def _interpolate(
-    pixels: FloatArray, weight: FloatArray, planes: list[FloatArray]
+    pixels: FloatArray, weight: FloatArray, planes: list[FloatArray], width: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sum the neighbours of each position: weights, weighted differences, squared-weight variances.
 
-    Cubic where all 16 neighbours are there, linear over the ones of the 4 that are there elsewhere.
+    Cubic where all 16 neighbours are there, linear over the ones of the 4 that are there elsewhere. Neighbours that
+    are means over `width` pixels share most of them: their noise adds up, it does not average out.
     """
     rows, columns = weight.shape
     column, row = np.floor(pixels[:, 0]), np.floor(pixels[:, 1])
@@ -204,16 +215,20 @@ def _interpolate(
     at = np.where(inner, (row + 1) * columns + column + 1, 0).astype(int)
     cubic = inner & (block.ravel()[at] > 15.5)
     along_x, along_y = _tap_weights(to_right, cubic), _tap_weights(down, cubic)
+    apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
+    shared = np.maximum(1.0 - apart / width, 0.0)
+    noise_x, noise_y = shared @ along_x, shared @ along_y
     total, residual, variance = np.zeros(len(pixels)), np.zeros((2, len(pixels))), np.zeros((2, len(pixels)))
     for step_column in range(-1, 3):
         at_column = np.clip(column + step_column, 0, columns - 1).astype(int)
         for step_row in range(-1, 3):
             at = np.clip(row + step_row, 0, rows - 1).astype(int) * columns + at_column
             share = along_x[step_column + 1] * along_y[step_row + 1] * weight.ravel()[at]
+            noise = noise_x[step_column + 1] * noise_y[step_row + 1]
             total += share
             for axis in (0, 1):
                 residual[axis] += share * planes[axis].ravel()[at]
-                variance[axis] += share * share * planes[axis + 2].ravel()[at]
+                variance[axis] += share * noise * planes[axis + 2].ravel()[at]
     return total, residual, variance
 
 
