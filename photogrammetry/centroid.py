@@ -123,7 +123,7 @@ class _Edges:
 def _edges(window_dn: FloatArray, ellipse: Ellipse) -> _Edges:
     grounds = ground_noise(window_dn, ellipse)
     step = grounds.outside_dn - grounds.inside_dn
-    noise = np.sqrt(max(grounds.inside_variance_dn2, grounds.outside_variance_dn2))
+    noise = float(np.sqrt(min(grounds.inside_variance_dn2, grounds.outside_variance_dn2)))
     if abs(step) <= _MIN_SNR * noise or step == 0:
         raise EstimationError(f"the target's contrast is {abs(step):.1f} DN at {noise:.1f} DN noise: too little")
     gx = cv2.Sobel(window_dn, cv2.CV_64F, 1, 0, ksize=5, scale=1 / 128) - grounds.slope_dn_px[0]
