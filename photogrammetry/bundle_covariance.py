@@ -54,7 +54,9 @@ class BundleCovariance:
         layout = self._layout
         dense = np.zeros((layout.n_global, columns.shape[2]))
         if layout.kept.size:
-            dense[layout.n_global - 3 * layout.kept.size :] = columns[layout.kept].reshape(-1, columns.shape[2])
+            dense[layout.n_global - 3 * layout.kept.size :] = columns[layout.kept].reshape(
+                3 * layout.kept.size, columns.shape[2]
+            )
         return dense, columns[layout.eliminated]
 
     @cached_property
@@ -92,10 +94,10 @@ class BundleCovariance:
         overlap += np.einsum("eid,eif->df", self._datum_targets, self._target_movements)
         inverse = np.linalg.inv(overlap)
         half = self._elimination.factor.half(self._datum_dense / system.dense_scale[:, None])
-        half += self._halves @ self._datum_targets.reshape(-1, count)
+        half += self._halves @ self._datum_targets.reshape(3 * layout.eliminated.size, count)
         roots = self._elimination.roots
         own = roots @ (np.swapaxes(roots, 1, 2) @ self._datum_targets)
-        targets = (self._halves.T @ half).reshape(-1, 3, count) + own
+        targets = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
         dense = self._elimination.factor.back(half) / system.dense_scale[:, None]
         core = half.T @ half + np.einsum("eid,eif->df", self._datum_targets, own)
         return dense @ inverse, targets @ inverse, inverse.T @ core @ inverse
@@ -109,7 +111,7 @@ class BundleCovariance:
 
     @cached_property
     def _known(self) -> tuple[FloatArray, FloatArray]:
-        """``Q E^T`` for the rows E of constraints and priors: dense part (g, k) and targets (e, 3, k)."""
+        """``P Q E^T`` for the rows E of constraints and priors: dense part (g, k) and targets (e, 3, k)."""
         extra, layout = self._system.extra, self._layout
         count = extra.all_residuals.size
         dense, targets = np.zeros((layout.n_global, count)), np.zeros((layout.eliminated.size, 3, count))
@@ -128,10 +130,13 @@ class BundleCovariance:
         )
         roots = self._elimination.roots
         half = self._elimination.factor.half(dense / self._system.dense_scale[:, None])
-        half += self._halves @ targets.reshape(-1, count)
+        half += self._halves @ targets.reshape(3 * layout.eliminated.size, count)
         own = roots @ (np.swapaxes(roots, 1, 2) @ targets)
-        solved = (self._halves.T @ half).reshape(-1, 3, count) + own
-        return self._elimination.factor.back(half) / self._system.dense_scale[:, None], solved
+        solved = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
+        solved_dense = self._elimination.factor.back(half) / self._system.dense_scale[:, None]
+        # Under the datum: P Q E^T = Q E^T - K (M^T G^T Q E^T).
+        seen = self._carried[0].T @ dense + np.einsum("eid,eik->dk", self._carried[1], targets)
+        return solved_dense - self._system.dense_movements @ seen, solved - self._target_movements @ seen
 
     def _scaled(self, blocks: FloatArray, known: FloatArray | None) -> FloatArray:
         """Scale cofactor blocks; constraints and priors keep their own sigma where the scale is another."""
@@ -145,10 +150,8 @@ class BundleCovariance:
         return self._factors.share != self._factors.prior and self._system.extra.all_residuals.size > 0
 
     @cached_property
-    def points(self) -> FloatArray:
-        """Covariance of each target, shape (n, 3, 3) [m^2]; 0 for fixed ones, NaN where not determined."""
-        layout = self._layout
-        result = np.zeros((layout.slot.size, 3, 3))
+    def _target_cofactors(self) -> FloatArray:
+        """Cofactor of each eliminated target, shape (e, 3, 3)."""
         roots, halves = self._elimination.roots, self._halves
         raw = roots @ np.swapaxes(roots, 1, 2)
         for i in range(3):
@@ -157,6 +160,14 @@ class BundleCovariance:
                 raw[:, i, j] += products
                 if i != j:
                     raw[:, j, i] += products
+        return raw
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Covariance of each target, shape (n, 3, 3) [m^2]; 0 for fixed ones, NaN where not determined."""
+        layout = self._layout
+        result = np.zeros((layout.slot.size, 3, 3))
+        raw = self._target_cofactors
         under = self._under_datum(raw, self._target_movements, self._carried[1])
         result[layout.eliminated] = self._scaled(under, self._known[1] if self._corrects else None)
         if layout.kept.size:
@@ -220,6 +231,26 @@ class BundleCovariance:
             )
         return unknown
 
+    @cached_property
+    def cofactors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Inverse of the normal matrix under any datum: dense part (g, g), with targets (g, n, 3), targets (n, 3, 3).
+
+        What image points and constraints see of it does not depend on the datum.
+        """
+        layout, scale = self._layout, self._system.dense_scale
+        crossed = np.zeros((layout.n_global, layout.slot.size, 3))
+        own = np.zeros((layout.slot.size, 3, 3))
+        crossed[:, layout.eliminated] = (
+            self._elimination.factor.back(self._halves).reshape(layout.n_global, layout.eliminated.size, 3)
+            / scale[:, None, None]
+        )
+        own[layout.eliminated] = self._target_cofactors
+        if layout.kept.size:
+            columns = layout.kept_column[layout.kept][:, None] + np.arange(3)
+            crossed[:, layout.kept] = self._dense_cofactor[:, columns]
+            own[layout.kept] = self._dense_cofactor[columns[:, :, None], columns[:, None, :]]
+        return self._dense_cofactor, crossed, own
+
     def joint(
         self, targets: Sequence[int] | IntArray = (), photos: Sequence[int] | IntArray = (), *, intrinsics: bool = False
     ) -> FloatArray:
@@ -254,7 +285,10 @@ class BundleCovariance:
 
         def gathered(dense: FloatArray, inner: FloatArray) -> FloatArray:
             result = np.empty((in_dense.size, dense.shape[1]))
-            result[in_dense], result[~in_dense] = dense[wanted], inner.reshape(-1, dense.shape[1])[own]
+            result[in_dense], result[~in_dense] = (
+                dense[wanted],
+                inner.reshape(3 * layout.eliminated.size, dense.shape[1])[own],
+            )
             return result
 
         half = np.empty((len(self._halves), in_dense.size))

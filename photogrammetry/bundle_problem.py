@@ -38,7 +38,7 @@ class CameraModel:
         Joint covariance of `INTRINSIC_NAMES` around the values of the start, from an earlier calibration.
     residual : ResidualSpace, optional
         Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
-        (photogrammetric) models use CORRECTED.
+        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal length.
 
     Raises
     ------

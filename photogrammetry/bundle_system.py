@@ -280,9 +280,11 @@ class SchurSystem:
         """The free movements in the dense part, shape (g, d)."""
         layout, count = self.layout, self.movements.count
         result = np.zeros((layout.n_global, count))
-        result[: 6 * layout.n_photos] = self.movements.poses.reshape(-1, count)
+        result[: 6 * layout.n_photos] = self.movements.poses.reshape(6 * layout.n_photos, count)
         if layout.kept.size:
-            result[layout.n_global - 3 * layout.kept.size :] = self.movements.points[layout.kept].reshape(-1, count)
+            result[layout.n_global - 3 * layout.kept.size :] = self.movements.points[layout.kept].reshape(
+                3 * layout.kept.size, count
+            )
         return result
 
     @property

@@ -79,9 +79,11 @@ class Movements:
 
     def describe(self) -> str:
         """Say in words which movements these are."""
-        weights = (np.linalg.qr(self.shares)[0] ** 2).sum(axis=1) if self.count else np.zeros(7)
-        parts = {"position": weights[:3].sum(), "rotation": weights[3:6].sum(), "scale": weights[6]}
-        words = [f"{int(np.rint(v))} of {k}" if k != "scale" else k for k, v in parts.items() if np.rint(v) > 0]
+        # A turn about a fixed target shifts the centre too: it is a rotation; what neither turns nor stretches shifts.
+        turning, both = (_rank(self.shares[3:last]) for last in (6, 7))
+        counts = (self.count - both, turning)
+        words = [f"{n} of {kind}" for n, kind in zip(counts, ("position", "rotation"), strict=True) if n]
+        words += ["scale"] * (both - turning)
         return ", ".join(words) if words else "nothing"
 
 
@@ -137,7 +139,7 @@ def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntAr
         None to seven of them.
     """
     seen = [np.einsum("rkc,kcd->rd", jacobian, movements.points[targets]) for jacobian, targets in known]
-    seen.append(movements.points[fixed].reshape(-1, movements.count))
+    seen.append(movements.points[fixed].reshape(3 * fixed.size, movements.count))
     # Each row against what it could see at most: a distance of sigma 1 um must not hide one of sigma 1 m.
     sizes = [np.sqrt((jacobian**2).sum(axis=(1, 2))) for jacobian, _ in known] + [np.ones(3 * fixed.size)]
     rows = np.concatenate(seen) / np.maximum(np.concatenate(sizes), 1e-300)[:, None]
@@ -213,6 +215,10 @@ def datum_constraints(
         columns[chosen[row // 3], row % 3, column] = 1.0
         labels.append(f"{'xyz'[row % 3]} of {names[row // 3] if names else chosen[row // 3]}")
     return DatumConstraints(columns, f"{datum.kind.value}: {', '.join(labels)} held" + rest)
+
+
+def _rank(matrix: FloatArray) -> int:
+    return int(np.linalg.matrix_rank(matrix, tol=1e-6)) if matrix.size else 0
 
 
 def _best_rows(matrix: FloatArray) -> list[int]:

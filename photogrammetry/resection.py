@@ -1,0 +1,196 @@
+"""Pose of one photo from targets with known coordinates: three-point solutions, robust choice, refinement."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from heliogauge.camera import Camera
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.least_squares import POSE, POSE_NAMES, Problem, Tukey, solve, whitened
+from heliogauge.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray, float_array
+
+LEAST_TARGETS = 4
+_TRIALS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resection:
+    """Pose of a photo.
+
+    Parameters
+    ----------
+    cam_from_world : RigidTransform
+        The pose.
+    covariance : ndarray, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved` for exact targets [rad, m].
+    inliers : ndarray of bool, shape (n,)
+        Image points that agree with the pose.
+    misses : ndarray, shape (n,)
+        Length of each residual in sigma; infinite behind the camera.
+    rival : float
+        Misfit of the next best different pose over that of this one; near 1 the pose is ambiguous (a small or distant
+        plane can be turned either way).
+    """
+
+    cam_from_world: RigidTransform
+    covariance: FloatArray
+    inliers: BoolArray
+    misses: FloatArray
+    rival: float
+
+
+def resect(
+    camera: Camera,
+    points_m: FloatArray,
+    pixels_px: FloatArray,
+    covariance_px2: FloatArray,
+    *,
+    tolerance: float = 5.0,
+) -> Resection:
+    """Find the pose of a photo.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    points_m : array_like, shape (n, 3)
+        Targets in the world frame [m].
+    pixels_px : array_like, shape (n, 2)
+        Their image points [px].
+    covariance_px2 : array_like, shape (n, 2, 2)
+        Covariance of each residual; add that of the target's coordinates where it matters [px^2].
+    tolerance : float, optional
+        Residuals up to so many sigma agree with a pose.
+
+    Returns
+    -------
+    Resection
+        The pose that most image points agree with, refined.
+
+    Raises
+    ------
+    InputError
+        Lengths differ.
+    EstimationError
+        Fewer than four targets, or no pose that four of them agree with.
+
+    Notes
+    -----
+    Up to 60 triples of targets, spread first, by the three-point solution of OpenCV; every pose is judged by the sum
+    of squared residuals cut off at the tolerance; the best different ones are refined with Tukey's loss.
+    """
+    points, pixels = float_array("points_m", points_m, (None, 3)), float_array("pixels_px", pixels_px, (None, 2))
+    covariance = float_array("covariance_px2", covariance_px2, (len(points), 2, 2))
+    if len(points) != len(pixels):
+        raise InputError(f"resection: {len(points)} targets and {len(pixels)} image points")
+    if len(points) < LEAST_TARGETS:
+        raise EstimationError(f"resection: {len(points)} targets with known coordinates, {LEAST_TARGETS} are needed")
+    roots = np.linalg.inv(np.linalg.cholesky(covariance))
+    poses = _three_point_poses(camera, points, pixels)
+    misses = np.array([_misses(camera, pose, points, pixels, roots) for pose in poses]).reshape(len(poses), -1)
+    costs = np.minimum(misses, tolerance) ** 2
+    order = np.argsort(costs.sum(axis=1), kind="stable")
+    refined = [_refined(camera, poses[i], (points, pixels, covariance), tolerance) for i in _different(poses, order)]
+    found = [one for one in refined if one is not None]
+    if not found:
+        raise EstimationError(f"resection: no pose explains {LEAST_TARGETS} of the {len(points)} image points")
+    judged = []
+    for pose, matrix in found:
+        miss = _misses(camera, pose, points, pixels, roots)
+        judged.append((float((np.minimum(miss, tolerance) ** 2).sum()), pose, matrix, miss))
+    judged.sort(key=lambda one: one[0])
+    cost, pose, matrix, miss = judged[0]
+    inliers = miss <= tolerance
+    if inliers.sum() < LEAST_TARGETS:
+        raise EstimationError(
+            f"resection: only {int(inliers.sum())} of {len(points)} image points agree with the best pose, "
+            f"{LEAST_TARGETS} are needed"
+        )
+    others = [one[0] for one in judged[1:] if _turn(one[1], pose) > 0.02]
+    freedom = max(2 * len(points) - 6, 1)
+    rival = (min(others) + freedom) / (cost + freedom) if others else float("inf")
+    return Resection(pose, matrix, inliers, miss, rival)
+
+
+def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -> list[RigidTransform]:
+    rays = camera.cast_rays(pixels)
+    ideal = rays[:, :2] / rays[:, 2:]
+    usable = np.nonzero(np.isfinite(ideal).all(axis=1))[0]
+    poses = []
+    if usable.size >= 3:
+        for triple in _triples(points, usable):
+            three = np.ascontiguousarray(points[triple])
+            area = np.linalg.norm(np.cross(three[1] - three[0], three[2] - three[0]))
+            if area < 1e-6 * float(((three - three.mean(axis=0)) ** 2).sum()):
+                continue
+            image = np.ascontiguousarray(ideal[triple])
+            _, turns, shifts = cv2.solveP3P(three, image, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_AP3P)
+            for turn, shift in zip(turns, shifts, strict=True):
+                if np.isfinite(turn).all() and np.isfinite(shift).all():
+                    poses.append(RigidTransform.from_rotation_vector(turn.ravel(), shift.ravel()))
+    return poses
+
+
+def _triples(points: FloatArray, usable: "np.typing.NDArray[np.intp]") -> list[FloatArray]:
+    """Choose triples of targets, all of few or a fixed random choice of many, the widest first."""
+    rng = np.random.default_rng(0)
+    chosen = {tuple(sorted(rng.choice(usable, 3, replace=False).tolist())) for _ in range(4 * _TRIALS)}
+    triples = np.array(sorted(chosen))
+    sides = points[triples]
+    area = np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
+    # Half the widest (precise), half at random (so that a few false wide ones do not take all places).
+    widest = np.argsort(-area, kind="stable")[: _TRIALS // 2]
+    others = rng.permutation(len(triples))[: _TRIALS // 2]
+    return list(triples[np.unique(np.concatenate([widest, others]))])
+
+
+def _misses(
+    camera: Camera, pose: RigidTransform, points: FloatArray, pixels: FloatArray, roots: FloatArray
+) -> FloatArray:
+    difference = camera.project(pose.apply(points)) - pixels
+    misses = np.linalg.norm((roots @ difference[:, :, None])[:, :, 0], axis=1)
+    return np.where(np.isfinite(misses), misses, np.inf)
+
+
+def _turn(first: RigidTransform, second: RigidTransform) -> float:
+    """Angle between two poses [rad]."""
+    return float(np.linalg.norm((first @ second.inverse()).rotation_vector_rad))
+
+
+def _different(poses: list[RigidTransform], order: "np.typing.NDArray[np.intp]") -> list[int]:
+    """Choose the best poses that differ by more than 3 degrees from better ones, at most four."""
+    kept: list[int] = []
+    for index in order[:40].tolist():
+        if all(_turn(poses[index], poses[other]) > 0.05 for other in kept):
+            kept.append(index)
+        if len(kept) == 4:
+            break
+    return kept
+
+
+def _refined(
+    camera: Camera, start: RigidTransform, measured: tuple[FloatArray, FloatArray, FloatArray], tolerance: float
+) -> tuple[RigidTransform, FloatArray] | None:
+    """Refine with the image points that the pose can see; None if that fails."""
+    points, pixels, covariance = measured
+    seen = np.isfinite(camera.project(start.apply(points))).all(axis=1)
+    if seen.sum() < 3:
+        return None
+
+    def residuals(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
+        projection = camera.project_posed(points[seen], pose)
+        difference = (projection.pixels_px - pixels[seen]).ravel()
+        return whitened(difference, projection.d_pixel_d_pose.reshape(-1, 6), covariance[seen])
+
+    problem = Problem(POSE_NAMES, residuals, POSE)
+    try:
+        # Wide at first: a start from three noisy points may be tens of sigma off.
+        start_cost = residuals(start)[0].reshape(-1, 2)
+        typical = float(np.median(np.linalg.norm(start_cost, axis=1)))
+        rough = solve(problem, start, loss=Tukey(max(2 * tolerance, 4 * typical)), block_size=2)
+        fine = solve(problem, rough.state, loss=Tukey(tolerance), block_size=2)
+    except EstimationError:
+        return None
+    return fine.state, fine.covariance
