@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,9 @@ from deflectometry.frame_quality import (
     check_gamma,
     check_modulation,
     check_response,
+    check_response_range,
     check_saturation,
+    response_helps,
     saturation_limit,
 )
 from deflectometry.patterns import Axis, FringePattern, FringeSet
@@ -91,13 +94,13 @@ def check_frames(
         return faults
     if sample.readings.shape[1] < 30:
         return [*faults, _no_fringes("no pixel varies between the frames")]
-    noise = _linear_noise(sample, pattern, frames.dtype.kind in "ui")
-    fit = fit_sets(sample.light, pattern)
     faults += list(check_saturation(sample, frames.dtype, saturation_dn))
+    if response is not None:
+        faults += check_response_range(sample, response)
     if any(fault.severity == "error" for fault in faults):
         return faults
     sample = _unsaturated(sample, frames.dtype, saturation_dn)
-    noise = _linear_noise(sample, pattern, frames.dtype.kind in "ui")
+    noise = _linear_noise(sample, pattern, _rounding_variance(sample, frames.dtype, response))
     fit = fit_sets(sample.light, pattern)
     scatter = [math.sqrt(2.0 / fringes.n_frames) for fringes in pattern.sets]
     strength = float(np.median(np.median(fit.modulation / np.sqrt(noise.variance(fit.offset)), axis=1) / scatter))
@@ -106,10 +109,11 @@ def check_frames(
         return [*faults, _no_fringes(f"the modulation is {strength:.2g} times what the noise of a reading makes")]
     sequence = _sequence_faults(sample, pattern, noise)
     if any(fault.severity == "error" for fault in sequence):
-        return [*faults, *(_all_late(sample, pattern, noise, sequence) or sequence)]
+        known = _all_late(sample, pattern, noise, sequence) or _other_pattern(sample, pattern, noise, sequence)
+        return [*faults, *(known or _shortened(sequence))]
     gamma = list(check_gamma(sample, fit, pattern, noise))
     # Harmonics change a frame's mean light by a few per cent, which is no flicker.
-    faults += gamma or sequence
+    faults += ([] if response_helps(sample, fit, pattern, noise) else gamma) if gamma else sequence
     faults += check_modulation(fit, pattern, noise)
     if response is not None:
         faults += check_response(sample, pattern)
@@ -143,20 +147,28 @@ def _no_fringes(seen: str) -> FrameFault:
     return FrameFault(
         FaultKind.LOW_MODULATION,
         (),
-        f"no fringes found: {seen}; check that the mirror is in view, that it shows the display and the exposure",
+        f"no fringes found: {seen}; check that the mirror is in view, that it shows the display, the exposure, and the "
+        "order of the images against [[pattern.set]]",
         "error",
     )
 
 
-def _linear_noise(sample: FrameSample, pattern: FringePattern, integer: bool) -> NoiseModel:
+def _rounding_variance(sample: FrameSample, dtype: np.dtype[Any], response: LightResponse | None) -> float:
+    """Return the variance that rounding to whole DN leaves in linear light."""
+    if dtype.kind not in "ui":
+        return 1e-12
+    slope = 1.0 if response is None else float(np.median(response.slope(sample.readings)))
+    return QUANTISATION_VARIANCE_DN2 * slope**2
+
+
+def _linear_noise(sample: FrameSample, pattern: FringePattern, floor: float) -> NoiseModel:
     """Estimate the noise of linear light, pooled; a few spoilt sets do not move it."""
     solvers = [solve_steps(fringes.steps_rad) for fringes in pattern.sets]
     if all(solver.redundancy == 0 for solver in solvers):
         # Three frames leave nothing: the spread of the sets' offsets stands in (its median resists spoilt sets).
         offsets = fit_sets(sample.light, pattern).offset
         spread = np.median(np.abs(offsets - np.median(offsets, axis=0)))
-        return NoiseModel(max(1.4826 * math.sqrt(3.0) * float(spread), math.sqrt(QUANTISATION_VARIANCE_DN2)))
-    floor = QUANTISATION_VARIANCE_DN2 if integer else 1e-12
+        return NoiseModel(max(1.4826 * math.sqrt(3.0) * float(spread), math.sqrt(floor)))
     return estimate_noise(sample.light, solvers, floor_dn2=floor)
 
 
@@ -181,13 +193,14 @@ def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noi
         )
         return
     content = frame_content(sample.light, fit, pattern, groups, noise)
-    lost = sum(_shown(content, pattern, frame) is None for frame in range(pattern.n_frames))
-    if lost > max(2, pattern.n_frames // 6):
+    lost = tuple(frame for frame in range(pattern.n_frames) if _shown(content, pattern, frame) is None)
+    if len(lost) > max(2, pattern.n_frames // 6):
         yield FrameFault(
             FaultKind.SETS_DISAGREE,
-            (),
-            f"{lost} of {pattern.n_frames} frames do not show the fringes that the others lead to expect; check the "
-            "periods and steps; with three steps also the linearity of the display (a gamma disturbs their phase)",
+            lost,
+            f"frames {', '.join(map(str, lost))} do not show the fringes that the others lead to expect; check their "
+            "periods and steps, and that the camera resolves the finest fringes; with three steps also the linearity "
+            "of the display (a gamma disturbs their phase)",
             "error",
         )
         return
@@ -257,12 +270,75 @@ def _all_late(
     return []
 
 
+def _other_pattern(
+    sample: FrameSample, pattern: FringePattern, noise: NoiseModel, seen: list[FrameFault]
+) -> list[FrameFault]:
+    """Return one fault instead of many if the sequence fits a pattern that is often displayed by mistake."""
+    if len({frame for fault in seen for frame in fault.frames}) < 3 and seen[-1].frames:
+        return []
+    if all(fault.kind is FaultKind.WRONG_STEP for fault in seen):
+        # Each set has its measured steps already.
+        return []
+    for name, sets in _mistaken_patterns(pattern):
+        moved = _sequence_faults(sample, FringePattern(sets), noise)
+        if any(fault.severity == "error" for fault in moved):
+            continue
+        frames = tuple(range(pattern.n_frames))
+        steps = ", ".join(f"{math.degrees(value):g}" for value in sets[0].steps_rad)
+        return [
+            FrameFault(
+                FaultKind.WRONG_STEP,
+                frames,
+                f"frames 0 to {frames[-1]} do not show the pattern of measurement.toml, but fit one with {name} (first "
+                f"set: {sets[0].axis} fringes, {sets[0].periods:g} periods, steps {steps} deg); write into "
+                "[[pattern.set]] what was displayed",
+                "error",
+            )
+        ]
+    return []
+
+
+def _mistaken_patterns(pattern: FringePattern) -> Iterator[tuple[str, tuple[FringeSet, ...]]]:
+    """Yield patterns that are easily taken for the planned one, and what differs in them."""
+    other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
+    yield "x and y fringes exchanged", tuple(replace(one, axis=other[one.axis]) for one in pattern.sets)
+    yield "steps of the opposite sign", tuple(replace(one, steps_rad=-one.steps_rad) for one in pattern.sets)
+    # n steps made n - 1 or n + 1 of a turn: the fence-post error.
+    for off in (-1, 1):
+        scaled = [one.steps_rad * (one.n_frames / (one.n_frames + off)) for one in pattern.sets]
+        name = f"steps {'larger' if off < 0 else 'smaller'} than planned"
+        sets = zip(pattern.sets, scaled, strict=True)
+        yield name, tuple(replace(one, steps_rad=steps) for one, steps in sets)
+
+
+def _shortened(faults: list[FrameFault], most: int = 4) -> list[FrameFault]:
+    """Return the first faults and one for all the others: so many have a common cause."""
+    errors = [fault for fault in faults if fault.severity == "error"]
+    if len(errors) <= most or all(fault.kind is FaultKind.WRONG_STEP for fault in errors):
+        return faults
+    frames = tuple(sorted({frame for fault in errors for frame in fault.frames}))
+    listed = ", ".join(map(str, frames))
+    rest = FrameFault(
+        FaultKind.SETS_DISAGREE,
+        frames,
+        f"in all frames {listed} are concerned: probably the order of the images, or the axes, periods and steps of "
+        "[[pattern.set]], are not what was displayed",
+        "error",
+    )
+    return [*(fault for fault in faults if fault.severity != "error"), *errors[:most], rest]
+
+
 def _misplaced(content: FrameContent, pattern: FringePattern, repeated: dict[int, int]) -> Iterator[FrameFault]:
     """Yield faults of frames that show another frame's content."""
     shown = {k: found for k in range(pattern.n_frames) if (found := _shown(content, pattern, k)) != k}
+    usual = float(np.median(content.spoilt_share))
     done: set[int] = set()
     for frame, source in shown.items():
         if frame in done or source is None:
+            continue
+        same_set = any(one.start <= frame < one.stop and one.start <= source < one.stop for one in pattern.frame_slices)
+        # Whatever its step, fringes of its own set would fit everywhere: a part of this frame is damaged.
+        if same_set and frame not in repeated and content.spoilt_share[frame] > usual + 0.1:
             continue
         if frame in repeated:
             yield _repeated_fault(pattern, repeated[frame], frame)

@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deflectometry.frame_content import FrameContent, FrameSample, SetFit
+from deflectometry.frame_content import FrameContent, FrameSample, SetFit, fit_sets
 from deflectometry.patterns import FringePattern
-from deflectometry.phase import NoiseModel, residual_distortion, solve_steps
+from deflectometry.phase import LightResponse, NoiseModel, residual_distortion, solve_steps
+from heliogauge.validate import FloatArray
 
 #: Standard errors that an effect must exceed to be named: once in 5e8 by chance.
 SIGNIFICANT = 6.0
@@ -115,15 +116,18 @@ def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[Fr
     usual = float(np.median(content.exposure))
     change = content.exposure / usual - 1
     significant = np.abs(change) > 0.01 + SIGNIFICANT * content.sigma_exposure
-    if not significant.any():
-        return
     order = np.arange(len(change)) - (len(change) - 1) / 2
     slope = float(order @ change / (order @ order))
     left = change - slope * order - change.mean()
     total = slope * (len(change) - 1)
-    frames = tuple(int(i) for i in np.flatnonzero(significant))
-    if abs(total) > 0.01 and np.std(left) < 0.5 * np.std(change):
-        seen = f"the light drifts by {total:+.1%} from the first to the last frame"
+    # All frames together show a drift that no single one would: its sigma follows from the scatter about the line.
+    sigma_total = float(np.sqrt(left @ left / max(len(change) - 2, 1) / (order @ order))) * (len(change) - 1)
+    drifts = abs(total) > 0.01 + SIGNIFICANT * sigma_total
+    if not (significant.any() or drifts):
+        return
+    frames = tuple(range(len(change))) if drifts else tuple(int(i) for i in np.flatnonzero(significant))
+    if drifts:
+        seen = f"the light drifts by {total:+.1%} from frame 0 to frame {len(change) - 1}"
         remedy = "let the light source and the display warm up, or lock the exposure"
     else:
         worst = int(np.argmax(np.abs(change)))
@@ -162,12 +166,42 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
     FrameFault
         At most one for the frames.
     """
-    seconds, sigmas = [], []
+    share, sigma = _second_harmonic(sample.light, fit, pattern, noise)
+    if abs(share) > 0.02 + SIGNIFICANT * sigma:
+        gamma = (1 + 2 * share) / (1 - share)
+        yield FrameFault(
+            FaultKind.GAMMA,
+            (),
+            f"the fringes are not sinusoidal: the second harmonic is {share:+.1%} of the modulation, as from a display "
+            f"with light = level**{gamma:.2f} at full contrast; calibrate the response, or display compensated frames "
+            "(with 3 or 4 steps the third harmonic goes straight into the phase)",
+            "warning",
+        )
+
+
+def response_helps(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> bool:
+    """Tell whether the response takes away most of the second harmonic.
+
+    Notes
+    -----
+    What a right response leaves is the noise next to black: where 1 DN is many levels, the mean level of noisy readings
+    lies below the level of their mean (13 % of second harmonic for a gamma of 2.2, 4 DN of offset and 1 DN of noise).
+    """
+    if sample.light is sample.readings:
+        return False
+    with_response, _ = _second_harmonic(sample.light, fit, pattern, noise)
+    without, _ = _second_harmonic(sample.readings, fit_sets(sample.readings, pattern), pattern, noise)
+    return abs(with_response) < 0.6 * abs(without)
+
+
+def _second_harmonic(values: FloatArray, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> tuple[float, float]:
+    """Return the largest second harmonic of a set as a share of its modulation, and its standard deviation."""
+    seconds, sigmas = [0.0], [0.0]
     for index, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         solver = solve_steps(fringes.steps_rad)
         if solver.redundancy == 0:
             continue
-        found = residual_distortion(sample.light[position], solver)[:, :2]
+        found = residual_distortion(values[position], solver)[:, :2]
         # A second harmonic h cos(2 phi - 2 step) leaves h times these shares of cos 2 phi and sin 2 phi.
         twice = np.stack([np.cos(2 * fringes.steps_rad), np.sin(2 * fringes.steps_rad)])
         seen = solver.residual @ twice.T
@@ -178,19 +212,28 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
         power = float((fit.modulation[index] ** 2).sum())
         variance = float(np.median(noise.variance(fit.offset[index])))
         sigmas.append(math.sqrt(2.0 * variance / max(power, 1e-12) / size))
-    if not seconds:
-        return
     worst = int(np.argmax(np.abs(seconds)))
-    share = seconds[worst]
-    if abs(share) > 0.02 + SIGNIFICANT * sigmas[worst]:
-        gamma = (1 + 2 * share) / (1 - share)
+    return seconds[worst], sigmas[worst]
+
+
+def check_response_range(sample: FrameSample, response: LightResponse) -> Iterator[FrameFault]:
+    """Yield a fault where readings lie beyond the ends of the response, which says nothing there.
+
+    Yields
+    ------
+    FrameFault
+        At most one for the frames.
+    """
+    # Beyond its ends a look-up stays where it is.
+    above = response.linearise(sample.readings) >= response.linearise(np.full(1, np.inf))[0]
+    share = float(above.mean())
+    if share > 0.02:
         yield FrameFault(
-            FaultKind.GAMMA,
+            FaultKind.RESPONSE,
             (),
-            f"the fringes are not sinusoidal: the second harmonic is {share:+.1%} of the modulation, as from a display "
-            f"with light = level**{gamma:.2f} at full contrast; calibrate the response, or display compensated frames "
-            "(with 3 or 4 steps the third harmonic goes straight into the phase)",
-            "warning",
+            f"{share:.0%} of the readings (up to {sample.readings.max():.0f} DN) lie above the brightest one of the "
+            "response: it was measured for another exposure, or is cut off; measure it up to the brightest level",
+            "error" if share > 0.1 else "warning",
         )
 
 
