@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -126,10 +127,8 @@ class LocatedMirror:
     ----------
     facets : tuple of Facet
         Facets; of a mirror without outline the one made from its image.
-    cam_from_mirror : RigidTransform
+    pose : UncertainPose
         Pose before alignment.
-    covariance : ndarray, shape (6, 6)
-        Its covariance for steps of `RigidTransform.moved` [rad, m].
     margin_px : float
         Distance to the outline below which pixels mix the mirror with its surroundings [px].
     source : str
@@ -139,8 +138,7 @@ class LocatedMirror:
     """
 
     facets: tuple[Facet, ...]
-    cam_from_mirror: RigidTransform
-    covariance: FloatArray
+    pose: UncertainPose
     margin_px: float
     source: str
     evidence: MirrorPose | None = None
@@ -224,7 +222,7 @@ def evaluate_frames(
     _warn_of_missing_sigmas(setup)
     with progress.stage("find mirror"):
         located = locate(observation, setup, mirror)
-        masks = mirror_masks(setup.camera, located.cam_from_mirror, located.facets, margin_px=located.margin_px)
+        masks = mirror_masks(setup.camera, located.pose.cam_from_mirror, located.facets, margin_px=located.margin_px)
     with progress.stage("phase"):
         screen_map = measure_screen_map(
             observation.frames, observation.pattern, response=observation.response, region=masks.facet_index >= 0,
@@ -235,14 +233,14 @@ def evaluate_frames(
     with progress.stage("slopes"):
         measured, samples = _usable_facets(located, screen_map, masks.facet_index)
         align = choices.align is Align.NORMAL
-        solution = solve_shape(trace_samples(setup, samples), located.cam_from_mirror, align=align)
+        solution = solve_shape(trace_samples(setup, samples), located.pose.cam_from_mirror, align=align)
         images = {}
         for index, sample, surface in zip(measured, samples, solution.surfaces, strict=True):
             pose = solution.cam_from_mirror @ sample.facet.ensemble_from_facet
             images[sample.facet.name] = measure_slopes(setup, screen_map, masks.facet_index == index, pose, surface)
     with progress.stage("uncertainty"):
         thinned = [_thin(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
-        modes = common_modes(setup, thinned, solution, _uncertain_pose(located), align=align)
+        modes = common_modes(setup, thinned, solution, located.pose, align=align)
     with progress.stage("maps", steps=len(images)) as stage:
         plan = _plan_grid(images, [sample.facet for sample in samples], choices, len(located.facets))
         maps, cantings = {}, {}
@@ -295,9 +293,10 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
         No mirror in view, or an outline that does not fit.
     """
     if mirror.facets and mirror.known_pose is not None:
-        pose, covariance = mirror.known_pose
         # Half a pixel's diagonal: what a pixel needs to lie wholly on the mirror in a sharp image.
-        return LocatedMirror(mirror.facets, pose, covariance, 0.5 * np.sqrt(2.0), "given in measurement.toml")
+        return LocatedMirror(
+            mirror.facets, UncertainPose(*mirror.known_pose), 0.5 * np.sqrt(2.0), "given in measurement.toml"
+        )
     image = observation.lit
     if image is None:
         image = modulation_image(observation.frames, observation.pattern, response=observation.response)
@@ -308,9 +307,11 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"
     )
-    return LocatedMirror(
-        mirror.facets, evidence.cam_from_mirror, evidence.covariance, evidence.mask_margin_px, source, evidence
-    )
+    return LocatedMirror(mirror.facets, _uncertain(evidence), evidence.mask_margin_px, source, evidence)
+
+
+def _uncertain(evidence: MirrorPose) -> UncertainPose:
+    return UncertainPose(evidence.cam_from_mirror, evidence.covariance, evidence.with_setup)
 
 
 def _locate_without_outline(
@@ -324,16 +325,17 @@ def _locate_without_outline(
     )  # fmt: skip
     evidence = None
     if mirror.known_pose is not None:
-        (pose, covariance), source = mirror.known_pose, "given in measurement.toml (no outline given)"
+        pose, source = UncertainPose(*mirror.known_pose), "given in measurement.toml (no outline given)"
     elif len(mirror.knowledge.points.points_m):
         evidence = pose_from_points(setup.camera, mirror.knowledge)
-        pose, covariance = evidence.cam_from_mirror, evidence.covariance
+        pose = _uncertain(evidence)
         source = f"{evidence.n_points} known points, residual {evidence.residual_rms_px:.3f} px RMS (no outline given)"
     else:
-        pose, covariance = rough.pose(setup, screen_map, mirror.knowledge.distances)
+        reflect = partial(rough.pose, screen_map, mirror.knowledge, mirror.design)
+        pose = UncertainPose(*reflect(setup), lambda other: reflect(other)[0])
         source = "reflection at the middle of the mirror and the measured distance (no outline given)"
-    facet = rough.facet(mirror.name, mirror.design, setup.camera, pose)
-    return LocatedMirror((facet,), pose, covariance, rough.margin_px, source, evidence)
+    facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
+    return LocatedMirror((facet,), pose, rough.margin_px, source, evidence)
 
 
 def _usable_facets(
@@ -372,17 +374,6 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
 def _thin(sample: PixelSamples, most: int) -> PixelSamples:
     chosen = spread_indices(len(sample.pixels_px), most)
     return replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
-
-
-def _uncertain_pose(located: LocatedMirror) -> UncertainPose:
-    if located.evidence is None:
-        return UncertainPose(located.cam_from_mirror, located.covariance)
-    observations, pose = located.evidence.observations, located.cam_from_mirror
-    return UncertainPose(
-        pose,
-        located.covariance,
-        lambda setup: observations.pose_with(setup.camera, setup.cam_from_screen.translation_m, pose),
-    )
 
 
 def _plan_grid(images: dict[str, SlopeImage], facets: Sequence[Facet], choices: Choices, n_facets: int) -> GridPlan:

@@ -114,7 +114,7 @@ def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:
         "camera_distance_m": float(np.linalg.norm(pose.translation_m)),
         "noise_dn": float(evaluation.screen_map.noise.sigma_read_dn),
         "alignment_turn_mrad": 1e3
-        * float(np.linalg.norm((located.cam_from_mirror.inverse() @ pose).rotation_vector_rad)),
+        * float(np.linalg.norm((located.pose.cam_from_mirror.inverse() @ pose).rotation_vector_rad)),
     }
     evidence = located.evidence
     if evidence is not None:

@@ -16,6 +16,7 @@ from deflectometry.mirror_outline import lit_share
 from deflectometry.outline_edges import OutlineEdges, OutlineFit, OutlineSearch
 from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.pose_start import mirror_regions, point_poses, start_poses
+from deflectometry.setup import Setup
 from heliogauge.camera import Camera
 from heliogauge.chi_square import chi_square_cdf
 from heliogauge.errors import EstimationError, InputError, QualityWarning
@@ -114,6 +115,10 @@ class MirrorPose:
     def mask_margin_px(self) -> float:
         """Distance from the outline within which a pixel mixes the facet with what is beside it [px]."""
         return float(max(0.5 * np.sqrt(2), np.nan_to_num(0.5 * self.edge_width_px) + 0.5) + self.sigma_edge_px)
+
+    def with_setup(self, setup: Setup) -> RigidTransform:
+        """Return the pose that the same images and distances give with another camera or screen."""
+        return self.observations.pose_with(setup, self.cam_from_mirror)
 
 
 def locate_mirror(
@@ -324,15 +329,13 @@ class PoseObservations:
         # A ten-thousandth of a sigma is enough; iterating to round-off doubles the time.
         return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
 
-    def pose_with(self, camera: Camera, screen_origin_m: FloatArray, start: RigidTransform) -> RigidTransform:
-        """Return the pose that the same observations give with another camera, or a screen elsewhere.
+    def pose_with(self, setup: Setup, start: RigidTransform) -> RigidTransform:
+        """Return the pose that the same observations give with another camera, or with the screen elsewhere.
 
         Parameters
         ----------
-        camera : Camera
-            The other camera.
-        screen_origin_m : ndarray, shape (3,)
-            Origin of the screen in the camera frame [m].
+        setup : Setup
+            The other camera and screen.
         start : RigidTransform
             Pose near by.
 
@@ -341,8 +344,9 @@ class PoseObservations:
         RigidTransform
             cam_from_mirror.
         """
-        distances = tuple(replace(one, cam_point_m=screen_origin_m) for one in self.distances)
-        return replace(self, distances=distances).adjust(camera, start).require("mirror pose").state
+        origin_m = setup.cam_from_screen.translation_m
+        distances = tuple(replace(one, cam_point_m=origin_m) for one in self.distances)
+        return replace(self, distances=distances).adjust(setup.camera, start).require("mirror pose").state
 
 
 def _test_distance(

@@ -286,7 +286,7 @@ def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
         carry = np.eye(6)
         carry[3:, :3] = -skew(cam_from_mirror.rotate(facet.ensemble_from_facet.translation_m))
         pose = cam_from_mirror @ facet.ensemble_from_facet
-        poses[facet.name] = PhotoPose("camera", pose, carry @ located.covariance @ carry.T, residual)
+        poses[facet.name] = PhotoPose("camera", pose, carry @ located.pose.covariance @ carry.T, residual)
     return poses
 
 

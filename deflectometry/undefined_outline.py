@@ -1,18 +1,17 @@
 """A mirror whose outline nobody gave: its outline from the image, its pose from the reflection and a distance."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from deflectometry.facet import find_mirrors, measure_edges
-from deflectometry.pose_observations import DistanceObservation
+from deflectometry.pose_observations import DistanceObservation, Knowledge
 from deflectometry.screen_map import ScreenMap
 from deflectometry.setup import Setup
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import RigidTransform, rotation_between, rotation_from_vector
 from heliogauge.surfaces import Facet, Quadric, plane
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
@@ -42,37 +41,46 @@ class ImageOutline:
     margin_px: float
 
     def pose(
-        self, setup: Setup, screen_map: ScreenMap, distances: Sequence[DistanceObservation]
+        self, screen_map: ScreenMap, knowledge: Knowledge, design: Quadric, setup: Setup
     ) -> tuple[RigidTransform, FloatArray]:
-        """Find the pose whose middle is at the measured distance and whose normal there reflects as measured.
+        """Find the pose whose middle is at the measured distance and whose design reflects there as measured.
 
         Parameters
         ----------
-        setup : Setup
-            Camera and screen.
         screen_map : ScreenMap
             Display point of each pixel.
-        distances : sequence of DistanceObservation
-            Exactly one, from the middle of the mirror to the origin of the screen.
+        knowledge : Knowledge
+            Exactly one distance, from the middle of the mirror to the origin of the screen; and the expected roll.
+        design : Quadric
+            Its design, origin in the middle of what is seen.
+        setup : Setup
+            Camera and screen.
 
         Returns
         -------
         cam_from_mirror : RigidTransform
-            z along the normal in the middle, x level in the image.
+            The design's normal in the middle is the one that reflects as measured; x is level in the image but for
+            the roll.
         covariance : ndarray, shape (6, 6)
             Of the distance; the orientation is that of the reflection itself.
 
         Raises
         ------
         InputError
-            No distance was given.
+            No distance was given, or one to another point than the middle.
         EstimationError
             The middle shows no fringes, or no point of its line of sight has this distance.
         """
+        distances = knowledge.distances
         if len(distances) != 1:
             raise InputError(
                 "[mirror]: without outline_m the pose needs [mirror.distance] (from the middle of the mirror to the "
                 "origin of the screen) or [mirror.pose]"
+            )
+        if distances[0].mirror_point_m.any():
+            raise InputError(
+                f"[mirror.distance]: point_m = {distances[0].mirror_point_m.tolist()}, but without outline_m the"
+                " distance must be to the middle of what is seen of the mirror; leave point_m out, or give outline_m"
             )
         usable = np.argwhere(self.region & (screen_map.flags == 0))
         if not len(usable):
@@ -82,15 +90,21 @@ class ImageOutline:
         screen = setup.cam_from_screen.apply(
             setup.screen.points_m(screen_map.u[row, column], screen_map.v[row, column])
         )
-        point, stretch = _at_distance(ray, distances[0])
+        # To the screen of this setup, wherever it stands.
+        distance = replace(distances[0], cam_point_m=setup.cam_from_screen.translation_m)
+        point, stretch = _at_distance(ray, distance)
         to_screen, to_camera = screen - point, -point
         z_axis = to_screen / np.linalg.norm(to_screen) + to_camera / np.linalg.norm(to_camera)
         z_axis /= np.linalg.norm(z_axis)
         x_axis = np.array([1.0, 0.0, 0.0]) - z_axis[0] * z_axis
         x_axis /= np.linalg.norm(x_axis)
-        rotation = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
-        along = np.concatenate([np.zeros(3), ray * stretch * distances[0].sigma_m])
-        return RigidTransform(rotation, point), np.outer(along, along)
+        upright = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+        # The design of a facet off its optic's vertex may lean in the facet's frame.
+        straight = rotation_between(design.normal(0.0, 0.0), [0.0, 0.0, 1.0])
+        rotation = upright @ rotation_from_vector([0.0, 0.0, knowledge.roll_rad]) @ straight
+        origin = point - rotation[:, 2] * float(design.height(0.0, 0.0))
+        along = np.concatenate([np.zeros(3), ray * stretch * distance.sigma_m])
+        return RigidTransform(rotation, origin), np.outer(along, along)
 
     def facet(self, name: str, design: Quadric, camera: Camera, cam_from_mirror: RigidTransform) -> Facet:
         """Carry the outline in the image onto the mirror.

@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
+from data_synth.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.knowledge import Knowledge
 from data_synth.presets import FULL_CAMERA, ensemble_scene, preset_scene
+from deflectometry.evaluate import Align
 from deflectometry.pipeline import Options, run, summarise, write
+from heliogauge.errors import InputError
 from heliogauge.measurement import load_measurement
 from heliogauge.measurement_models import EvaluationSection
 from heliogauge.report_results import open_results
@@ -80,9 +82,47 @@ def test_pose_sigma_of_a_facet_contains_the_turn_of_the_ensemble(pair, tmp_path)
     write(result, tmp_path)
     located, poses = result.evaluation.located, open_results(tmp_path).poses
     rng = np.random.default_rng(1)
-    steps = rng.multivariate_normal(np.zeros(6), located.covariance, 4000)
+    steps = rng.multivariate_normal(np.zeros(6), located.pose.covariance, 4000)
     facet = located.facets[1]
     mirror = result.evaluation.solution.cam_from_mirror
     places = np.array([(mirror.moved(step) @ facet.ensemble_from_facet).translation_m for step in steps])
     stated = np.sqrt(np.diag(poses[facet.name].covariance)[3:])
     assert places.std(axis=0) == pytest.approx(stated, rel=0.05)
+
+
+@pytest.fixture
+def without_outline(tmp_path):
+    """A facet 0.5 m off axis, f = 10 m: its design leans by 25 mrad in the facet's frame."""
+    write_dataset(tmp_path / "m", preset_scene("off-axis"), DatasetOptions(4, Knowledge()))
+    path = tmp_path / "m" / "measurement.toml"
+    path.write_text("\n".join(line for line in path.read_text().splitlines() if not line.startswith("outline_m")))
+    return path
+
+
+@pytest.mark.parametrize("align", Align)
+def test_mirror_without_outline_stands_as_its_design_reflects(without_outline, align):
+    result = run(load_measurement(without_outline.parent), Options(align=align))
+    true = read_truth(without_outline.parent)
+    slope_map = result.assembled
+    true_x, true_y = true.slopes(*np.meshgrid(slope_map.x_m, slope_map.y_m))
+    left = np.array([(slope_map.slope_x - true_x)[slope_map.valid], (slope_map.slope_y - true_y)[slope_map.valid]])
+    # The roll of 20 mrad is not known: it turns the lean of 25 mrad by 0.5 mrad.
+    assert np.abs(left.mean(axis=1)).max() < 1.0e-3
+    assert left.std(axis=1).max() < 2e-4
+
+
+def test_roll_of_a_mirror_without_outline_is_taken_from_the_file(without_outline):
+    text = without_outline.read_text()
+    turned = []
+    for roll_deg in (0.0, 10.0):
+        without_outline.write_text(text.replace("[mirror]", f"[mirror]\nroll_deg = {roll_deg}"))
+        turned.append(run(load_measurement(without_outline.parent)).evaluation.located.pose.cam_from_mirror)
+    change = np.rad2deg((turned[0].inverse() @ turned[1]).rotation_vector_rad)
+    assert change @ [0.0, 0.0, 1.0] == pytest.approx(10.0, abs=0.1)
+
+
+def test_distance_to_another_point_needs_an_outline(without_outline):
+    text = without_outline.read_text()
+    without_outline.write_text(text.replace("[mirror.distance]", "[mirror.distance]\npoint_m = [0.1, 0.0, 0.0]"))
+    with pytest.raises(InputError, match="point_m"):
+        run(load_measurement(without_outline.parent))
