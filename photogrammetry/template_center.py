@@ -46,7 +46,7 @@ class _Prior:
     weights: FloatArray
 
 
-def _normal_distribution(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+def normal_distribution(z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Cumulative normal distribution and density; Abramowitz and Stegun 7.1.26, error below 1e-7.
 
     scipy.special has it to round-off, but its import costs more than all centres of a photo.
@@ -92,7 +92,7 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
     g = np.maximum(np.sqrt(vx * vx + vy * vy), 1e-12)
     distance = (q - q * q) / g
     z = distance / s
-    cumulative, bell = _normal_distribution(z)
+    cumulative, bell = normal_distribution(z)
     normal4 = (vx**4 + vy**4) / g**4
     square = normal4 / (2880 * s**4)
     z2 = z * z
