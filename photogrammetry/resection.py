@@ -7,12 +7,16 @@ import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.least_squares import POSE, POSE_NAMES, Problem, Tukey, solve, whitened
+from heliogauge.least_squares import POSE, POSE_NAMES, Options, Problem, Tukey, solve, whitened
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, float_array
+from photogrammetry.bundle_state import rotations_from_vectors
+from photogrammetry.observations import IntArray
 
 LEAST_TARGETS = 4
 _TRIALS = 60
+# A start value: a hundredth of its own sigma is enough.
+_QUICK = Options(tolerance=1e-2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,17 +92,18 @@ def resect(
     if len(points) < LEAST_TARGETS:
         raise EstimationError(f"resection: {len(points)} targets with known coordinates, {LEAST_TARGETS} are needed")
     roots = np.linalg.inv(np.linalg.cholesky(covariance))
-    poses = _three_point_poses(camera, points, pixels)
-    misses = np.array([_misses(camera, pose, points, pixels, roots) for pose in poses]).reshape(len(poses), -1)
-    costs = np.minimum(misses, tolerance) ** 2
-    order = np.argsort(costs.sum(axis=1), kind="stable")
-    refined = [_refined(camera, poses[i], (points, pixels, covariance), tolerance) for i in _different(poses, order)]
+    turns, shifts = _three_point_poses(camera, points, pixels)
+    costs = (np.minimum(_misses(camera, turns, shifts, (points, pixels, roots)), tolerance) ** 2).sum(axis=1)
+    refined = [
+        _refined(camera, RigidTransform(turns[i], shifts[i]), (points, pixels, covariance), tolerance)
+        for i in _promising(turns, costs, 2 * len(points))
+    ]
     found = [one for one in refined if one is not None]
     if not found:
         raise EstimationError(f"resection: no pose explains {LEAST_TARGETS} of the {len(points)} image points")
     judged = []
     for pose, matrix in found:
-        miss = _misses(camera, pose, points, pixels, roots)
+        miss = _misses(camera, pose.rotation[None], pose.translation_m[None], (points, pixels, roots))[0]
         judged.append((float((np.minimum(miss, tolerance) ** 2).sum()), pose, matrix, miss))
     judged.sort(key=lambda one: one[0])
     cost, pose, matrix, miss = judged[0]
@@ -114,11 +119,12 @@ def resect(
     return Resection(pose, matrix, inliers, miss, rival)
 
 
-def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -> list[RigidTransform]:
+def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the solutions of all chosen triples, rotations (k, 3, 3) and translations (k, 3)."""
     rays = camera.cast_rays(pixels)
     ideal = rays[:, :2] / rays[:, 2:]
     usable = np.nonzero(np.isfinite(ideal).all(axis=1))[0]
-    poses = []
+    vectors: list[FloatArray] = []
     if usable.size >= 3:
         for triple in _triples(points, usable):
             three = np.ascontiguousarray(points[triple])
@@ -127,13 +133,14 @@ def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -
                 continue
             image = np.ascontiguousarray(ideal[triple])
             _, turns, shifts = cv2.solveP3P(three, image, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_AP3P)
-            for turn, shift in zip(turns, shifts, strict=True):
-                if np.isfinite(turn).all() and np.isfinite(shift).all():
-                    poses.append(RigidTransform.from_rotation_vector(turn.ravel(), shift.ravel()))
-    return poses
+            pairs = zip(turns, shifts, strict=True)
+            vectors += [np.concatenate([turn, shift]).ravel() for turn, shift in pairs]
+    poses = np.array(vectors).reshape(-1, 6)
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    return rotations_from_vectors(poses[:, :3]), poses[:, 3:]
 
 
-def _triples(points: FloatArray, usable: "np.typing.NDArray[np.intp]") -> list[FloatArray]:
+def _triples(points: FloatArray, usable: IntArray) -> list[FloatArray]:
     """Choose triples of targets, all of few or a fixed random choice of many, the widest first."""
     rng = np.random.default_rng(0)
     chosen = {tuple(sorted(rng.choice(usable, 3, replace=False).tolist())) for _ in range(4 * _TRIALS)}
@@ -147,10 +154,13 @@ def _triples(points: FloatArray, usable: "np.typing.NDArray[np.intp]") -> list[F
 
 
 def _misses(
-    camera: Camera, pose: RigidTransform, points: FloatArray, pixels: FloatArray, roots: FloatArray
+    camera: Camera, turns: FloatArray, shifts: FloatArray, measured: tuple[FloatArray, FloatArray, FloatArray]
 ) -> FloatArray:
-    difference = camera.project(pose.apply(points)) - pixels
-    misses = np.linalg.norm((roots @ difference[:, :, None])[:, :, 0], axis=1)
+    """Length of each residual for each pose, shape (k, n), in sigma; infinite where the target cannot be seen."""
+    points, pixels, roots = measured
+    seen = np.einsum("kij,nj->kni", turns, points) + shifts[:, None]
+    difference = camera.project(seen) - pixels
+    misses = np.linalg.norm(np.einsum("nij,knj->kni", roots, difference), axis=2)
     return np.where(np.isfinite(misses), misses, np.inf)
 
 
@@ -159,11 +169,14 @@ def _turn(first: RigidTransform, second: RigidTransform) -> float:
     return float(np.linalg.norm((first @ second.inverse()).rotation_vector_rad))
 
 
-def _different(poses: list[RigidTransform], order: "np.typing.NDArray[np.intp]") -> list[int]:
+def _promising(turns: FloatArray, costs: FloatArray, freedom: int) -> list[int]:
     """Choose the best poses that differ by more than 3 degrees from better ones, at most four."""
     kept: list[int] = []
-    for index in order[:40].tolist():
-        if all(_turn(poses[index], poses[other]) > 0.05 for other in kept):
+    order = np.argsort(costs, kind="stable")[:40]
+    for index in order.tolist():
+        # cos of the angle between rotations from the trace of R_a R_b^T; 3 degrees are 0.0014 below 1.
+        cosines = 0.5 * (np.einsum("ij,kij->k", turns[index], turns[kept]) - 1) if kept else np.zeros(0)
+        if (cosines < 0.9986).all() and costs[index] <= 4 * costs[order[0]] + freedom:
             kept.append(index)
         if len(kept) == 4:
             break
@@ -189,8 +202,8 @@ def _refined(
         # Wide at first: a start from three noisy points may be tens of sigma off.
         start_cost = residuals(start)[0].reshape(-1, 2)
         typical = float(np.median(np.linalg.norm(start_cost, axis=1)))
-        rough = solve(problem, start, loss=Tukey(max(2 * tolerance, 4 * typical)), block_size=2)
-        fine = solve(problem, rough.state, loss=Tukey(tolerance), block_size=2)
+        rough = solve(problem, start, loss=Tukey(max(2 * tolerance, 4 * typical)), block_size=2, options=_QUICK)
+        fine = solve(problem, rough.state, loss=Tukey(tolerance), block_size=2, options=_QUICK)
     except EstimationError:
         return None
     return fine.state, fine.covariance

@@ -106,7 +106,8 @@ def intersect_lines(
         misses = np.where(along > 0, misses, np.inf)
         if turn + 1 < _ROUNDS:
             # Poses may be rough: judge lines against the median of all, at least against their own sigma.
-            typical = max(1.0, 1.5 * float(np.median(misses))) if misses.size else 1.0
+            finite = misses[np.isfinite(misses)]
+            typical = max(1.0, 1.5 * float(np.median(finite))) if finite.size else 1.0
             robust = 1 / (1 + np.minimum(misses / (3 * typical), 1e6) ** 2)
     angle = _spread(directions, point, count)
     good = (np.bincount(point, minlength=count) >= 2) & (angle > LEAST_ANGLE_RAD)
