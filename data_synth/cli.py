@@ -76,3 +76,86 @@ def fringes(
     knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
     write_dataset(out, scene, DatasetOptions(seed, knowledge, force), terminal_progress(quiet=quiet, verbose=verbose))
     print(out)
+
+
+@app.command()
+def targets(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="Scene: small (8 photos, 40 codes, 12 dots), panel (40 photos, 300 codes, 8 m), single (one photo of "
+            "24 megapixel), retro, busy, markers (ArUco)."
+        ),
+    ] = "small",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
+    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
+    photos: Annotated[int | None, typer.Option(min=1, help="Only the first so many photos.")] = None,
+    points_only: Annotated[
+        bool, typer.Option("--points-only", help="Write image_points.csv instead of photos: quick, also for panel.")
+    ] = False,
+    sigma_px: Annotated[float, typer.Option(min=0.0, help="Noise of those image points.")] = 0.02,
+    dictionary: Annotated[
+        str | None, typer.Option(help="Ring codes: aicon-N or metashape-N; the preset's without.")
+    ] = None,
+    light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Print white on black.")] = False,
+    mirrored: Annotated[bool, typer.Option("--mirrored", help="Print the wrong way round.")] = False,
+    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    blur_px: Annotated[
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+    ] = None,
+    bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
+    jpeg_quality: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Photograph coded targets and dots on a panel, with scale bars, from known places."""
+    from data_synth.target_dataset import PhotoOptions, photogrammetry_content, write_target_dataset
+    from data_synth.target_presets import PrintChoice, target_scene
+    from heliogauge.terminal import terminal_progress
+
+    scene = target_scene(preset, seed, PrintChoice(dictionary, light_on_dark, mirrored)).scaled(scale)
+    scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
+    scene = replace(scene, views=scene.views[:photos])
+    options = PhotoOptions(seed, sigma_px if points_only else None, jpeg_quality, force)
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    write_target_dataset(out, scene, photogrammetry_content(scene), options, progress)
+    print(out)
+
+
+@app.command()
+def board(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    preset: Annotated[
+        str, typer.Option(help="Board: chessboard, charuco, circles, circles-asymmetric.")
+    ] = "chessboard",
+    photos: Annotated[int, typer.Option(min=1, help="Number of photos.")] = 12,
+    flat: Annotated[bool, typer.Option("--flat", help="A flat and square print; real ones are neither.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
+    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
+    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    blur_px: Annotated[
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+    ] = None,
+    bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
+    jpeg_quality: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Photograph a calibration board that is bent and sheared as real ones are."""
+    from data_synth.board_scene import board_scene, board_table
+    from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
+    from heliogauge.terminal import terminal_progress
+
+    scene = board_scene(preset, seed, n_photos=photos, flat=flat).scaled(scale)
+    scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
+    options = PhotoOptions(seed, None, jpeg_quality, force)
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    write_target_dataset(out, scene, camera_content(scene, board_table(preset)), options, progress)
+    print(out)

@@ -32,6 +32,11 @@ class Print(Protocol):
         """Radius of the figure's sharpest curve [m]."""
         ...
 
+    @property
+    def points_m(self) -> dict[str, tuple[float, float]]:
+        """Points that are measured, by what follows the sheet's name in theirs [m]."""
+        ...
+
     def ink(self, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
         """Return the share of ink in each cell."""
         ...
@@ -64,6 +69,11 @@ class RingPrint:
     def bends_m(self) -> float:
         """Radius of the dot [m]."""
         return self.diameter_m / 2
+
+    @property
+    def points_m(self) -> dict[str, tuple[float, float]]:
+        """The centre, under the sheet's own name [m]."""
+        return {"": (0.0, 0.0)}
 
     def ink(self, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
         """Return the share of ink in each cell, shape (h, w)."""
@@ -121,6 +131,11 @@ class DotPrint:
         """Radius of the dot [m]."""
         return self.diameter_m / 2
 
+    @property
+    def points_m(self) -> dict[str, tuple[float, float]]:
+        """The centre, under the sheet's own name [m]."""
+        return {"": (0.0, 0.0)}
+
     def ink(self, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
         """Return the share of ink in each cell, shape (h, w)."""
         return disc_coverage(x_m, y_m, np.hypot(x_m, y_m), self.diameter_m / 2, cell)
@@ -170,6 +185,11 @@ class DotGridPrint:
         """Radius of the circles [m]."""
         return self.diameter_m / 2
 
+    @property
+    def points_m(self) -> dict[str, tuple[float, float]]:
+        """The centres by their number from 0, as OpenCV counts them [m]."""
+        return {str(number): (float(x), float(y)) for number, (x, y) in enumerate(self.centers_m)}
+
     def ink(self, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
         """Return the share of ink in each cell, shape (h, w)."""
         first = self.centers_m[0].astype(np.float32)
@@ -196,12 +216,15 @@ class LatticePrint:
         Whether a cell is inked, rows from the top.
     margin_m : float
         Width of the paper around the cells [m].
+    points_m : dict, optional
+        Points that are measured, by what follows the sheet's name in theirs [m].
     """
 
     x_edges_m: FloatArray
     y_edges_m: FloatArray
     cells: BoolArray
     margin_m: float
+    points_m: dict[str, tuple[float, float]] = field(default_factory=dict)
     _padded: Float32Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -226,8 +249,8 @@ class LatticePrint:
 
     @property
     def bends_m(self) -> float:
-        """Side of the smallest cell: corners are exact, but every cell must be seen [m]."""
-        return float(min(np.diff(self.x_edges_m).min(), -np.diff(self.y_edges_m).max()))
+        """Infinite: all edges are straight [m]."""
+        return float("inf")
 
     def ink(self, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
         """Return the share of ink in each cell, shape (h, w)."""

@@ -10,7 +10,9 @@ from heliogauge.rigid import RigidTransform
 from heliogauge.validate import FloatArray, float_array
 
 #: Steps to the bent sheet; each gains two digits at a slope of 0.01 seen under 45 deg.
-_BEND_STEPS = 8
+_MOST_STEPS = 12
+#: A nanometre is 3e-6 px at the shortest distance here.
+_EXACT_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +46,11 @@ class SheetShape:
     def is_flat(self) -> bool:
         """Whether the sheet is a plane."""
         return not (np.any(self.bending_per_m) or np.any(self.ripple_per_m2))
+
+    @property
+    def is_true(self) -> bool:
+        """Whether the printer put everything where it was drawn."""
+        return bool(np.array_equal(self.sheet_from_print, np.eye(2)))
 
     def height_m(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the height over the sheet's plane, shape (...) [m]."""
@@ -124,12 +131,24 @@ class Sheet:
         """
         r, origin = sheet_from_cam.rotation, sheet_from_cam.translation_m
         across, up, out = (r[k, 0] * x + r[k, 1] * y + r[k, 2] for k in range(3))
-        out = np.where(out < -1e-6, out, np.nan)
-        height: FloatArray | float = 0.0
-        for _ in range(1 if self.shape.is_flat else _BEND_STEPS):
-            path = (height - origin[2]) / out
-            sheet_x, sheet_y = origin[0] + path * across, origin[1] + path * up
-            height = self.shape.height_m(sheet_x, sheet_y)
+        # A line of sight that leaves the front meets the sheet's plane kilometres away, where nothing is printed.
+        np.minimum(out, -1e-6, out=out)
+        path = -origin[2] / out
+        sheet_x, sheet_y = origin[0] + path * across, origin[1] + path * up
+        if not self.shape.is_flat:
+            height: FloatArray | float = 0.0
+            for _ in range(_MOST_STEPS):
+                before, height = height, self._bent_height_m(sheet_x, sheet_y)
+                path = (height - origin[2]) / out
+                sheet_x, sheet_y = origin[0] + path * across, origin[1] + path * up
+                if np.max(np.abs(height - before)) < _EXACT_M:
+                    break
+        if self.shape.is_true:
+            return sheet_x, sheet_y
         a, b, c, d = np.linalg.inv(self.shape.sheet_from_print).ravel()
-        print_x, print_y = a * sheet_x + b * sheet_y, c * sheet_x + d * sheet_y
-        return np.nan_to_num(print_x, nan=1e6), np.nan_to_num(print_y, nan=1e6)
+        return a * sheet_x + b * sheet_y, c * sheet_x + d * sheet_y
+
+    def _bent_height_m(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        # Beyond the paper the bending would run away; what is there is not drawn.
+        wide, high = (2 * half for half in self.figure.half_size_m)
+        return self.shape.height_m(np.clip(x_m, -wide, wide), np.clip(y_m, -high, high))
