@@ -1,31 +1,32 @@
 """Start values of a whole photo network from image points alone: photo by photo, the best-conditioned next."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.gauss_newton import Options
 from heliogauge.rigid import RigidTransform
-from heliogauge.robust_loss import Cauchy
-from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.bundle import BundleOptions, BundleProblem, CameraModel, adjust
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle import CameraModel
 from photogrammetry.bundle_state import BundleState
+from photogrammetry.network_growth import (
+    TOLERANCE,
+    Growth,
+    add_photos,
+    adjust_growth,
+    grow,
+    intersect_new,
+    places_of,
+    rows_inside,
+)
 from photogrammetry.observations import ImagePoints, IntArray
 from photogrammetry.relative_pose import LEAST_COMMON, RelativePose, SharedTargets, parallax_rad, relate
-from photogrammetry.resection import LEAST_TARGETS, Resection, resect
-from photogrammetry.triangulation import LEAST_ANGLE_RAD, intersect_lines, ray_sigma_rad
+from photogrammetry.resection import LEAST_TARGETS
+from photogrammetry.triangulation import LEAST_ANGLE_RAD
 
-# Residuals up to so many sigma take part while the network grows.
-_TOLERANCE = 5.0
-# Photos between two adjustments, as a share of those oriented: one after each of 1000 photos would be 1000 adjustments.
-_GROWTH = 0.3
 _MOST_PAIRS = 12
-# With fewer photos the focal length of a guessed camera follows the poses instead of the targets.
-_PHOTOS_FOR_FOCAL = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,43 +77,6 @@ class Network:
     noise: float
 
 
-@dataclass(eq=False)
-class _Growth:
-    """The network while it grows."""
-
-    table: ImagePoints
-    camera_of_photo: IntArray
-    cameras: list[Camera]
-    models: tuple[CameraModel, ...]
-    noise: float
-    poses: dict[int, RigidTransform] = field(default_factory=dict)
-    points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    failures: dict[int, str] = field(default_factory=dict)
-    misses: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        self.points = np.full((len(self.table.targets), 3), np.nan)
-        self.misses = np.zeros(self.table.n)
-        order = np.argsort(self.table.photo_index, kind="stable")
-        bounds = np.searchsorted(self.table.photo_index[order], np.arange(len(self.table.photos) + 1))
-        self.rows_of_photo = [order[a:b] for a, b in pairwise(bounds.tolist())]
-
-    @property
-    def known(self) -> BoolArray:
-        return np.asarray(np.isfinite(self.points[:, 0]))
-
-    def camera(self, photo: int) -> Camera:
-        return self.cameras[int(self.camera_of_photo[photo])]
-
-    def covariance(self, rows: IntArray) -> FloatArray:
-        return np.asarray(self.table.covariance_px2[rows] * self.noise**2)
-
-    def copy(self) -> "_Growth":
-        other = replace(self, cameras=list(self.cameras), poses=dict(self.poses), failures=dict(self.failures))
-        other.points, other.misses = self.points.copy(), self.misses.copy()
-        return other
-
-
 def build_network(
     observations: ImagePoints,
     cameras: Sequence[Camera],
@@ -160,9 +124,9 @@ def build_network(
     guessed = any(model.free for model in chosen)
     default_px = 0.002 * cameras[0].width_px if guessed else 1.0
     noise = max(1.0, (start_noise_px or default_px) / mean_sigma)
-    empty = _Growth(observations, index, list(cameras), chosen, noise)
+    empty = Growth(observations, index, list(cameras), chosen, noise)
     grown = _started(empty)
-    _grow(grown)
+    grow(grown)
     return _finished(grown)
 
 
@@ -192,13 +156,13 @@ def guessed_camera(width_px: int, height_px: int, *, focal_length_35mm: float | 
     return Camera(width_px, height_px, focal_px, focal_px, 0.5 * (width_px - 1), 0.5 * (height_px - 1))
 
 
-def _started(empty: _Growth) -> _Growth:
+def _started(empty: Growth) -> Growth:
     """Choose a pair and one of its solutions."""
     reasons, best = [], None
     for first, second in _pairs(empty):
         names = f"{empty.table.photos[first]} - {empty.table.photos[second]}"
         try:
-            solutions = relate(_shared(empty, first, second)[0], tolerance=_TOLERANCE)
+            solutions = relate(_shared(empty, first, second)[0], tolerance=TOLERANCE)
         except EstimationError as error:
             reasons.append(f"{names}: {error}")
             continue
@@ -216,7 +180,7 @@ def _started(empty: _Growth) -> _Growth:
     return best[1]
 
 
-def _why_no_pair(empty: _Growth) -> str:
+def _why_no_pair(empty: Growth) -> str:
     seen = _visibility(empty.table)
     common = (seen @ seen.T).astype(int)
     np.fill_diagonal(common, 0)
@@ -236,7 +200,7 @@ def _visibility(table: ImagePoints) -> FloatArray:
     return seen
 
 
-def _pairs(empty: _Growth) -> list[tuple[int, int]]:
+def _pairs(empty: Growth) -> list[tuple[int, int]]:
     """Order pairs of photos by common targets times parallax; only pairs with a parallax above the noise."""
     seen = _visibility(empty.table)
     common = np.triu(seen @ seen.T, 1)
@@ -259,7 +223,7 @@ def _pairs(empty: _Growth) -> list[tuple[int, int]]:
     return [(a, b) for _, a, b in scored[:_MOST_PAIRS]]
 
 
-def _shared(grown: _Growth, first: int, second: int) -> tuple[SharedTargets, IntArray]:
+def _shared(grown: Growth, first: int, second: int) -> tuple[SharedTargets, IntArray]:
     rows_a, rows_b = grown.rows_of_photo[first], grown.rows_of_photo[second]
     targets, a, b = np.intersect1d(
         grown.table.target_index[rows_a], grown.table.target_index[rows_b], return_indices=True
@@ -270,201 +234,27 @@ def _shared(grown: _Growth, first: int, second: int) -> tuple[SharedTargets, Int
     return SharedTargets(cameras, grown.table.pixels_px[rows], covariance), targets
 
 
-def _tried(empty: _Growth, pair: tuple[int, int], solution: RelativePose) -> tuple[float, _Growth]:
+def _tried(empty: Growth, pair: tuple[int, int], solution: RelativePose) -> tuple[float, Growth]:
     """Start with one solution of a pair and see how well a third photo agrees with it."""
     grown = empty.copy()
     _, targets = _shared(grown, *pair)
     grown.poses = {pair[0]: RigidTransform.identity(), pair[1]: solution.second_from_first}
     grown.points[targets[solution.inliers]] = solution.points_m[solution.inliers]
     score = solution.misfit
-    added = _add_photos(grown, most=1)
+    added = add_photos(grown, most=1)
     if added:
-        _intersect(grown)
-        _adjust(grown)
-        rows = _rows_in(grown)
-        score += float(np.mean(np.minimum(grown.misses[rows], _TOLERANCE) ** 2))
+        intersect_new(grown)
+        adjust_growth(grown)
+        rows = rows_inside(grown)
+        score += float(np.mean(np.minimum(grown.misses[rows], TOLERANCE) ** 2))
     return score, grown
 
 
-def _rows_in(grown: _Growth) -> IntArray:
-    """Rows whose photo and target are in the network."""
-    oriented = np.zeros(len(grown.table.photos), dtype=np.bool_)
-    oriented[list(grown.poses)] = True
-    return np.nonzero(oriented[grown.table.photo_index] & grown.known[grown.table.target_index])[0]
-
-
-def _grow(grown: _Growth) -> None:
-    """Add photos until none can be added any more."""
-    while True:
-        most = max(1, int(_GROWTH * len(grown.poses)))
-        added = _add_photos(grown, most=most)
-        _intersect(grown)
-        if added:
-            _adjust(grown)
-            continue
-        # Once more with everything adjusted: better targets may admit photos that failed.
-        _adjust(grown)
-        _intersect(grown)
-        if not _add_photos(grown, most=most):
-            break
-    _adjust(grown)
-
-
-def _add_photos(grown: _Growth, *, most: int) -> int:
-    """Resect the photos with most known targets and keep the best-conditioned ones."""
-    counts = np.bincount(
-        grown.table.photo_index[grown.known[grown.table.target_index]], minlength=len(grown.table.photos)
-    )
-    waiting = [i for i in np.argsort(-counts, kind="stable").tolist() if i not in grown.poses]
-    found: list[tuple[float, int, Resection]] = []
-    for photo in waiting:
-        if counts[photo] < LEAST_TARGETS:
-            grown.failures[photo] = (
-                f"shares {int(counts[photo])} targets with the network, {LEAST_TARGETS} are needed; "
-                "add overlap or leave it out"
-            )
-            continue
-        if len(found) >= 2 * most + 2:
-            break
-        try:
-            one = _resected(grown, photo)
-        except EstimationError as error:
-            grown.failures[photo] = str(error)
-            continue
-        if one.rival < 1.5 and len(grown.poses) + len(found) < len(grown.table.photos):
-            grown.failures[photo] = f"two poses fit equally well ({one.rival:.2f} times the misfit)"
-            # Not now: with more targets known the choice becomes clear; in the end the better one is taken.
-            found.append((1e6 / one.rival, photo, one))
-            continue
-        found.append((_looseness(grown, photo, one), photo, one))
-    found.sort(key=lambda entry: entry[0])
-    # Doubtful poses only when there is nothing else.
-    sure = [entry for entry in found if entry[0] < 1e5] or found[:1]
-    for _, photo, one in sure[:most]:
-        grown.poses[photo] = one.cam_from_world
-        grown.failures.pop(photo, None)
-    return len(sure[:most])
-
-
-def _resected(grown: _Growth, photo: int) -> Resection:
-    rows = grown.rows_of_photo[photo]
-    rows = rows[grown.known[grown.table.target_index[rows]]]
-    # Targets from few photos are uncertain too: twice the noise.
-    return resect(
-        grown.camera(photo),
-        grown.points[grown.table.target_index[rows]],
-        grown.table.pixels_px[rows],
-        grown.covariance(rows) * 4,
-        tolerance=_TOLERANCE,
-    )
-
-
-def _looseness(grown: _Growth, photo: int, one: Resection) -> float:
-    """Uncertainty of the position over the distance of the targets."""
-    rows = grown.rows_of_photo[photo]
-    rows = rows[grown.known[grown.table.target_index[rows]]]
-    distance = float(
-        np.median(np.linalg.norm(one.cam_from_world.apply(grown.points[grown.table.target_index[rows]]), axis=1))
-    )
-    return float(np.sqrt(np.trace(one.covariance[3:, 3:]))) / distance
-
-
-def _intersect(grown: _Growth) -> None:
-    """Intersect all targets that are not known yet."""
-    oriented = np.zeros(len(grown.table.photos), dtype=np.bool_)
-    oriented[list(grown.poses)] = True
-    rows = np.nonzero(oriented[grown.table.photo_index] & ~grown.known[grown.table.target_index])[0]
-    if not rows.size:
-        return
-    origins, directions, sigma = np.empty((rows.size, 3)), np.empty((rows.size, 3)), np.empty(rows.size)
-    for photo in np.unique(grown.table.photo_index[rows]).tolist():
-        own = grown.table.photo_index[rows] == photo
-        back, camera = grown.poses[photo].inverse(), grown.camera(photo)
-        origins[own] = back.translation_m
-        directions[own] = back.rotate(camera.cast_rays(grown.table.pixels_px[rows[own]]))
-        sigma[own] = ray_sigma_rad(camera, grown.covariance(rows[own]))
-    usable = np.isfinite(directions).all(axis=1)
-    places = grown.table.target_index[rows[usable]]
-    found = intersect_lines(origins[usable], directions[usable], sigma[usable], places, len(grown.points))
-    agreeing = np.bincount(places[found.misses < 3 * _TOLERANCE], minlength=len(grown.points))
-    new = found.found & (agreeing >= 2) & (found.angle_rad > 2 * LEAST_ANGLE_RAD)
-    grown.points[new] = found.points_m[new]
-
-
-def _adjust(grown: _Growth) -> None:
-    """Adjust what is in the network with a robust loss; renew the noise, the misses and what is free."""
-    for _ in range(2):
-        rows = _rows_in(grown)
-        visible = _front(grown, rows)
-        rows = rows[visible]
-        rays = np.bincount(grown.table.target_index[rows], minlength=len(grown.points))
-        lost = grown.known & (rays < 2)
-        grown.points[lost] = np.nan
-        rows = rows[rays[grown.table.target_index[rows]] >= 2]
-        # A far false image point has no pull left under this loss, and half of a pull is enough to be seen.
-        table = grown.table.subset(rows).compacted()
-        photos = [grown.table.photos.index(name) for name in table.photos]
-        place = {name: i for i, name in enumerate(grown.table.targets)}
-        targets = np.array([place[name] for name in table.targets], dtype=np.intp)
-        scaled = ImagePoints(
-            table.photos,
-            table.targets,
-            table.photo_index,
-            table.target_index,
-            table.pixels_px,
-            table.covariance_px2 * grown.noise**2,
-        )
-        models = tuple(_bearable(model, grown, index, rows.size) for index, model in enumerate(grown.models))
-        problem = BundleProblem(scaled, models, grown.camera_of_photo[photos])
-        start = BundleState(
-            tuple(grown.cameras),
-            np.stack([grown.poses[i].rotation for i in photos]),
-            np.stack([grown.poses[i].translation_m for i in photos]),
-            grown.points[targets],
-        )
-        options = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, initial_damping=1e-4, max_iterations=30))
-        result = adjust(problem, start, options=options)
-        grown.cameras = list(result.state.cameras)
-        grown.points[targets] = result.state.points_m
-        for place_in, photo in enumerate(photos):
-            grown.poses[photo] = result.state.cam_from_world(place_in)
-        misses = np.linalg.norm(result.whitened_residuals, axis=1)
-        # Median of the length of two normal components: 1.18 sigma; few redundant ones make residuals too small.
-        share = max(result.redundancy / (2 * rows.size), 0.05)
-        typical = float(np.median(misses)) / 1.18 / np.sqrt(share)
-        before, grown.noise = grown.noise, max(1.0, grown.noise * min(typical, 1.0))
-        grown.misses = np.full(grown.table.n, np.inf)
-        grown.misses[rows] = misses * before / grown.noise
-        if before < 1.5 * grown.noise:
-            break
-
-
-def _front(grown: _Growth, rows: IntArray) -> BoolArray:
-    """Mark rows whose target is in front of its camera and inside its lens model."""
-    visible = np.zeros(rows.size, dtype=np.bool_)
-    for photo in np.unique(grown.table.photo_index[rows]).tolist():
-        own = grown.table.photo_index[rows] == photo
-        points = grown.poses[photo].apply(grown.points[grown.table.target_index[rows[own]]])
-        visible[own] = np.isfinite(grown.camera(photo).project(points)).all(axis=1)
-    return visible
-
-
-def _bearable(model: CameraModel, grown: _Growth, camera: int, n_rows: int) -> CameraModel:
-    """Free of a camera what the network bears: nothing, the focal length with K1, all."""
-    photos = sum(1 for photo in grown.poses if grown.camera_of_photo[photo] == camera)
-    if not model.free or photos < _PHOTOS_FOR_FOCAL:
-        return replace(model, free=(), priors=(), prior_covariance=None)
-    if photos < 2 * _PHOTOS_FOR_FOCAL or n_rows < 12 * photos:
-        free = tuple(name for name in model.free if name in {"focal_px", "k1"})
-        return replace(model, free=free, priors=tuple(one for one in model.priors if one.name in free))
-    return model
-
-
-def _finished(grown: _Growth) -> Network:
+def _finished(grown: Growth) -> Network:
     """Collect the network, what is left out and what does not agree."""
     table = grown.table
-    rows = _rows_in(grown)
-    good = rows[grown.misses[rows] <= 2 * _TOLERANCE]
+    rows = rows_inside(grown)
+    good = rows[grown.misses[rows] <= 2 * TOLERANCE]
     # A target needs two rays, a photo four targets; one follows from the other.
     while True:
         rays = np.bincount(table.target_index[good], minlength=len(table.targets))
@@ -474,15 +264,8 @@ def _finished(grown: _Growth) -> Network:
             break
         good = good[keep]
     kept = table.subset(good).compacted()
-    photos = [table.photos.index(name) for name in kept.photos]
-    place = {name: i for i, name in enumerate(table.targets)}
-    targets = [place[name] for name in kept.targets]
-    state = BundleState(
-        tuple(grown.cameras),
-        np.stack([grown.poses[i].rotation for i in photos]),
-        np.stack([grown.poses[i].translation_m for i in photos]),
-        grown.points[targets],
-    )
+    photos, targets = places_of(table.photos, kept.photos), places_of(table.targets, kept.targets)
+    state = grown.state(photos, targets)
     suspicious = []
     for row in np.setdiff1d(rows, good).tolist():
         if (
@@ -497,14 +280,14 @@ def _finished(grown: _Growth) -> Network:
         good,
         grown.camera_of_photo[photos],
         state,
-        _photos_left_out(grown, set(photos)),
-        _targets_left_out(grown, set(targets)),
+        _photos_left_out(grown, set(photos.tolist())),
+        _targets_left_out(grown, set(targets.tolist())),
         tuple(suspicious),
         grown.noise,
     )
 
 
-def _photos_left_out(grown: _Growth, kept: set[int]) -> tuple[LeftOut, ...]:
+def _photos_left_out(grown: Growth, kept: set[int]) -> tuple[LeftOut, ...]:
     counts = grown.table.n_targets_in_photo
     result = []
     for photo, name in enumerate(grown.table.photos):
@@ -516,7 +299,7 @@ def _photos_left_out(grown: _Growth, kept: set[int]) -> tuple[LeftOut, ...]:
     return tuple(result)
 
 
-def _targets_left_out(grown: _Growth, kept: set[int]) -> tuple[LeftOut, ...]:
+def _targets_left_out(grown: Growth, kept: set[int]) -> tuple[LeftOut, ...]:
     table, result = grown.table, []
     oriented = np.isin(table.photo_index, list(grown.poses))
     rays = np.bincount(table.target_index[oriented], minlength=len(table.targets))
