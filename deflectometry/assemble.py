@@ -1,9 +1,11 @@
 """One map of a whole ensemble from the maps of its facets."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from deflectometry.common_modes import spread_indices
-from deflectometry.evaluate import Evaluation, alignment_words
+from deflectometry.evaluate import Align, Evaluation, alignment_words
 from deflectometry.gridding import default_step_m, grid_axis
 from heliogauge.flags import SampleFlag
 from heliogauge.rigid import RigidTransform
@@ -13,13 +15,17 @@ from heliogauge.surfaces import Facet
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
 
-def assemble_maps(evaluation: Evaluation) -> SlopeMap:
+def assemble_maps(evaluation: Evaluation, maps: Mapping[str, SlopeMap], removal: Removal) -> SlopeMap:
     """Put the maps of all facets into one map in the frame of the ensemble.
 
     Parameters
     ----------
     evaluation : Evaluation
-        What the facets gave.
+        Where the facets are.
+    maps : mapping of str to SlopeMap
+        Map of each measured facet.
+    removal : Removal
+        What was taken out of each of these maps.
 
     Returns
     -------
@@ -35,8 +41,8 @@ def assemble_maps(evaluation: Evaluation) -> SlopeMap:
     """
     facets = {facet.name: facet for facet in evaluation.located.facets}
     if len(facets) == 1:
-        return next(iter(evaluation.maps.values()))
-    first = next(iter(evaluation.maps.values()))
+        return next(iter(maps.values()))
+    first = next(iter(maps.values()))
     corners = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets.values()])
     low, high = corners.min(axis=0), corners.max(axis=0)
     step = max(float(first.x_m[1] - first.x_m[0]), default_step_m(0.0, float(np.prod((high - low)[:2]))))
@@ -50,9 +56,9 @@ def assemble_maps(evaluation: Evaluation) -> SlopeMap:
         own, nodes = _nodes_of(facet, grid)
         aperture |= own
         flags[own] = np.uint32(SampleFlag.NOT_SEEN)
-        if name in evaluation.maps:
-            fields[:, own], flags[own] = _read_facet(evaluation.maps[name], nodes, facet.ensemble_from_facet)
-            parts.append((evaluation.maps[name].common, facet.ensemble_from_facet, nodes))
+        if name in maps:
+            fields[:, own], flags[own] = _read_facet(maps[name], nodes, facet.ensemble_from_facet)
+            parts.append((maps[name].common, facet.ensemble_from_facet, nodes))
     return SlopeMap(
         x_m=x_m, y_m=y_m,
         slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
@@ -61,13 +67,13 @@ def assemble_maps(evaluation: Evaluation) -> SlopeMap:
         height_m=fields[6], flags=flags, aperture=aperture,
         design=f"ensemble of {len(facets)} facets: {first.design}",
         frame="ensemble frame: x across, y up, seen from the front, z out of the mirror [m]",
-        removed=_removed_words(evaluation, len(facets)),
+        removed=_removed_words(evaluation.choices.align, removal, len(facets)),
     )  # fmt: skip
 
 
-def _removed_words(evaluation: Evaluation, n_facets: int) -> str:
+def _removed_words(align: Align, removal: Removal, n_facets: int) -> str:
     """Say what was taken out; the numbers differ from facet to facet and stand in the facets' own maps."""
-    aligned, removal = alignment_words(evaluation.choices.align, n_facets), evaluation.choices.removal
+    aligned = alignment_words(align, n_facets)
     if removal is Removal.NOTHING:
         return aligned
     return f"{aligned}; then {removal} of each facet on its own, so that its canting is no longer in the map"

@@ -27,8 +27,7 @@ from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
 from heliogauge.progress import Progress
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap
-from heliogauge.slope_removal import Removal, remove
-from heliogauge.slope_statistics import Canting, canting
+from heliogauge.slope_removal import Removal
 from heliogauge.surfaces import Facet, Quadric
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
@@ -161,9 +160,7 @@ class Evaluation:
     images : dict of str to SlopeImage
         Pixels of each measured facet.
     maps : dict of str to SlopeMap
-        Slope map of each measured facet.
-    canting : dict of str to Canting
-        How far each measured facet points away from its design, before anything was taken out of its map.
+        Slope map of each measured facet, with nothing taken out but by the alignment.
     choices : Choices
         How the slopes are reported.
     """
@@ -174,7 +171,6 @@ class Evaluation:
     solution: ShapeSolution
     images: dict[str, SlopeImage]
     maps: dict[str, SlopeMap]
-    canting: dict[str, Canting]
     choices: Choices
 
 
@@ -243,15 +239,13 @@ def evaluate_frames(
         modes = common_modes(setup, thinned, solution, located.pose, align=align)
     with progress.stage("maps", steps=len(images)) as stage:
         plan = _plan_grid(images, [sample.facet for sample in samples], choices, len(located.facets))
-        maps, cantings = {}, {}
+        maps = {}
         for sample, surface, common in zip(samples, solution.surfaces, modes, strict=True):
             facet = sample.facet
             view = (setup.camera, solution.cam_from_mirror @ facet.ensemble_from_facet)
-            slope_map = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
-            cantings[facet.name] = canting(slope_map)
-            maps[facet.name] = remove(slope_map, choices.removal)
+            maps[facet.name] = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
             stage.advance()
-    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, cantings, choices)
+    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices)
 
 
 def _warn_of_missing_sigmas(setup: Setup) -> None:

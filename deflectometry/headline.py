@@ -9,7 +9,7 @@ from deflectometry.setup import Setup
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.notation import number_text
 from heliogauge.slope_map import SlopeMap
-from heliogauge.slope_statistics import Canting, Removal, SlopeStatistics, curl, fit_quadratic, statistics
+from heliogauge.slope_statistics import Removal, SlopeStatistics, canting, curl, fit_quadratic, statistics
 from heliogauge.store import Summary, unit_of
 from heliogauge.validate import FloatArray
 
@@ -24,13 +24,15 @@ VIEWS: tuple[tuple[str, Removal], ...] = (
 )
 
 
-def facet_numbers(slope_map: SlopeMap) -> Numbers:
+def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     """Collect the headline numbers of one map.
 
     Parameters
     ----------
     slope_map : SlopeMap
-        The map.
+        The map, after what the user wants removed.
+    as_measured : SlopeMap
+        The map before that: focal lengths and twist are the mirror's, not those of what is left.
 
     Returns
     -------
@@ -40,7 +42,7 @@ def facet_numbers(slope_map: SlopeMap) -> Numbers:
     numbers: Numbers = {}
     for view, removal in VIEWS:
         numbers.update(_deviation_numbers(statistics(slope_map, removed=removal), view))
-    fit = fit_quadratic(slope_map)
+    fit = fit_quadratic(as_measured)
     numbers |= {
         "focal_length_x_m": fit.focal_length_x_m,
         "sigma_focal_length_x_m": fit.sigma_focal_length_x_m,
@@ -55,8 +57,9 @@ def facet_numbers(slope_map: SlopeMap) -> Numbers:
     return numbers
 
 
-def canting_numbers(canted: Canting) -> Numbers:
-    """Collect the canting of one facet of an ensemble."""
+def canting_numbers(as_measured: SlopeMap) -> Numbers:
+    """Collect the canting of one facet of an ensemble, from its map before anything was removed."""
+    canted = canting(as_measured)
     sigma = np.sqrt(np.diag(canted.covariance_slope_rad2))
     return {
         "canting_x_mrad": 1e3 * float(canted.slope_rad[0]),

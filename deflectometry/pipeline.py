@@ -33,7 +33,7 @@ from heliogauge.measurement import DeflectometryMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import skew
 from heliogauge.slope_map import SlopeMap
-from heliogauge.slope_removal import Removal
+from heliogauge.slope_removal import Removal, remove
 from heliogauge.store import (
     PhotoPose,
     Summary,
@@ -83,9 +83,13 @@ class Result:
     pattern : FringePattern
         What was shown.
     evaluation : Evaluation
-        Poses, pixels and the map of each facet.
+        Poses, pixels and the map of each facet as measured.
+    maps : dict of str to SlopeMap
+        The map of each measured facet, after what was to be removed.
     assembled : SlopeMap
-        The map of the whole mirror; that of the only facet where there is one.
+        The map of the whole mirror, put together from these; that of the only facet where there is one.
+    assembled_as_measured : SlopeMap
+        The same before anything was removed.
     warnings : tuple of str
         What makes the result doubtful.
     durations_s : dict of str to float
@@ -98,7 +102,9 @@ class Result:
     setup: Setup
     pattern: FringePattern
     evaluation: Evaluation
+    maps: dict[str, SlopeMap]
     assembled: SlopeMap
+    assembled_as_measured: SlopeMap
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -139,12 +145,24 @@ def run(
             refuse_faulty_frames(observation)
         mirror = describe_mirror(measurement, setup)
         evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
-        assembled = assemble_maps(evaluation)
+        as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)
+        removal = evaluation.choices.removal
+        maps = {name: remove(one, removal) for name, one in evaluation.maps.items()}
+        assembled = as_measured if removal is Removal.NOTHING else assemble_maps(evaluation, maps, removal)
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
     said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
     return Result(
-        measurement.model.name, setup, pattern, evaluation, assembled, said, dict(progress.durations_s), hashes
+        measurement.model.name,
+        setup,
+        pattern,
+        evaluation,
+        maps,
+        assembled,
+        as_measured,
+        said,
+        dict(progress.durations_s),
+        hashes,
     )
 
 
@@ -265,7 +283,7 @@ def write(result: Result, folder: Path) -> None:
         A file cannot be written.
     """
     evaluation = result.evaluation
-    maps = dict(evaluation.maps)
+    maps = dict(result.maps)
     if len(evaluation.located.facets) > 1:
         maps[ASSEMBLED] = result.assembled
     attributes = {"name": result.name, "input_sha256": result.input_sha256, "pose": evaluation.located.source}
@@ -298,12 +316,13 @@ def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
 def summarise(result: Result) -> Summary:
     """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
     evaluation = result.evaluation
-    numbers = facet_numbers(result.assembled) | pose_numbers(evaluation.located, evaluation)
+    numbers = facet_numbers(result.assembled, result.assembled_as_measured) | pose_numbers(
+        evaluation.located, evaluation
+    )
     facets = {}
     if len(evaluation.located.facets) > 1:
         facets = {
-            name: canting_numbers(evaluation.canting[name]) | facet_numbers(one)
-            for name, one in evaluation.maps.items()
+            name: canting_numbers(one) | facet_numbers(result.maps[name], one) for name, one in evaluation.maps.items()
         }
     texts = {
         "design": result.assembled.design,

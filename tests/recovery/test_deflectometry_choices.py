@@ -126,3 +126,13 @@ def test_distance_to_another_point_needs_an_outline(without_outline):
     without_outline.write_text(text.replace("[mirror.distance]", "[mirror.distance]\npoint_m = [0.1, 0.0, 0.0]"))
     with pytest.raises(InputError, match="point_m"):
         run(load_measurement(without_outline.parent))
+
+
+def test_focal_length_is_that_of_the_mirror_whatever_is_removed(tmp_path):
+    write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(3, Knowledge()))
+    stated = []
+    for removal in Removal:
+        numbers = summarise(run(load_measurement(tmp_path / "m"), Options(remove=removal))).numbers
+        stated.append([numbers[key] for key in ("focal_length_x_m", "sigma_focal_length_x_m", "twist_per_m")])
+    assert stated == [stated[0]] * 4
+    assert abs(stated[0][0] - 100) > 5
