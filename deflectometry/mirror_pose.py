@@ -30,6 +30,9 @@ MIN_PROBABILITY = 0.01
 #: Edge residuals above this share of the mirror's size in the image are no pose: 6 mm on a 1.2 m facet. (In a small
 #: image a fifth of the edges' width is allowed: a disc taken for a square of 80 px leaves half a width.)
 MAX_RESIDUAL_SHARE = 0.005
+#: A distance this many times longer or shorter than in the image is another unit or another thing, not an error.
+MAX_DISTANCE_RATIO = 1.5
+_DISTANCE_REMEDY = "check the distance, its point, the size of the mirror and the camera's focal length"
 #: Fewer edge points than this share of those expected, and the outline was not found.
 MIN_POINT_SHARE = 0.4
 #: More rejected edge points than this share are reported: clips and stains on the reference facet take 8 %.
@@ -176,20 +179,41 @@ def locate_mirror(
     fits = [search.follow(start.cam_from_mirror, knowledge.points) for start in starts]
     fits.sort(key=lambda fit: fit.rms_px)
     best = fits[0]
-    _check_outline(best, size_px)
+    allowed_px = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
+    _check_outline(best, allowed_px)
     if len(fits) > 1:
         best = _resolve_tilt(best, fits[1], knowledge)
-    return _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
+    pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
+    _check_distance(pose, allowed_px)
+    return pose
 
 
-def _check_outline(best: OutlineFit, size_px: float) -> None:
+def _check_distance(pose: MirrorPose, allowed_px: float) -> None:
+    """Refuse a pose that a contradicting distance has pulled off the outline."""
+    said = "; ".join(_contradiction(test) for test in pose.distance_tests if test.probability < MIN_PROBABILITY)
+    if not said or pose.residual_rms_px <= allowed_px:
+        return
+    raise EstimationError(
+        f"{said}. The pose in between misses the outline by {pose.residual_rms_px:.2f} px RMS where {allowed_px:.2f} px"
+        f" are allowed (the image alone: {pose.image_only_rms_px:.3f} px); {_DISTANCE_REMEDY}"
+    )
+
+
+def _contradiction(test: DistanceTest) -> str:
+    return (
+        f"the measured distance {test.measured_m:.4f} m contradicts the image, which says {test.image_only_m:.4f} m"
+        f" (sigma {1e3 * test.sigma_image_only_m:.1f} mm)"
+    )
+
+
+def _check_outline(best: OutlineFit, allowed_px: float) -> None:
     n_used = int(best.used.sum())
-    allowed = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
-    if n_used < MIN_POINT_SHARE * best.edges.n_expected or not best.rms_px <= allowed:
+    if n_used < MIN_POINT_SHARE * best.edges.n_expected or not best.rms_px <= allowed_px:
         raise EstimationError(
             f"the outline in the image does not fit the mirror's outline: {n_used} of {best.edges.n_expected} edge"
-            f" points fit, with a residual of {best.rms_px:.2f} px where {allowed:.2f} px are allowed; check outline_m,"
-            " the camera's focal length, and that nothing covers the mirror, or give the pose in [mirror.pose]"
+            f" points fit, with a residual of {best.rms_px:.2f} px where {allowed_px:.2f} px are allowed; check"
+            " outline_m, the camera's focal length, and that nothing covers the mirror, or give the pose in"
+            " [mirror.pose]"
         )
 
 
@@ -240,6 +264,7 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
     image_only = observations.image_only().adjust(camera, best.pose).require("mirror pose")
     final = image_only
     if knowledge.distances:
+        _refuse_other_unit(knowledge.distances, image_only.state)
         final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
@@ -254,7 +279,7 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         )
     return MirrorPose(
         cam_from_mirror=final.state,
-        covariance=final.covariance,
+        covariance=final.covariance + _in_doubt(tests, image_only.state, final.state),
         residual_rms_px=rms[1],
         image_only_rms_px=rms[0],
         sigma_edge_px=best.sigma_px,
@@ -364,15 +389,34 @@ def _test_distance(
     )
 
 
+def _refuse_other_unit(distances: Sequence[DistanceObservation], image_only: RigidTransform) -> None:
+    """Refuse a distance that no adjustment can reconcile: a number in another unit, or a length in one."""
+    for distance in distances:
+        seen_m = distance.predict(image_only)[0]
+        if not 1 / MAX_DISTANCE_RATIO < distance.distance_m / seen_m < MAX_DISTANCE_RATIO:
+            raise EstimationError(
+                f"the measured distance {distance.distance_m:g} m is {distance.distance_m / seen_m:.3g} times the"
+                f" {seen_m:.4g} m that the image says; are distance_m, outline_m and the screen's translation_m all in"
+                " metres, and is the camera's focal length right?"
+            )
+
+
+def _in_doubt(tests: Sequence[DistanceTest], image_only: RigidTransform, final: RigidTransform) -> FloatArray:
+    """Return the covariance of not knowing which is right: the step from the image's pose to the adjusted one."""
+    if all(test.probability >= MIN_PROBABILITY for test in tests):
+        return np.zeros((6, 6))
+    turn = RigidTransform(final.rotation @ image_only.rotation.T, np.zeros(3)).rotation_vector_rad
+    step = np.concatenate([turn, final.translation_m - image_only.translation_m])
+    return np.outer(step, step)
+
+
 def _warn(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[float]) -> None:
     for test in tests:
         if test.probability < MIN_PROBABILITY:
             warnings.warn(
-                f"the measured distance {test.measured_m:.4f} m contradicts the image, which says"
-                f" {test.image_only_m:.4f} m (sigma {1e3 * test.sigma_image_only_m:.1f} mm): probability"
-                f" {test.probability:.2g}. The pose in between leaves {1e3 * test.residual_m:.1f} mm and"
-                f" {rms_px[1]:.3f} px (the image alone: {rms_px[0]:.3f} px); check the distance, its point, the size of"
-                " the mirror and the camera's focal length",
+                f"{_contradiction(test)}: probability {test.probability:.2g}. The pose in between leaves"
+                f" {1e3 * test.residual_m:.1f} mm and {rms_px[1]:.3f} px (the image alone: {rms_px[0]:.3f} px); the way"
+                f" from one to the other counts as uncertainty; {_DISTANCE_REMEDY}",
                 QualityWarning,
                 stacklevel=4,
             )
@@ -414,6 +458,7 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     image_only = image_only.require("mirror pose from known points")
     final = image_only
     if knowledge.distances:
+        _refuse_other_unit(knowledge.distances, image_only.state)
         final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [_points_rms(camera, points, solution.state) for solution in (image_only, final)]
     # 6 sigma for every point at once is no bad luck.

@@ -8,7 +8,7 @@ import numpy as np
 
 from deflectometry.facet import FoundMirrors, Region, enclosing_polygon
 from heliogauge.camera import Camera
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.rigid import RigidTransform
 from heliogauge.surfaces import Facet
 from heliogauge.validate import FloatArray
@@ -86,6 +86,8 @@ def start_poses(camera: Camera, regions: Sequence[Region], facets: Sequence[Face
 
     Raises
     ------
+    InputError
+        A design that does not reach its outline.
     EstimationError
         The outline has fewer corners than the mirror, or no pose explains it.
 
@@ -123,6 +125,12 @@ def _roll_off(pose: RigidTransform, roll_rad: float) -> float:
 
 def _hull_corners(facets: Sequence[Facet]) -> tuple[FloatArray, FloatArray]:
     """Return the mirror's outer corners (n, 3), counter-clockwise from the front, and its whole hull (m, 3)."""
+    for facet in facets:
+        if not np.isfinite(facet.corners_m).all():
+            raise InputError(
+                f"facet {facet.name}: the design ({facet.design.describe()}) does not reach its outline; check the "
+                "design's radius or focal length, outline_m and design_center_m (all in metres)"
+            )
     points = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets])
     order = cv2.convexHull(points[:, :2].astype(np.float32), clockwise=False, returnPoints=False).ravel()
     hull = points[order]
@@ -171,9 +179,14 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
     center = model_m.mean(axis=0)
     flat = np.array(model_m - center)
     flat[:, 2] = 0.0
-    count, vectors, shifts, _ = cv2.solvePnPGeneric(
-        flat, rays[:, :2] / rays[:, 2:], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
+    directions = rays[:, :2] / rays[:, 2:]
+    if len(flat) == 3:
+        # Three points fit up to four poses exactly; IPPE needs a fourth.
+        count, vectors, shifts = cv2.solveP3P(flat, directions, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_P3P)
+    else:
+        count, vectors, shifts, _ = cv2.solvePnPGeneric(
+            flat, directions, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        )
     poses = []
     for number in range(int(count)):
         vector, shift = np.asarray(vectors[number]).ravel(), np.asarray(shifts[number]).ravel()

@@ -363,7 +363,7 @@ class Facet:
     Raises
     ------
     InputError
-        Fewer than three corners, no area, or clockwise corners.
+        Fewer than three corners, a corner twice, sides that cross, no area, or clockwise corners.
     """
 
     name: str
@@ -376,6 +376,7 @@ class Facet:
         outline = float_array("outline_m", self.outline_m, (None, 2))
         if outline.shape[0] < 3:
             raise InputError(f"outline_m: facet {self.name} needs at least 3 corners, not {outline.shape[0]}")
+        _refuse_crossing(self.name, outline)
         area, centroid = _polygon_area_and_centroid(outline)
         if area <= 0:
             raise InputError(
@@ -421,6 +422,31 @@ class Facet:
                     crosses = (y0 <= y) != (y1 <= y)
                     inside[rows] ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
         return inside.reshape(grid_x.shape)
+
+
+def _refuse_crossing(name: str, outline_m: FloatArray) -> None:
+    """Refuse an outline with a corner given twice, or with sides that cross."""
+    start, side = outline_m, np.roll(outline_m, -1, axis=0) - outline_m
+    n, size = len(outline_m), float(np.ptp(outline_m, axis=0).max())
+    short = np.flatnonzero(np.hypot(side[:, 0], side[:, 1]) <= 1e-9 * size)
+    if short.size:
+        first = int(short[0])
+        raise InputError(
+            f"outline_m: corners {first + 1} and {(first + 1) % n + 1} of facet {name} are one point; leave one out"
+        )
+    # Side i from a to b meets side j from c to d where a + s (b - a) = c + t (d - c), with s and t between 0 and 1.
+    offset = start[None, :] - start[:, None]
+    along, other = side[:, None], side[None, :]
+    determinant = along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (offset[..., 0] * other[..., 1] - offset[..., 1] * other[..., 0]) / determinant
+        t = (offset[..., 0] * along[..., 1] - offset[..., 1] * along[..., 0]) / determinant
+    for first, second in np.argwhere((s > 0) & (s < 1) & (t > 0) & (t < 1)):
+        if (second - first) % n not in (0, 1, n - 1):
+            raise InputError(
+                f"outline_m: sides {first + 1} and {second + 1} of facet {name} cross each other; give the corners in "
+                "order, counter-clockwise seen from the front"
+            )
 
 
 def _polygon_area_and_centroid(outline_m: FloatArray) -> tuple[float, FloatArray]:

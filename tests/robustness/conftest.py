@@ -1,6 +1,7 @@
 """A measurement drawn once, copied and spoilt by each test."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -30,14 +31,14 @@ def folder(drawn, tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def rewrite() -> Callable[..., None]:
-    """Replace text in a measurement.toml; the text must be there."""
+    """Replace what matches a pattern in a measurement.toml; something must match."""
 
     def replace(folder: Path, *changes: tuple[str, str]) -> None:
         file = folder / "measurement.toml"
         text = file.read_text()
-        for old, new in changes:
-            assert old in text, old
-            text = text.replace(old, new)
+        for pattern, new in changes:
+            text, count = re.subn(pattern, new, text, flags=re.MULTILINE)
+            assert count, pattern
         file.write_text(text)
 
     return replace

@@ -67,7 +67,7 @@ def test_fence_post_steps_are_one_fault(tmp_path):
 
 
 def test_reversed_steps_are_one_fault(folder, rewrite):
-    rewrite(folder, ("steps_deg = [0.0, 90.0, 180.0, 270.0]", "steps_deg = [0.0, 270.0, 180.0, 90.0]"))
+    rewrite(folder, ("steps_deg = .*", "steps_deg = [0.0, 270.0, 180.0, 90.0]"))
     text = refused(folder)
     assert "steps of the opposite sign" in text
     assert "\n" not in text
