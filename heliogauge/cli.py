@@ -35,12 +35,13 @@ class Mounted(NamedTuple):
 MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
     "calibrate": Mounted("calibration.cli", "Calibrate what measures: response of camera and display."),
+    "photogrammetry": Mounted("photogrammetry.cli", "Sheets of coded targets and calibration boards to print."),
     "deflectometry": Mounted(
         "deflectometry.cli", "Fringe images of a mirror -> slope map (and patterns, import-opencsp)."
     ),
 }
 
-ORDER = ("demo", "init", "synth", "calibrate", "deflectometry", "report")
+ORDER = ("demo", "init", "synth", "calibrate", "photogrammetry", "deflectometry", "report")
 
 
 class LazyGroup(TyperGroup):

@@ -22,6 +22,7 @@ _BORDER_MODULES = {
     "deflectometry.opencsp_import": "writes a measurement folder from another program's files",
     "deflectometry.pattern_files": "writes the frames to display and the tables that describe them",
     "data_synth.dataset": "writes a measurement folder",
+    "photogrammetry.target_sheets": "writes printable sheets",
     "data_synth.target_dataset": "writes a measurement folder",
 }
 

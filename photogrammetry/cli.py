@@ -1,0 +1,54 @@
+"""``heliogauge photogrammetry``: targets to print."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliogauge.commands import Force, make_app
+
+app = make_app("Sheets of coded targets and calibration boards to print.")
+
+
+@app.command()
+def sheets(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    dictionary: Annotated[
+        str, typer.Option(help="Ring codes aicon-N or metashape-N (N bits), or OpenCV's marker dictionary DICT_...")
+    ] = "aicon-12",
+    first: Annotated[int, typer.Option(min=0, help="Number of the first target.")] = 1,
+    last: Annotated[int | None, typer.Option(min=0, help="Number of the last one; default: 40 targets.")] = None,
+    dot_mm: Annotated[float, typer.Option(min=0.5, help="Diameter of the dot; a marker's side is five times it.")] = 10,
+    light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Ring codes white on black.")] = False,
+    board: Annotated[
+        str | None,
+        typer.Option(help="A calibration board instead: chessboard, charuco, circles, circles-asymmetric."),
+    ] = None,
+    columns: Annotated[int, typer.Option(min=3, help="Columns of the board.")] = 7,
+    rows: Annotated[int, typer.Option(min=3, help="Rows of the board.")] = 10,
+    pitch_mm: Annotated[float, typer.Option(min=1, help="Squares' side or circles' distance of the board.")] = 22,
+    paper: Annotated[str, typer.Option(help="A4, A3 or letter.")] = "A4",
+    landscape: Annotated[bool, typer.Option("--landscape", help="Paper on its side.")] = False,
+    no_svg: Annotated[bool, typer.Option("--no-svg", help="Write the PDF only.")] = False,
+    force: Force = False,
+) -> None:
+    """Write sheets of coded targets or a calibration board, in true scale with rulers to check the printer."""
+    from photogrammetry.coded_targets import Polarity, RingCode, ring_dictionary
+    from photogrammetry.sheet_layout import Paper, board_page, marker_pages, ring_pages
+    from photogrammetry.target_sheets import write_sheets
+
+    sheet = Paper(paper, landscape)
+    codes: list[RingCode] = []
+    numbers = range(first, (first + 39 if last is None else last) + 1)
+    if board is not None:
+        markers = dictionary if dictionary.startswith("DICT_") else "DICT_5X5_100"
+        pages = [board_page(board, columns, rows, pitch_mm, sheet, dictionary=markers)]
+    elif dictionary.startswith("DICT_"):
+        pages = marker_pages(dictionary, numbers, 5 * dot_mm, sheet)
+    else:
+        known = ring_dictionary(dictionary)
+        codes = [known.code(number) for number in numbers]
+        polarity = Polarity.WHITE_ON_BLACK if light_on_dark else Polarity.BLACK_ON_WHITE
+        pages = ring_pages(codes, dot_mm, sheet, title=known.name, polarity=polarity)
+    write_sheets(out, pages, codes, svg=not no_svg, force=force)
+    print(out)
