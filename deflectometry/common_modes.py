@@ -283,7 +283,7 @@ def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArra
         usable &= np.isfinite(change).all(axis=0)
     u, v = (points_m[:, usable] - center[:, None]) / scale
     matrix = monomials(u, v, MODE_DEGREE)
-    solver = np.linalg.solve(matrix @ matrix.T, matrix)
+    solver = np.linalg.pinv(matrix @ matrix.T, rcond=1e-12, hermitian=True) @ matrix
     # Every facet keeps every mode, so that the modes of all facets belong together one by one.
     coefficients = np.array([(solver @ change[:, usable].T).T for change in changes]).reshape(-1, 2, terms)
     return CommonModes(tuple(sources), coefficients, center, scale)

@@ -1,5 +1,6 @@
 """From the pixels of a facet to the regular grid of a slope map."""
 
+import warnings
 from dataclasses import dataclass
 
 import cv2
@@ -10,7 +11,7 @@ from deflectometry.integrate import integrate_slopes
 from deflectometry.slope_image import SlopeImage
 from deflectometry.slopes import FittedSurface
 from heliogauge.camera import Camera
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, QualityWarning
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap
@@ -139,7 +140,7 @@ def grid_slopes(
         raise EstimationError(f"grid: no pixel of facet {facet.name} carries a slope; see the flags of pixels.nc")
     remainder = np.full((2, *aperture.shape), np.nan)
     remainder[:, aperture] = residual
-    height = fields[6] + integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
+    height = fields[6] + _remaining_height(facet, remainder, step_m)
     return SlopeMap(
         x_m=x_m, y_m=y_m,
         slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
@@ -148,6 +149,15 @@ def grid_slopes(
         height_m=height, flags=flags, aperture=aperture,
         design=facet.design.describe(), frame=plan.frame, removed=plan.removed,
     )  # fmt: skip
+
+
+def _remaining_height(facet: Facet, remainder: FloatArray, step_m: float) -> FloatArray:
+    """Integrate what the smooth shape leaves of the slopes; NaN with a warning where it cannot be integrated."""
+    try:
+        return integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
+    except EstimationError as error:
+        warnings.warn(f"facet {facet.name} has slopes but no height map: {error}", QualityWarning, stacklevel=4)
+        return np.full(remainder.shape[1:], np.nan)
 
 
 def _sample(

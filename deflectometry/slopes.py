@@ -355,7 +355,8 @@ def _fit_potential(
     weight = np.ones(2 * u.size)
     for _ in range(reweighting):
         weighted = matrix * weight
-        coefficients = np.linalg.solve(weighted @ matrix.T, weighted @ target.ravel())
+        # Least squares, not solve: a facet seen on one line of pixels has no shape across it, and needs none.
+        coefficients = np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0]
         residual = target - (coefficients @ matrix).reshape(2, -1)
         limit = 4.685 / 0.6745 * np.median(np.abs(residual), axis=1, keepdims=True)
         ratio = residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)

@@ -8,6 +8,7 @@ from deflectometry.slope_image import SlopeImage
 from deflectometry.slopes import start_surface
 from heliogauge.camera import Camera
 from heliogauge.distortion import BrownDistortion, DistortionDirection
+from heliogauge.errors import QualityWarning
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import no_common_modes
@@ -74,3 +75,18 @@ def test_every_node_without_a_value_says_why():
 def test_grid_has_at_most_a_million_nodes():
     assert default_step_m(1e-6, 1.44) >= 0.0012
     assert default_step_m(0.01412, 1.44) == 0.0056
+
+
+def test_slopes_that_cannot_be_integrated_keep_their_map():
+    """Torn to single pixels a map loses its heights with a warning, never its slopes."""
+    lonely = np.zeros((SIZE, SIZE), dtype=bool)
+    lonely[::2, ::2] = True
+    image = image_of(
+        lambda x, y: np.where(lonely, 1e-3, np.nan), lambda x, y: np.where(lonely, 0.0, np.nan),
+        np.where(lonely, 0, np.uint32(SampleFlag.LOW_MODULATION)).astype(np.uint32),
+    )  # fmt: skip
+    with pytest.warns(QualityWarning, match="facet flat has slopes but no height map: height: no two neighbouring"):
+        slope_map = gridded(image, PITCH_M)
+    assert np.isnan(slope_map.height_m).all()
+    assert slope_map.slope_x[slope_map.valid] == pytest.approx(1e-3)
+    assert slope_map.valid.sum() > 1000
