@@ -85,7 +85,7 @@ class BundleCovariance:
 
     @cached_property
     def _carried(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """``Q G (G^T K)^-1`` of dense part (g, d) and targets (e, 3, d), and the core ``M^T G^T Q G M``, (d, d)."""
+        """``Q G M^T``, dense part (g, d) and targets (e, 3, d), and ``M G^T Q G M^T``, (d, d); ``M = (G^T K)^-1``."""
         layout, system = self._layout, self._system
         count = system.movements.count
         if not count:
@@ -100,7 +100,7 @@ class BundleCovariance:
         targets = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
         dense = self._elimination.factor.back(half) / system.dense_scale[:, None]
         core = half.T @ half + np.einsum("eid,eif->df", self._datum_targets, own)
-        return dense @ inverse, targets @ inverse, inverse.T @ core @ inverse
+        return dense @ inverse.T, targets @ inverse.T, inverse @ core @ inverse.T
 
     def _under_datum(self, raw: FloatArray, movements: FloatArray, carried: FloatArray) -> FloatArray:
         """Turn blocks Q, shape (b, k, k), of unknowns with movements K and carried columns, (b, k, d), to the datum."""

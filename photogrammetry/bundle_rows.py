@@ -16,6 +16,7 @@ from photogrammetry.bundle_state import (
     intrinsics_of,
     turned,
 )
+from photogrammetry.datum import free_movements, moved_as_a_whole, similarity_movements
 from photogrammetry.observations import IntArray
 
 
@@ -124,6 +125,7 @@ class BundleModel:
         bounds = np.searchsorted(camera[self.order], np.arange(len(problem.cameras) + 1))
         self.camera_slices = [slice(int(a), int(b)) for a, b in pairwise(bounds.tolist())]
         self.starts = [_starts(self.photo[part]) for part in self.camera_slices]
+        self._fixed = problem.target_indices(problem.fixed)
         self.constraint_targets = tuple(problem.target_indices(one.targets) for one in problem.constraints)
         self.prior_jacobian, self._prior_values = self._priors(start)
 
@@ -150,6 +152,8 @@ class BundleModel:
     def retract(self, state: BundleState, step: FloatArray) -> BundleState:
         """Move a state by a step in the order of the layout, shape (n,)."""
         layout = self.layout
+        if self.problem.constraints:
+            state, step = self._moved_as_a_whole(state, step)
         poses = step[: 6 * layout.n_photos].reshape(-1, 6)
         points = state.points_m.copy()
         points[layout.eliminated] += step[layout.n_global :].reshape(-1, 3)
@@ -162,6 +166,27 @@ class BundleModel:
         return BundleState(
             tuple(cameras), turned(state.rotations, poses[:, :3]), state.translations_m + poses[:, 3:], points
         )
+
+    def _moved_as_a_whole(self, state: BundleState, step: FloatArray) -> tuple[BundleState, FloatArray]:
+        """Take the part of a step that moves the whole network exactly; return the state and the rest of the step.
+
+        A constraint with a large sigma may ask for a turn by 0.1 rad that image points do not see at all. As a linear
+        step it would spoil them in second order, and the descent would crawl along a curved valley.
+        """
+        layout = self.layout
+        center = state.points_m[self._fixed].mean(axis=0) if self._fixed.size else state.points_m.mean(axis=0)
+        movements = free_movements(similarity_movements(state, center), (), self._fixed)
+        both = np.concatenate([layout.kept, layout.eliminated])
+        first = layout.n_global - 3 * layout.kept.size
+        columns = movements.points[both].reshape(3 * both.size, movements.count)
+        amounts = np.linalg.lstsq(columns, step[first:], rcond=None)[0]
+        rest = step.copy()
+        rest[: 6 * layout.n_photos] -= (movements.poses @ amounts).ravel()
+        rest[first:] -= columns @ amounts
+        moved = moved_as_a_whole(state, movements.shares @ amounts, center)
+        # Fixed targets stay to the last bit.
+        moved.points_m[self._fixed] = state.points_m[self._fixed]
+        return moved, rest
 
     def values(self, state: BundleState) -> FloatArray:
         """Write a state as numbers in the order of the layout, shape (n,); rotations count as 1 rad each."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.rigid import skew
+from heliogauge.rigid import rotation_from_vector, skew
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle_state import BundleState
 from photogrammetry.observations import IntArray
@@ -87,13 +87,15 @@ class Movements:
         return ", ".join(words) if words else "nothing"
 
 
-def similarity_movements(state: BundleState) -> Movements:
+def similarity_movements(state: BundleState, center_m: FloatArray | None = None) -> Movements:
     """Return the seven movements of a network as a whole.
 
     Parameters
     ----------
     state : BundleState
         Where the network is.
+    center_m : ndarray, shape (3,), optional
+        Point that rotations and stretch leave where it is; the targets' mean by default [m].
 
     Returns
     -------
@@ -106,7 +108,7 @@ def similarity_movements(state: BundleState) -> Movements:
     ``-R w`` and shift by ``-R a + R (w x c) + s (t + R c)``.
     """
     points, rotations = state.points_m, state.rotations
-    center = points.mean(axis=0)
+    center = points.mean(axis=0) if center_m is None else center_m
     arms = points - center
     size = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-300)
     d_points = np.zeros((len(points), 3, 7))
@@ -119,6 +121,32 @@ def similarity_movements(state: BundleState) -> Movements:
     d_poses[:, 3:, 3:6] = -rotations @ skew(center) / size
     d_poses[:, 3:, 6] = (state.translations_m + rotations @ center) / size
     return Movements(d_points, d_poses, np.eye(7))
+
+
+def moved_as_a_whole(state: BundleState, shares: FloatArray, center_m: FloatArray) -> BundleState:
+    """Move a network by a finite similarity that no image point sees.
+
+    Parameters
+    ----------
+    state : BundleState
+        Where the network is.
+    shares : ndarray, shape (7,)
+        Amounts of the movements of `similarity_movements` about the same centre.
+    center_m : ndarray, shape (3,)
+        The centre [m].
+
+    Returns
+    -------
+    BundleState
+        ``X' = c + a + (1 + s) R(w) (X - c)`` with the poses that see every target where they saw it.
+    """
+    arms = state.points_m - center_m
+    size = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-300)
+    turn, stretch = rotation_from_vector(shares[3:6] / size), 1 + shares[6] / size
+    points = center_m + shares[:3] + stretch * arms @ turn.T
+    rotations = state.rotations @ turn.T
+    translations = stretch * (state.translations_m + state.rotations @ center_m)
+    return BundleState(state.cameras, rotations, translations - rotations @ (center_m + shares[:3]), points)
 
 
 def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntArray]], fixed: IntArray) -> Movements:

@@ -59,7 +59,7 @@ def read_image_points_csv(
     origin : PixelOrigin, optional
         Whether (0, 0) is the centre or the outer corner of the top-left pixel (PhotoModeler, DBAT, COLMAP: corner).
     default_sigma_px : float, optional
-        Sigma of image points that have none [px].
+        Sigma of image points that have none, where no other has one either; else the median of the others [px].
     sizes_px : mapping of str to (int, int) or (int, int), optional
         Width and height of each image, or of all, to see whether points lie inside [px].
 
@@ -87,8 +87,9 @@ def read_image_points_csv(
     sigmas, missing = _sigmas(path, columns, default_sigma_px)
     if missing.any():
         warnings.append(
-            f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; {default_sigma_px} px was "
-            "taken, so only ratios are known and the covariance is scaled by the residuals"
+            f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; "
+            f"{sigmas[np.argmax(missing), 0]:g} px was taken, so only ratios are known and the covariance should be "
+            "scaled by the residuals"
         )
     if origin is PixelOrigin.CORNER:
         pixels = pixels - 0.5
@@ -130,8 +131,8 @@ def _check_names(path: Path, photos: list[str], targets: list[str]) -> None:
             raise InputError(f"{path}, line {line}: image and target need a name")
         if pair in first:
             raise InputError(
-                f"{path}, lines {first[pair]} and {line}: target {pair[1]} is measured twice in image {pair[0]}; keep one "
-                "(two sheets with the same codes?)"
+                f"{path}, lines {first[pair]} and {line}: target {pair[1]} is measured twice in image {pair[0]}; "
+                "keep one (two sheets with the same codes?)"
             )
         first[pair] = line
 
