@@ -14,13 +14,12 @@ import numpy.typing as npt
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.coded_targets import CODE_INNER_RADIUS, CODE_OUTER_RADIUS, RingCode, RingDictionary
 from photogrammetry.ellipse import Ellipse
-from photogrammetry.target_center import TargetCenter
 
 __all__ = ["RingLimits", "RingReading", "read_ring"]
 
-#: Samples of the ring: angles for each sector, and radii in units of the dot's radius.
+#: Samples: angles for each sector, and radii in units of the dot's radius, the first one for the dot's own level.
 _ANGLES_PER_SECTOR = 12
-_RADII = np.arange(1.3, 3.51, 0.1)
+_RADII = np.concatenate([[0.4], np.arange(1.3, 3.51, 0.1)])
 _GAP = (_RADII > 1.35) & (_RADII < 1.65)
 _CODE = (_RADII > 2.25) & (_RADII < 2.75)
 _BEYOND = _RADII > 3.25
@@ -52,7 +51,7 @@ class RingLimits:
     most_gap_unevenness: float = 0.12
     most_border_error: float = 0.13
     most_radial_error: float = 0.3
-    most_misfit: float = 0.2
+    most_misfit: float = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +116,7 @@ class RingReading:
 
 def read_ring(
     image_dn: npt.NDArray[np.generic],
-    center: TargetCenter,
+    dot: Ellipse,
     dictionary: RingDictionary,
     limits: RingLimits | None = None,
 ) -> RingReading | None:
@@ -127,8 +126,8 @@ def read_ring(
     ----------
     image_dn : ndarray, shape (h, w)
         The photo's grey values [DN].
-    center : TargetCenter
-        The dot, measured in the photo's pixels.
+    dot : Ellipse
+        The dot's outline in the photo's pixels.
     dictionary : RingDictionary
         The codes that may occur.
     limits : RingLimits, optional
@@ -140,7 +139,7 @@ def read_ring(
         None if there is no ring, or not all of it in the photo; a reading without a code if there is a ring whose
         word no dictionary holds.
     """
-    sampled = _ink(image_dn, center, dictionary.n_bits * _ANGLES_PER_SECTOR)
+    sampled = _ink(image_dn, dot, dictionary.n_bits * _ANGLES_PER_SECTOR)
     if sampled is None:
         return None
     ink, unevenness = sampled
@@ -170,20 +169,19 @@ def read_ring(
         float(levels[bits].min() - levels[~bits].max()),
         unevenness,
         float(np.sqrt(np.mean(off**2))),
-        _radial_error(ink[:, bits[sector] & (from_border < 0.3)]),
+        _radial_error(ink[1:, bits[sector] & (from_border < 0.3)]),
         _misfit(ink, bits[sector], from_border),
     )
     return reading if reading.within(allowed) else None
 
 
-def _ink(image_dn: npt.NDArray[np.generic], center: TargetCenter, n_angles: int) -> tuple[FloatArray, float] | None:
+def _ink(image_dn: npt.NDArray[np.generic], dot: Ellipse, n_angles: int) -> tuple[FloatArray, float] | None:
     """Share of ink on rings round a dot, shape (radii, angles), and how uneven its gap is; None beyond the border."""
-    ellipse = center.ellipse
     angles = np.arange(n_angles) * (2 * np.pi / n_angles)
-    points = ellipse.points_px(angles[None, :], _RADII[:, None])
+    points = dot.points_px(angles[None, :], _RADII[:, None])
     low = np.floor(points.min(axis=(0, 1))).astype(int) - 1
     high = np.ceil(points.max(axis=(0, 1))).astype(int) + 3
-    if (low < 0).any() or high[0] > image_dn.shape[1] or high[1] > image_dn.shape[0] or center.contrast_dn == 0:
+    if (low < 0).any() or high[0] > image_dn.shape[1] or high[1] > image_dn.shape[0]:
         return None
     window = np.ascontiguousarray(image_dn[low[1] : high[1], low[0] : high[0]], dtype=np.float32)
     at = (points - low).astype(np.float32)
@@ -192,10 +190,13 @@ def _ink(image_dn: npt.NDArray[np.generic], center: TargetCenter, n_angles: int)
     # The gap's level as a plane: its first harmonic round the dot. Levels of the ring follow the plane outwards.
     plane = np.stack([np.ones(n_angles), np.cos(angles), np.sin(angles)], axis=1)
     solution = plane.T @ gap / (n_angles * np.array([1.0, 0.5, 0.5]))
-    unevenness = float(np.sqrt(np.mean((gap - plane @ solution) ** 2))) / abs(center.contrast_dn)
+    inside = float(values[0].mean())
+    if inside == solution[0]:
+        return None
+    unevenness = float(np.sqrt(np.mean((gap - plane @ solution) ** 2)) / abs(inside - solution[0]))
     slope = (plane[:, 1:] @ solution[1:])[None, :] * (_RADII[:, None] / 1.5)
     blank = solution[0] + slope
-    return (values - blank) / (center.inside_dn - solution[0]), unevenness
+    return (values - blank) / (inside - solution[0]), unevenness
 
 
 def _crossings(profile: FloatArray) -> FloatArray:
@@ -214,10 +215,11 @@ def _radial_error(ink: FloatArray) -> float:
     inside = np.flatnonzero(profile > 0)
     if len(inside) == 0 or inside[0] == 0 or inside[-1] == len(profile) - 1 or len(inside) != np.ptp(inside) + 1:
         return float("inf")
-    step = float(_RADII[1] - _RADII[0])
+    radii = _RADII[1:]
+    step = float(radii[1] - radii[0])
     first, last = inside[0], inside[-1]
-    begin = _RADII[first] - step * profile[first] / (profile[first] - profile[first - 1])
-    end = _RADII[last] + step * profile[last] / (profile[last] - profile[last + 1])
+    begin = radii[first] - step * profile[first] / (profile[first] - profile[first - 1])
+    end = radii[last] + step * profile[last] / (profile[last] - profile[last + 1])
     return float(max(abs(begin - CODE_INNER_RADIUS), abs(end - CODE_OUTER_RADIUS)))
 
 
@@ -229,12 +231,12 @@ def _misfit(ink: FloatArray, inked: BoolArray, from_border: FloatArray) -> float
     return float(np.sqrt(0.5 * (np.mean(in_ring**2) + np.mean(np.minimum(np.abs(beyond), 1.0) ** 2))))
 
 
-def ring_outline(center: TargetCenter) -> Ellipse:
+def ring_outline(dot: Ellipse) -> Ellipse:
     """Return the outer outline of a target's code ring.
 
     Parameters
     ----------
-    center : TargetCenter
+    dot : Ellipse
         The dot.
 
     Returns
@@ -242,4 +244,4 @@ def ring_outline(center: TargetCenter) -> Ellipse:
     Ellipse
         Its ellipse, three times as large.
     """
-    return Ellipse(center.center_px, center.ellipse.shape_px2 * CODE_OUTER_RADIUS**2)
+    return Ellipse(dot.center_px, dot.shape_px2 * CODE_OUTER_RADIUS**2)

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import BoolArray, Float32Array, FloatArray, freeze
-from photogrammetry.centroid import dual_conic_center
+from heliogauge.errors import InputError
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.coded_targets import Polarity
+from photogrammetry.edge_rays import outlines_along_rays
 from photogrammetry.ellipse import Ellipse
 from photogrammetry.target_center import CenterOperator, TargetCenter, cut_window
 
@@ -26,7 +26,9 @@ Bytes = npt.NDArray[np.uint8]
 #: Side of the box whose mean is the local threshold, in pixels of each scale.
 _BOX_PX = 31
 #: Widths of spots that a scale answers for, in its own pixels: above, the next coarser scale sees them better.
-_SCALE_WIDTHS_PX = (3.0, 22.0)
+_SCALE_WIDTHS_PX = (2.0, 22.0)
+#: Targets below this diameter are searched at full resolution; it costs three times all other scales together.
+_NEEDS_FULL_PX = 5.0
 #: Threshold below (above) the local mean, as a share of the least contrast: a spot that fills two thirds of the box
 #: still lies a third of its contrast below the box's mean.
 _THRESHOLD_SHARE = 0.3
@@ -36,8 +38,8 @@ _RING_POINTS, _INNER_RADII, _OUTER_RADII = 16, (0.0, 0.5), (1.5, 1.65)
 _RIGHT_SIDE_SHARE = 0.8
 #: Mean deviation of the ring's grey values from their median, as a share of the contrast.
 _MOST_UNEVEN = 0.2
-#: Misfit of the edge, as a share of the contrast, above which a spot is no ellipse.
-_MOST_MISFIT = 0.2
+#: Rms of the edges about the outline above which a spot is no ellipse: in radii, or in pixels for small spots.
+_MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +83,25 @@ class SearchLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One spot that may be a target, with its centre by the dual conic.
+    """One spot that may be a target.
 
     Parameters
     ----------
-    center : TargetCenter
-        Outline and centre in the photo's pixels.
+    ellipse : Ellipse
+        Outline in the photo's pixels, good to a tenth of a pixel or so.
+    inside_dn, outside_dn : float
+        Levels of the spot and of the ground round it, in grey values of 255 [DN].
+    edge_rms_px : float
+        Rms distance of the edges along 24 rays from the outline [px].
     polarity : Polarity
         Dark or light.
     """
 
-    center: TargetCenter
+    ellipse: Ellipse
+    inside_dn: float
+    outside_dn: float
+    edge_rms_px: float
     polarity: Polarity
-
-    @property
-    def ellipse(self) -> Ellipse:
-        """Outline in the photo's pixels."""
-        return self.center.ellipse
 
 
 def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
@@ -124,16 +128,16 @@ def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | No
     if image_dn.ndim != 2 or min(image_dn.shape) < 16:
         raise InputError(f"image: a grey image of at least 16 x 16 px is needed, not shape {image_dn.shape}")
     image = _bytes(image_dn)
-    spots: list[tuple[Ellipse, Polarity]] = []
+    spots: list[Candidate] = []
     scale, level = 1, image
     while scale * _SCALE_WIDTHS_PX[0] <= asked.largest_px and min(level.shape) >= 16:
         # Full resolution is needed for the smallest spots only.
-        if scale > 1 or asked.smallest_px < 2 * _SCALE_WIDTHS_PX[0]:
+        if scale > 1 or asked.smallest_px < _NEEDS_FULL_PX:
             spots += _spots_on_scale(level, scale, image, asked)
         scale *= 2
         half = (level.shape[1] // 2, level.shape[0] // 2)
         level = np.asarray(cv2.resize(level, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return _measured(image_dn, _apart(spots), asked)
+    return _apart(spots)
 
 
 def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, operator: CenterOperator) -> TargetCenter:
@@ -184,10 +188,10 @@ def _bytes(image_dn: npt.NDArray[np.generic]) -> Bytes:
 # --- spots: vectorised over all of a scale --------------------------------------------------------------------------
 
 
-def _spots_on_scale(level: Bytes, scale: int, image: Bytes, asked: SearchLimits) -> list[tuple[Ellipse, Polarity]]:
+def _spots_on_scale(level: Bytes, scale: int, image: Bytes, asked: SearchLimits) -> list[Candidate]:
     mean = cv2.blur(level, (_BOX_PX, _BOX_PX))
     threshold = max(_THRESHOLD_SHARE * asked.least_contrast_dn, 3.0)
-    found = []
+    found: list[Candidate] = []
     for polarity in asked.polarities:
         dark = polarity is Polarity.BLACK_ON_WHITE
         difference = cv2.subtract(mean, level) if dark else cv2.subtract(level, mean)
@@ -196,8 +200,7 @@ def _spots_on_scale(level: Bytes, scale: int, image: Bytes, asked: SearchLimits)
         shapes, centers = _ellipses_of_boxes(
             np.asarray(statistics[1:], dtype=np.float64), np.asarray(centroids[1:], dtype=np.float64), scale, asked
         )
-        for shape, center in zip(*_uniform(image, shapes, centers, asked.least_contrast_dn, dark=dark), strict=True):
-            found.append((Ellipse(center, shape), polarity))
+        found += _uniform(image, shapes, centers, polarity, asked)
     return found
 
 
@@ -210,12 +213,12 @@ def _ellipses_of_boxes(
     """
     width, height, area = (statistics[:, k] for k in (2, 3, 4))
     longest = np.maximum(width, height)
-    low = max(_SCALE_WIDTHS_PX[0] - 1, 0.6 * asked.smallest_px / scale)
+    low = max(_SCALE_WIDTHS_PX[0], 0.6 * asked.smallest_px / scale)
     high = min(1.1 * asked.largest_px / scale + 1, _SCALE_WIDTHS_PX[1])
     ratio = np.cos(asked.most_tilt_rad)
     # A slim ellipse at 45 degrees fills pi/2 ratio / (1 + ratio^2) of its box.
     fill = area / (width * height)
-    kept = (longest >= low) & (longest <= high) & (area >= 4) & (fill > 0.75 * np.pi / 2 * ratio / (1 + ratio**2))
+    kept = (longest >= low) & (longest <= high) & (area >= 3) & (fill > 0.75 * np.pi / 2 * ratio / (1 + ratio**2))
     width, height, area, center = width[kept], height[kept], area[kept], centroids[kept]
     half_x, half_y = 0.5 * width * scale, 0.5 * height * scale
     xx, yy = half_x**2, half_y**2
@@ -239,31 +242,71 @@ def _ellipses_of_boxes(
 
 
 def _uniform(
-    image: Bytes, shapes: FloatArray, centers: FloatArray, least_contrast: float, *, dark: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Keep the ellipses that are even inside, even in a ring around, and differ from it."""
+    image: Bytes, shapes: FloatArray, centers: FloatArray, polarity: Polarity, asked: SearchLimits
+) -> list[Candidate]:
+    """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
     if len(shapes) == 0:
-        return shapes, centers
+        return []
+    dark = polarity is Polarity.BLACK_ON_WHITE
+    kept, inside, outside = _judged(image, shapes, centers, asked.least_contrast_dn, dark=dark, uneven=2 * _MOST_UNEVEN)
+    shapes, centers = shapes[kept], centers[kept]
+    outlines = outlines_along_rays(image, centers, shapes, 0.5 * (inside + outside)[kept])
+    shapes, centers, rms = outlines.shapes_px2[outlines.found], outlines.centers_px[outlines.found], outlines.rms_px
+    rms = rms[outlines.found]
+    middle, reach = (
+        0.5 * (shapes[:, 0, 0] + shapes[:, 1, 1]),
+        np.hypot(0.5 * (shapes[:, 0, 0] - shapes[:, 1, 1]), shapes[:, 0, 1]),
+    )
+    larger, smaller = np.sqrt(middle + reach), np.sqrt(np.maximum(middle - reach, 1e-6))
+    fits = (
+        (rms < np.maximum(_MOST_EDGE_RADII * np.sqrt(larger * smaller), _MOST_EDGE_PX))
+        & (smaller > 0.85 * np.cos(asked.most_tilt_rad) * larger)
+        & (2 * larger > 0.8 * asked.smallest_px)
+        & (2 * larger < 1.2 * asked.largest_px)
+        & _inside(image, shapes, centers)
+    )
+    shapes, centers, rms = shapes[fits], centers[fits], rms[fits]
+    if len(shapes) == 0:
+        return []
+    kept, inside, outside = _judged(image, shapes, centers, asked.least_contrast_dn, dark=dark, uneven=_MOST_UNEVEN)
+    return [
+        Candidate(Ellipse(centers[k], shapes[k]), float(inside[k]), float(outside[k]), float(rms[k]), polarity)
+        for k in np.flatnonzero(kept)
+    ]
+
+
+def _inside(image: Bytes, shapes: FloatArray, centers: FloatArray) -> BoolArray:
+    """Tell which ellipses lie wholly within the photo."""
+    half = np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
+    size = np.array([image.shape[1], image.shape[0]])
+    return np.asarray(((centers - half > 1) & (centers + half < size - 2)).all(axis=1))
+
+
+def _judged(
+    image: Bytes, shapes: FloatArray, centers: FloatArray, least_contrast: float, *, dark: bool, uneven: float
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Tell which ellipses are even inside and in a ring around, and differ from it; levels inside and outside."""
     root = np.sqrt(np.maximum(np.linalg.det(shapes), 1e-9))
     trace = shapes[:, 0, 0] + shapes[:, 1, 1]
     frames = (shapes + root[:, None, None] * np.eye(2)) / np.sqrt(trace + 2 * root)[:, None, None]
     inner = _on_rings(image, frames, centers, _INNER_RADII)
     outer = _on_rings(image, frames, centers, _OUTER_RADII)
-    inside, outside = np.median(inner, axis=1), np.median(outer, axis=1)
+    inside = np.asarray(np.median(inner, axis=1), dtype=np.float64)
+    outside = np.asarray(np.median(outer, axis=1), dtype=np.float64)
     contrast = (outside - inside) if dark else (inside - outside)
     middle = 0.5 * (inside + outside)[:, None]
     right_inside = np.mean((inner < middle) == dark, axis=1)
     right_outside = np.mean((outer > middle) == dark, axis=1)
-    uneven = np.maximum(
+    unevenness = np.maximum(
         np.abs(inner - inside[:, None]).mean(axis=1), np.abs(outer - outside[:, None]).mean(axis=1)
     ) / np.maximum(contrast, 1e-6)
     kept = (
         (contrast >= least_contrast)
         & (right_inside >= _RIGHT_SIDE_SHARE)
         & (right_outside >= _RIGHT_SIDE_SHARE)
-        & (uneven < _MOST_UNEVEN)
+        & (unevenness < uneven)
     )
-    return shapes[kept], centers[kept]
+    return kept, inside, outside
 
 
 def _on_rings(image: Bytes, frames: FloatArray, centers: FloatArray, radii: Sequence[float]) -> Float32Array:
@@ -278,41 +321,18 @@ def _on_rings(image: Bytes, frames: FloatArray, centers: FloatArray, radii: Sequ
     return np.asarray(image[rows, columns], dtype=np.float32)
 
 
-def _apart(spots: list[tuple[Ellipse, Polarity]]) -> list[tuple[Ellipse, Polarity]]:
-    """Sort spots so that those found twice follow each other; the later stages keep the first that can be measured."""
-    return sorted(spots, key=lambda spot: (spot[0].center_px[1], spot[0].center_px[0]))
-
-
-def _measured(
-    image_dn: npt.NDArray[np.generic], spots: list[tuple[Ellipse, Polarity]], asked: SearchLimits
-) -> tuple[Candidate, ...]:
-    """Measure spots by the dual conic; each place once, what is no ellipse not at all."""
-    found: list[Candidate] = []
+def _apart(spots: list[Candidate]) -> tuple[Candidate, ...]:
+    """Keep of spots at one place and of one size the one with the cleanest edge; sort from top to bottom."""
+    kept: list[Candidate] = []
     places = np.empty((len(spots), 3))
-    ratio = 0.9 * np.cos(asked.most_tilt_rad)
-    for start, polarity in spots:
-        taken = places[: len(found)]
-        off = np.hypot(taken[:, 0] - start.center_px[0], taken[:, 1] - start.center_px[1])
-        if _belongs(off, taken[:, 2], start.radius_px).any():
+    for spot in sorted(spots, key=lambda spot: spot.edge_rms_px):
+        x, y = spot.ellipse.center_px
+        radius = spot.ellipse.radius_px
+        taken = places[: len(kept)]
+        off = np.hypot(taken[:, 0] - x, taken[:, 1] - y)
+        near = off < 0.5 * np.minimum(taken[:, 2], radius)
+        if (near & (np.abs(np.log(taken[:, 2] / radius)) < 0.5)).any():
             continue
-        try:
-            center = measure_center(image_dn, start, dual_conic_center)
-        except EstimationError:
-            continue
-        ellipse = center.ellipse
-        larger, smaller = ellipse.semi_axes_px
-        fits = center.misfit < _MOST_MISFIT and smaller > ratio * larger
-        if not fits or not 0.8 * asked.smallest_px < 2 * larger < 1.2 * asked.largest_px:
-            continue
-        off = np.hypot(taken[:, 0] - ellipse.center_px[0], taken[:, 1] - ellipse.center_px[1])
-        if _belongs(off, taken[:, 2], ellipse.radius_px).any():
-            continue
-        places[len(found)] = *ellipse.center_px, ellipse.radius_px
-        found.append(Candidate(center, polarity))
-    return tuple(found)
-
-
-def _belongs(off_px: FloatArray, radius_px: FloatArray, own_radius_px: float) -> BoolArray:
-    """Whether a spot is one that was already found: near its centre and of about its size."""
-    near = off_px < 0.5 * np.minimum(radius_px, own_radius_px)
-    return freeze(near & (np.abs(np.log(np.maximum(radius_px, 1e-9) / own_radius_px)) < 0.5))
+        places[len(kept)] = x, y, radius
+        kept.append(spot)
+    return tuple(sorted(kept, key=lambda spot: (spot.ellipse.center_px[1], spot.ellipse.center_px[0])))

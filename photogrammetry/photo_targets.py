@@ -121,7 +121,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
 def _reading(image_dn: npt.NDArray[np.generic], candidate: Candidate, search: TargetSearch) -> RingReading | None:
     if search.dictionary is None:
         return None
-    return read_ring(image_dn, candidate.center, search.dictionary, search.ring_limits)
+    return read_ring(image_dn, candidate.ellipse, search.dictionary, search.ring_limits)
 
 
 def _uncoded(
@@ -131,7 +131,7 @@ def _uncoded(
     search: TargetSearch,
 ) -> list[TargetCenter]:
     """Measure the dots without a code that do not lie within a coded target."""
-    rings = [ring_outline(center) for center in coded]
+    rings = [ring_outline(center.ellipse) for center in coded]
     kept = []
     for candidate in candidates:
         place = candidate.ellipse.center_px

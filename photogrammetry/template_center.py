@@ -14,11 +14,11 @@ __all__ = ["disc_model", "template_center"]
 
 #: Variance of a pixel's own width [px^2]: the projection of a unit square has it in every direction.
 _PIXEL_VARIANCE = 1 / 12
-#: Pixels farther inside the edge than this many edge widths say nothing about the centre.
-_BAND_WIDTHS = 4.0
+#: Pixels farther from the edge than this say nothing about the centre, up to a blur of 2 px [px].
+_BAND_PX = 5.0
 _MOST_ITERATIONS = 25
 #: A step below this share of a pixel ends the iteration: a hundredth of the best centres' sigma.
-_ENOUGH_PX = 2e-5
+_ENOUGH_PX = 5e-5
 #: Pixels off by more than this many robust sigmas are dust or glare, if also off by this share of the contrast.
 _OUTLIER_SIGMAS, _OUTLIER_CONTRAST = 5.0, 0.05
 #: Columns of the parameters: centre, inverse frame, edge width, outside plane, inside minus outside plane.
@@ -180,19 +180,19 @@ def _start(window_dn: FloatArray, start: Ellipse) -> tuple[_Pixels, FloatArray, 
     radius = normalised_radius(window_dn.shape, start)
     smaller = start.semi_axes_px[1]
     width = min(_USUAL_WIDTH_PX, 0.4 * smaller)
-    band = max(_BAND_WIDTHS * width / smaller, 0.35)
-    rows, columns = np.nonzero((radius > 1 - band - 2 / smaller) & (radius < min(REACH, 1 + band + 3 / smaller)))
+    band = _BAND_PX / smaller
+    rows, columns = np.nonzero((radius > 1 - band) & (radius < min(REACH, 1 + band)))
     if len(rows) < 2 * _N_PARAMETERS:
         raise EstimationError(f"{len(rows)} pixels show the target's edge; a template needs {2 * _N_PARAMETERS}")
     values, near = window_dn[rows, columns], radius[rows, columns]
     x, y = columns - start.center_px[0], rows - start.center_px[1]
-    far = near > 1.25
-    if np.count_nonzero(near < 0.8) < 3 or np.count_nonzero(far) < 8:
+    far, core = near > 1 + min(0.25, 2 / smaller), near < 1 - min(0.2, 2 / smaller)
+    if np.count_nonzero(core) < 3 or np.count_nonzero(far) < 8:
         raise EstimationError("the target covers too few pixels to tell its level from the ground's")
     planes = np.stack([np.ones(np.count_nonzero(far)), x[far], y[far]], axis=1)
     plane = np.linalg.lstsq(planes, values[far], rcond=None)[0]
     noise = max(float(np.median(np.abs(values[far] - planes @ plane))) * 1.4826, 0.3)
-    inside = float(np.median(values[near < 0.8]))
+    inside = float(np.median(values[core]))
     step = inside - plane[0]
     if step == 0:
         raise EstimationError("the target has no contrast against its ground")
