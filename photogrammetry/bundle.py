@@ -137,7 +137,8 @@ class BundleResult:
     @property
     def sigma_points_m(self) -> FloatArray:
         """Standard deviations of the coordinates, shape (n, 3) [m]."""
-        return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance.points)))
+        # A coordinate that the datum holds has a variance of 0 to rounding, on either side.
+        return np.asarray(np.sqrt(np.maximum(np.einsum("nii->ni", self.covariance.points), 0.0)))
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
