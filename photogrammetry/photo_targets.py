@@ -132,12 +132,12 @@ def _uncoded(
 ) -> list[TargetCenter]:
     """Measure the dots without a code that do not lie within a coded target."""
     rings = [ring_outline(center.ellipse) for center in coded]
+    middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)
+    conics = np.array([np.linalg.inv(ring.shape_px2) for ring in rings]).reshape(-1, 2, 2)
     kept = []
     for candidate in candidates:
-        place = candidate.ellipse.center_px
-        if any(
-            (place - ring.center_px) @ np.linalg.solve(ring.shape_px2, place - ring.center_px) < 1 for ring in rings
-        ):
+        off = candidate.ellipse.center_px - middles
+        if (np.einsum("ni,nij,nj->n", off, conics, off) < 1).any():
             continue
         try:
             center = measure_center(image_dn, candidate.ellipse, search.operator)

@@ -18,7 +18,7 @@ _PIXEL_VARIANCE = 1 / 12
 _BAND_PX = 5.0
 _MOST_ITERATIONS = 25
 #: A step below this share of a pixel ends the iteration: a hundredth of the best centres' sigma.
-_ENOUGH_PX = 5e-5
+_ENOUGH_PX, _COARSE_PX = 5e-5, 5e-3
 #: Pixels off by more than this many robust sigmas are dust or glare, if also off by this share of the contrast.
 _OUTLIER_SIGMAS, _OUTLIER_CONTRAST = 5.0, 0.05
 #: Columns of the parameters: centre, inverse frame, edge width, outside plane, inside minus outside plane.
@@ -154,21 +154,22 @@ def template_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> Targe
     robust sigmas and 5 % of the contrast. The covariance takes the residuals' variance, that of the inside and of the
     outside apart, because photon noise differs.
     """
-    first = _fit(window_dn, start)
-    # On small discs the choice of pixels matters: choose them by the fitted outline, not by the start.
-    return _fit(window_dn, first.ellipse) if first.ellipse.semi_axes_px[1] < _SMALL_PX else first
+    if start.semi_axes_px[1] < _SMALL_PX:
+        # On small discs the choice of pixels matters: choose them by a first, coarse fit, not by the start.
+        start = _fit(window_dn, start, enough_px=_COARSE_PX).ellipse
+    return _fit(window_dn, start, enough_px=_ENOUGH_PX)
 
 
-def _fit(window_dn: FloatArray, start: Ellipse) -> TargetCenter:
+def _fit(window_dn: FloatArray, start: Ellipse, *, enough_px: float) -> TargetCenter:
     pixels, parameters, prior = _start(window_dn, start)
     weights = np.ones(len(pixels.x))
-    parameters, residuals, jacobian = _adjust(pixels, parameters, weights, prior)
+    parameters, residuals, jacobian = _adjust(pixels, parameters, weights, prior, enough_px=enough_px)
     wrong = _outliers(residuals, parameters)
     for _ in range(3):
         if not wrong.any():
             break
         weights = np.where(wrong, 0.0, 1.0)
-        parameters, residuals, jacobian = _adjust(pixels, parameters, weights, prior)
+        parameters, residuals, jacobian = _adjust(pixels, parameters, weights, prior, enough_px=enough_px)
         again = _outliers(residuals, parameters)
         if np.array_equal(again, wrong):
             break
@@ -211,7 +212,7 @@ def _start(window_dn: FloatArray, start: Ellipse) -> tuple[_Pixels, FloatArray, 
 
 
 def _adjust(
-    pixels: _Pixels, parameters: FloatArray, weights: FloatArray, prior: _Prior
+    pixels: _Pixels, parameters: FloatArray, weights: FloatArray, prior: _Prior, *, enough_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Levenberg-Marquardt; returns parameters, residuals and Jacobian at the solution."""
 
@@ -234,7 +235,7 @@ def _adjust(
         except np.linalg.LinAlgError:
             damping = max(damping * 10, 1e-3)
             continue
-        small = float(np.hypot(step[0], step[1])) < _ENOUGH_PX and damping < 1e-2
+        small = float(np.hypot(step[0], step[1])) < enough_px and damping < 1e-2
         if small:
             return parameters, residuals, jacobian
         if _plausible(parameters + step, reach):
