@@ -1,5 +1,6 @@
 """What goes wrong in fringe measurements, on purpose: faults that the frame checks must name."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -83,10 +84,18 @@ class Fault:
         name, _, amount = text.partition(":")
         if name not in {str(kind) for kind in FaultKind}:
             raise InputError(f"fault {text!r}: one of {', '.join(FaultKind)} is needed, with :frame or :amount")
+        kind = FaultKind(name)
         try:
-            return cls(FaultKind(name), float(amount) if amount else float(_DEFAULTS[FaultKind(name)]))
+            value = float(amount) if amount else float(_DEFAULTS[kind])
         except ValueError as error:
             raise InputError(f"fault {text!r}: a number is needed after the colon") from error
+        if not math.isfinite(value) or (kind in _FRAME_FAULTS and value != int(value)):
+            raise InputError(f"fault {text!r}: a {'frame' if kind in _FRAME_FAULTS else 'finite number'} is needed")
+        if kind in (FaultKind.SATURATED, FaultKind.GAMMA) and not value > 0:
+            raise InputError(f"fault {text!r}: a positive number is needed")
+        if kind is FaultKind.DRIFT and not value > -1:
+            raise InputError(f"fault {text!r}: the light cannot fall by more than all of it; more than -1 is needed")
+        return cls(kind, value)
 
 
 def shown_pattern(pattern: FringePattern, faults: Sequence[Fault]) -> FringePattern:
@@ -160,6 +169,8 @@ def damage_frames(frames: UnsignedArray, faults: Sequence[Fault]) -> None:
         All faults; repeated and corrupt frames count here.
     """
     for fault in faults:
+        if fault.kind not in _FRAME_FAULTS:
+            continue
         frame = int(fault.amount)
         if fault.kind is FaultKind.REPEATED:
             frames[frame] = frames[frame - 1]

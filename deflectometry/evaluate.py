@@ -359,9 +359,11 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
         return f"facet {facet.name} fills no pixel of the image; check the mirror's pose"
     counts = count_flags(screen_map.flags, region)
     reasons = ", ".join(f"{FLAG_TEXTS[flag]} ({count} px)" for flag, count in counts.items())
-    remedy = "show the pattern over a larger screen or move the mirror" if SampleFlag.OFF_SCREEN in counts else (
-        "check screen, exposure and pattern"
-    )  # fmt: skip
+    remedy = "check screen, exposure and pattern"
+    if SampleFlag.OFF_SCREEN in counts:
+        remedy = "show the pattern over a larger screen or move the mirror"
+    elif counts and max(counts, key=lambda flag: counts[flag]) is SampleFlag.FRINGE_ORDER_UNCERTAIN:
+        remedy = "add fringes of fewer periods: one set below 1, each next at most about six times finer"
     return f"facet {facet.name} was not measured: of its {total} px {reasons or 'none is flagged'}; {remedy}"
 
 

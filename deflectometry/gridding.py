@@ -11,7 +11,7 @@ from deflectometry.integrate import integrate_slopes
 from deflectometry.slope_image import SlopeImage
 from deflectometry.slopes import FittedSurface
 from heliogauge.camera import Camera
-from heliogauge.errors import EstimationError, QualityWarning
+from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap
@@ -20,6 +20,8 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
 #: Larger maps cost more to store and draw than they show.
 MOST_NODES = 1_000_000
+#: A map of so many nodes takes 3 GB; more was hardly meant.
+MOST_ASKED_NODES = 2e7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +109,8 @@ def grid_slopes(
 
     Raises
     ------
+    InputError
+        A grid step that makes more nodes than memory holds.
     EstimationError
         No node carries a slope.
 
@@ -118,6 +122,12 @@ def grid_slopes(
     pixels used.
     """
     low, high, step_m = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0), plan.step_m
+    n_nodes = float(np.prod((high - low) / step_m))
+    if n_nodes > MOST_ASKED_NODES:
+        raise InputError(
+            f"grid step: {step_m * 1e3:g} mm makes {n_nodes:.1e} nodes on facet {facet.name}, where "
+            f"{MOST_ASKED_NODES:.0e} can be held; choose a step near the {image.footprint_m * 1e3:.3g} mm of the pixels"
+        )
     x_m, y_m = grid_axis(low[0], high[0], step_m), grid_axis(low[1], high[1], step_m)
     grid_x, grid_y = np.meshgrid(x_m, y_m)
     aperture = facet.contains(grid_x, grid_y)

@@ -7,11 +7,12 @@ import numpy as np
 
 from deflectometry.patterns import Axis, FringePattern, FringeSet
 from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
+from deflectometry.screen_table import check_screen_table
 from deflectometry.setup import RectangularScreen, Screen, Setup, TabulatedScreen
 from heliogauge.camera import Camera
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import InputError
-from heliogauge.measurement import DeflectometryMeasurement
+from heliogauge.measurement import MEASUREMENT_FILE, DeflectometryMeasurement
 from heliogauge.measurement_models import (
     CameraParameters,
     DesignKeys,
@@ -53,6 +54,12 @@ class KnownPose:
     covariance: FloatArray
 
 
+#: A full turn; no rotation needs more.
+TURN_RAD = 2 * np.pi
+#: Steps over less than this leave the phase to noise.
+LEAST_SPAN_DEG = 30.0
+
+
 def build_setup(measurement: DeflectometryMeasurement) -> Setup:
     """Build camera and screen of a measurement.
 
@@ -69,7 +76,7 @@ def build_setup(measurement: DeflectometryMeasurement) -> Setup:
     Raises
     ------
     InputError
-        A camera file or screen table that cannot be read.
+        A camera file or screen table that cannot be read, or a rotation of more than a turn.
     """
     section = measurement.model.screen
     known = _known_pose(section)
@@ -107,8 +114,13 @@ def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
     if isinstance(section, RectangularScreenSection):
         return RectangularScreen(section.width_m, section.height_m)
     names = ("u", "v", "x_m", "y_m", "z_m")
-    columns = read_number_columns(measurement.path(section.file), names)
-    return TabulatedScreen(columns[0], columns[1], columns[2:].T)
+    file = measurement.path(section.file)
+    columns = read_number_columns(file, names)
+    check_screen_table(columns, str(file))
+    try:
+        return TabulatedScreen(columns[0], columns[1], columns[2:].T)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
@@ -141,6 +153,13 @@ def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
 
 def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
     """Build the fringe pattern of a measurement."""
+    for number, one in enumerate(measurement.model.pattern.set, start=1):
+        span = max(one.steps_deg) - min(one.steps_deg)
+        if 0 < span < LEAST_SPAN_DEG:
+            raise InputError(
+                f"{measurement.folder / MEASUREMENT_FILE}: pattern.set[{number}].steps_deg span only {span:.3g} "
+                "deg; are they in radians? Give degrees, such as [0, 90, 180, 270]"
+            )
     return FringePattern(
         tuple(
             FringeSet(Axis(one.axis), one.periods, np.deg2rad(one.steps_deg)) for one in measurement.model.pattern.set
@@ -149,6 +168,12 @@ def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
 
 
 def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScreenSection) -> KnownPose:
+    turn_rad = float(np.linalg.norm(section.rotation_vector_rad))
+    if turn_rad > TURN_RAD:
+        raise InputError(
+            f"rotation_vector_rad = {list(section.rotation_vector_rad)}: {turn_rad:.4g} rad are more than one turn; "
+            "is it in degrees? Give axis times angle in radians"
+        )
     pose = RigidTransform.from_rotation_vector(section.rotation_vector_rad, section.translation_m)
     sigma = 1e-3 * np.array([*section.sigma_rotation_mrad, *section.sigma_translation_mm])
     return KnownPose(pose, np.diag(sigma**2))

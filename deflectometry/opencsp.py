@@ -224,9 +224,12 @@ def read_opencsp_file(path: Path) -> OpencspFile:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     if h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            records = tuple(_hdf5_records(path.name, file))
-            is_result = "DataSofastCalculation" in file
+        try:
+            with h5py.File(path, "r") as file:
+                records = tuple(_hdf5_records(path.name, file))
+                is_result = "DataSofastCalculation" in file
+        except OSError as error:
+            raise InputError(f"{path}: damaged or cut off ({error}); copy the file again") from None
     else:
         records, is_result = tuple(_json_records(path)), False
     if not records:

@@ -12,7 +12,8 @@ from calibration.screen.response import ScreenResponse
 from deflectometry.assemble import assemble_maps
 from deflectometry.evaluate import Align, Choices, Evaluation, MirrorInput, Observation, evaluate_frames
 from deflectometry.frame_checks import check_frames
-from deflectometry.headline import canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
+from deflectometry.headline import Numbers, canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
+from deflectometry.image_checks import check_noise, check_size, saturation_level, warn_of_compression
 from deflectometry.inputs import (
     build_design,
     build_facets,
@@ -25,7 +26,9 @@ from deflectometry.inputs import (
 from deflectometry.mirror_pose import MirrorPose
 from deflectometry.patterns import FringePattern
 from deflectometry.phase import NoiseModel
+from deflectometry.plausibility import doubts, refuse_impossible
 from deflectometry.screen_map import ScreenMapLimits
+from deflectometry.screen_table import warn_beyond_table
 from deflectometry.setup import Setup
 from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.images import read_frames
@@ -90,6 +93,10 @@ class Result:
         The map of the whole mirror, put together from these; that of the only facet where there is one.
     assembled_as_measured : SlopeMap
         The same before anything was removed.
+    numbers : dict of str to number
+        Headline numbers of the mirror.
+    facets : dict of str to dict
+        Headline numbers of each facet; empty for a single one.
     warnings : tuple of str
         What makes the result doubtful.
     durations_s : dict of str to float
@@ -105,6 +112,8 @@ class Result:
     maps: dict[str, SlopeMap]
     assembled: SlopeMap
     assembled_as_measured: SlopeMap
+    numbers: Numbers
+    facets: dict[str, Numbers]
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -141,14 +150,22 @@ def run(
         warnings.simplefilter("always", QualityWarning)
         setup, pattern = build_setup(measurement), build_pattern(measurement)
         observation = read_observation(measurement, pattern, options, progress)
+        check_size(observation.frames, setup.camera, measurement.folder)
+        warn_of_compression(measurement.fringe_files)
         with progress.stage("check frames"):
             refuse_faulty_frames(observation)
         mirror = describe_mirror(measurement, setup)
         evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
+        refuse_impossible(setup, evaluation.solution.cam_from_mirror)
         as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)
         removal = evaluation.choices.removal
         maps = {name: remove(one, removal) for name, one in evaluation.maps.items()}
         assembled = as_measured if removal is Removal.NOTHING else assemble_maps(evaluation, maps, removal)
+        with progress.stage("statistics"):
+            numbers, facets = _numbers(evaluation, maps, (assembled, as_measured))
+        warn_beyond_table(setup.screen, evaluation.screen_map)
+        for doubt in doubts(numbers, facets, evaluation):
+            warnings.warn(doubt, QualityWarning, stacklevel=2)
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
     said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
@@ -160,6 +177,8 @@ def run(
         maps,
         assembled,
         as_measured,
+        numbers,
+        facets,
         said,
         dict(progress.durations_s),
         hashes,
@@ -200,7 +219,7 @@ def read_observation(
     lit = None
     if section.bright is not None:
         lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
-    saturation = section.saturation_dn or float(frames.full_scale_dn)
+    saturation = section.saturation_dn or saturation_level(fringes, frames.full_scale_dn)
     return Observation(
         frames=fringes,
         pattern=pattern,
@@ -217,7 +236,10 @@ def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | Non
     if name is None:
         return None
     camera_dn, level = read_number_columns(measurement.path(name), ("camera_dn", "display_level"))
-    return ScreenResponse(camera_dn, level)
+    try:
+        return ScreenResponse(camera_dn, level)
+    except InputError as error:
+        raise InputError(f"{measurement.path(name)}: {error}") from None
 
 
 def refuse_faulty_frames(observation: Observation) -> None:
@@ -233,13 +255,18 @@ def refuse_faulty_frames(observation: Observation) -> None:
     EstimationError
         At least one fault that makes the phases wrong, each with the frames and the remedy.
     """
-    faults = check_frames(observation.frames, observation.pattern, response=observation.response)
+    faults = check_frames(
+        observation.frames, observation.pattern, response=observation.response,
+        saturation_dn=observation.limits.saturation_dn,
+    )  # fmt: skip
     for fault in faults:
         if fault.severity == "warning":
             warnings.warn(fault.message, QualityWarning, stacklevel=2)
     errors = [fault.message for fault in faults if fault.severity == "error"]
     if errors:
         raise EstimationError("images.fringes: " + "\n  ".join(errors))
+    if observation.noise is not None and observation.response is None:
+        check_noise(observation.frames, observation.pattern, observation.noise)
 
 
 def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
@@ -313,17 +340,20 @@ def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
     return {"x_px": x_px, "y_px": y_px, "residual_x_px": residual_x_px, "residual_y_px": residual_y_px}
 
 
+def _numbers(
+    evaluation: Evaluation, maps: dict[str, SlopeMap], assembled: tuple[SlopeMap, SlopeMap]
+) -> tuple[Numbers, dict[str, Numbers]]:
+    """Return the headline numbers of the mirror and of each facet."""
+    numbers = facet_numbers(*assembled) | pose_numbers(evaluation.located, evaluation)
+    if len(evaluation.located.facets) == 1:
+        return numbers, {}
+    facets = {name: canting_numbers(one) | facet_numbers(maps[name], one) for name, one in evaluation.maps.items()}
+    return numbers, facets
+
+
 def summarise(result: Result) -> Summary:
     """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
     evaluation = result.evaluation
-    numbers = facet_numbers(result.assembled, result.assembled_as_measured) | pose_numbers(
-        evaluation.located, evaluation
-    )
-    facets = {}
-    if len(evaluation.located.facets) > 1:
-        facets = {
-            name: canting_numbers(one) | facet_numbers(result.maps[name], one) for name, one in evaluation.maps.items()
-        }
     texts = {
         "design": result.assembled.design,
         "removed": result.assembled.removed,
@@ -338,12 +368,12 @@ def summarise(result: Result) -> Summary:
     return Summary(
         kind="deflectometry",
         name=result.name,
-        numbers=numbers,
+        numbers=result.numbers,
         texts=texts,
         warnings=result.warnings,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
-        facets=facets,
+        facets=result.facets,
         geometry_m=geometry(result.setup, evaluation),
     )
 
