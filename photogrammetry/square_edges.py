@@ -104,10 +104,9 @@ def square_corners(window_dn: npt.NDArray[np.float64], corners_px: npt.ArrayLike
     covariances = []
     for k in range(4):
         before, after = sides[k - 1].covariance_px2, sides[k].covariance_px2
-        covariances.append(
-            derivatives[k][:, :2] @ before @ derivatives[k][:, :2].T
-            + derivatives[k][:, 2:] @ after @ derivatives[k][:, 2:].T
-        )
+        one = derivatives[k][:, :2] @ before @ derivatives[k][:, :2].T
+        one = one + derivatives[k][:, 2:] @ after @ derivatives[k][:, 2:].T
+        covariances.append(0.5 * (one + one.T))
     sections = np.concatenate([side.section_offsets_px for side in sides])
     width = float(np.median([side.width_px for side in sides]))
     return SquareCorners(
