@@ -60,6 +60,12 @@ class BundleCovariance:
         return dense, columns[layout.eliminated]
 
     @cached_property
+    def _overlap(self) -> FloatArray:
+        """Datum times free movements, ``G^T K``, shape (d, d)."""
+        overlap = self._datum_dense.T @ self._system.dense_movements
+        return np.asarray(overlap + np.einsum("eid,eif->df", self._datum_targets, self._target_movements))
+
+    @cached_property
     def _halves(self) -> FloatArray:
         """Half columns of all eliminated targets, shape (g, 3 e): ``Q_pp = R R^T + half^T half``."""
         halves = np.empty(
@@ -90,9 +96,7 @@ class BundleCovariance:
         count = system.movements.count
         if not count:
             return np.zeros((layout.n_global, 0)), np.zeros((layout.eliminated.size, 3, 0)), np.zeros((0, 0))
-        overlap = self._datum_dense.T @ system.dense_movements
-        overlap += np.einsum("eid,eif->df", self._datum_targets, self._target_movements)
-        inverse = np.linalg.inv(overlap)
+        inverse = np.linalg.inv(self._overlap)
         half = self._elimination.factor.half(self._datum_dense / system.dense_scale[:, None])
         half += self._halves @ self._datum_targets.reshape(3 * layout.eliminated.size, count)
         roots = self._elimination.roots
@@ -204,19 +208,25 @@ class BundleCovariance:
 
     @cached_property
     def _unknown_dense(self) -> BoolArray:
-        lost = self._elimination.factor.lost
-        return np.asarray(np.abs(lost).max(axis=1, initial=0.0) > _UNKNOWN)
+        return np.asarray(np.abs(self.lost_movements[0]).max(axis=1, initial=0.0) > _UNKNOWN)
 
     @cached_property
     def lost_movements(self) -> tuple[FloatArray, FloatArray]:
-        """Directions that nothing holds: scaled dense part (g, k) and eliminated targets (e, 3, k) in metres."""
+        """Directions that nothing holds, under the datum: scaled dense part (g, k), targets (e, 3, k) [m]."""
         lost, layout = self._elimination.factor.lost, self._layout
         targets = np.zeros((layout.eliminated.size, 3, lost.shape[1]))
         for block in self._system.couplings(self._elimination):
             part = lost if block.rows is None else lost[block.rows]
             inner = (block.matrix.T @ part).reshape(block.last - block.first, 3, lost.shape[1])
             targets[block.first : block.last] = -self._elimination.roots[block.first : block.last] @ inner
-        return lost, targets
+        if not lost.shape[1] or not self._system.movements.count:
+            return lost, targets
+        # A loose photo leaves the targets at rest under their datum, though not under any other.
+        scale = self._system.dense_scale[:, None]
+        seen = self._datum_dense.T @ (lost / scale) + np.einsum("eid,eik->dk", self._datum_targets, targets)
+        amounts = np.linalg.solve(self._overlap, seen)
+        dense = lost - self._system.dense_movements @ amounts * scale
+        return dense, targets - self._target_movements @ amounts
 
     @cached_property
     def unknown_targets(self) -> BoolArray:

@@ -109,12 +109,13 @@ def _shared(result: BundleResult) -> Defect | None:
     if not count:
         return None
     layout, table = result.system.layout, result.problem.observations
+    dense, moved_targets = _localised(result, dense, inner * result.system.target_scale[:, :, None])
     of_photo = _share(dense[: 6 * layout.n_photos].reshape(layout.n_photos, 6 * count))
     photos = _named(of_photo, table.photos)
     intrinsics: list[str] = []
     for model, columns in zip(result.problem.cameras, layout.intrinsic_columns, strict=True):
         intrinsics += _named(_share(dense[columns]), tuple(f"{name} of {model.name}" for name in model.free))
-    moved = _share((inner * result.system.target_scale[:, :, None]).reshape(layout.eliminated.size, 3 * count))
+    moved = _share(moved_targets.reshape(layout.eliminated.size, 3 * count))
     names = tuple(table.targets[i] for i in layout.eliminated)
     targets = _named(moved, names)
     parts = []
@@ -131,6 +132,42 @@ def _shared(result: BundleResult) -> Defect | None:
         "Add image points that tie these to the rest, hold an intrinsic or give it a prior, or leave the photos out"
     )
     return Defect(count, targets, photos, tuple(intrinsics), text)
+
+
+def _localised(result: BundleResult, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Take the movement of the whole network out of lost directions, so that few photos and targets move.
+
+    A loose photo against a network at rest, and the network against the photo at rest, are the same freedom. The
+    version in which least moves (sum of lengths, by iterated weights) names the photo.
+    """
+    system, layout = result.system, result.system.layout
+    count = system.movements.count
+    if not count:
+        return dense, targets
+    own = system.dense_movements * system.dense_scale[:, None]
+    inner = system.movements.points[layout.eliminated] * system.target_scale[:, :, None]
+    columns = np.concatenate([own, inner.reshape(3 * layout.eliminated.size, count)])
+    lost = np.concatenate([dense, targets.reshape(3 * layout.eliminated.size, dense.shape[1])])
+    loose = layout.n_global - 6 * layout.n_photos
+    blocks = np.concatenate(
+        [
+            np.repeat(np.arange(layout.n_photos), 6),
+            layout.n_photos + np.arange(loose),
+            layout.n_photos + loose + np.repeat(np.arange(layout.eliminated.size), 3),
+        ]
+    )
+    result_columns = []
+    for direction in lost.T:
+        weight, rest = np.ones(direction.size), direction
+        for _ in range(30):
+            amounts = np.linalg.lstsq(columns * weight[:, None], -direction * weight, rcond=None)[0]
+            rest = direction + columns @ amounts
+            lengths = np.sqrt(np.bincount(blocks, weights=rest**2))
+            weight = 1 / np.sqrt(lengths + 1e-6 * lengths.max() + 1e-300)[blocks]
+        result_columns.append(rest / max(float(np.linalg.norm(rest)), 1e-300))
+    final = np.stack(result_columns, axis=1)
+    size = layout.n_global
+    return final[:size], final[size:].reshape(layout.eliminated.size, 3, dense.shape[1])
 
 
 def _share(rows: FloatArray) -> FloatArray:

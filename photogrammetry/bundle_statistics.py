@@ -8,7 +8,7 @@ import numpy as np
 from heliogauge.solution import CovarianceScale
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle import BundleOptions, BundleProblem, BundleResult, BundleState, adjust
-from photogrammetry.bundle_rows import CameraRows, runs
+from photogrammetry.bundle_rows import BundleModel, CameraRows, runs
 from photogrammetry.bundle_state import INTRINSIC_NAMES, intrinsics_of
 from photogrammetry.observations import IntArray
 
@@ -165,32 +165,53 @@ def adjust_and_reject(
         The adjustment of what is left.
     rejected : tuple of Rejected
         What was left out, in order. In each round only the worst image point of a photo and of a target goes, because
-        one bad image point makes its neighbours look bad. Targets left with one ray lose that too.
+        one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What turns out to
+        agree in the end comes back.
     """
     options = options or BundleOptions()
     rows = np.arange(problem.observations.n)
-    rejected: list[Rejected] = []
+    rejected: dict[int, Rejected] = {}
     result = adjust(problem, start, options=options)
     for _ in range(most_rounds):
         tests = examine_image_points(result)
         marked = tests.outliers(family_significance)
         if not marked.any():
             break
-        worst = _worst_of_their_kind(result, tests.length_squared, marked)
         gone = np.zeros(rows.size, dtype=np.bool_)
-        gone[worst] = True
-        table = result.problem.observations
+        gone[_worst_of_their_kind(result, tests.length_squared, marked)] = True
         singles = _left_alone(result, gone)
-        for row in np.nonzero(gone)[0].tolist():
-            reason = f"{np.sqrt(tests.length_squared[row]):.1f} times its sigma"
-            rejected.append(_rejection(result, int(rows[row]), row, reason))
-        alone = np.nonzero(singles)[0].tolist()
-        rejected += [_rejection(result, int(rows[row]), row, "the only ray left of its target") for row in alone]
+        for place in np.nonzero(gone | singles)[0].tolist():
+            times = f"{np.sqrt(tests.length_squared[place]):.1f} times its sigma"
+            reason = times if gone[place] else "the only ray left of its target"
+            rejected[int(rows[place])] = _rejection(result, int(rows[place]), place, reason)
         keep = ~(gone | singles)
         rows = rows[keep]
-        smaller = replace(result.problem, observations=table.subset(keep))
+        smaller = replace(result.problem, observations=result.problem.observations.subset(keep))
         result = adjust(smaller, result.state, options=options)
-    return result, tuple(rejected)
+    back = _innocent(problem, result, list(rejected), family_significance)
+    if back:
+        rows = np.sort(np.concatenate([rows, np.array(back, dtype=np.intp)]))
+        result = adjust(replace(problem, observations=problem.observations.subset(rows)), result.state, options=options)
+    return result, tuple(one for row, one in rejected.items() if row not in back)
+
+
+def _innocent(problem: BundleProblem, result: BundleResult, rows: list[int], family_significance: float) -> list[int]:
+    """Choose rejected image points that agree with the network once the false ones are gone."""
+    if not rows:
+        return []
+    table = problem.observations.subset(np.array(rows, dtype=np.intp))
+    one_by_one = BundleModel(replace(problem, observations=table), result.state)
+    squares = np.concatenate(
+        [np.einsum("rm,rm->m", *[one.residuals] * 2) for one in one_by_one.camera_rows(result.state)]
+    )
+    factor = 1.0
+    if result.options.covariance_scale is CovarianceScale.POSTERIOR and result.redundancy > 0:
+        factor = result.variance_factor
+    # The residual of a point that took no part has a larger sigma than that: what passes is surely no outlier.
+    limit = -2 * np.log(family_significance / max(problem.observations.n, 1)) * factor
+    determined = ~result.covariance.unknown_targets[table.target_index[one_by_one.order]]
+    fine = np.isfinite(squares) & (squares <= limit) & determined
+    return [rows[place] for place in one_by_one.order[fine].tolist()]
 
 
 def _rejection(result: BundleResult, row: int, place: int, reason: str) -> Rejected:
@@ -202,6 +223,8 @@ def _worst_of_their_kind(result: BundleResult, size: FloatArray, marked: BoolArr
     """Choose marked image points, the worst first, not two of one photo or of one target."""
     table = result.problem.observations
     photos, targets, chosen = set(), set(), []
+    # A far outlier spoils all others of its surroundings: what is less than half as far off waits.
+    marked = marked & (size >= 0.25 * size[marked].max())
     for row in np.nonzero(marked)[0][np.argsort(-size[marked], kind="stable")].tolist():
         photo, target = int(table.photo_index[row]), int(table.target_index[row])
         if photo not in photos and target not in targets:

@@ -90,7 +90,7 @@ def intersect_lines(
     weight = 1.0 / sigma_rad**2
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     robust = np.ones_like(weight)
-    points, normal = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    points, solvable = np.zeros((count, 3)), np.zeros((count, 3, 3))
     distance = np.ones_like(weight)
     misses = np.zeros_like(weight)
     for turn in range(_ROUNDS):
@@ -98,7 +98,8 @@ def intersect_lines(
         right = _summed(np.einsum("mij,mj->mi", across, origins_m), weight * robust / distance**2, point, count)
         # A share of 1e-9 of the trace keeps single lines solvable; they are dropped below.
         scale = np.maximum(np.einsum("nii->n", normal), 1e-300)
-        points = np.linalg.solve(normal + 1e-9 * scale[:, None, None] * np.eye(3), right[:, :, None])[:, :, 0]
+        solvable = normal + 1e-9 * scale[:, None, None] * np.eye(3)
+        points = np.linalg.solve(solvable, right[:, :, None])[:, :, 0]
         arms = points[point] - origins_m
         along = np.einsum("mi,mi->m", arms, directions)
         distance = np.maximum(np.abs(along), 1e-9)
@@ -114,7 +115,7 @@ def intersect_lines(
     behind = np.bincount(point, weights=~np.isfinite(misses), minlength=count)
     good &= behind <= 0.25 * np.bincount(point, minlength=count)
     covariance = np.full((count, 3, 3), np.nan)
-    covariance[good] = np.linalg.inv(normal[good])
+    covariance[good] = np.linalg.inv(solvable[good])
     points[~good] = np.nan
     return Triangulation(points, covariance, angle, misses)
 
