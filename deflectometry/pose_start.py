@@ -9,7 +9,7 @@ import numpy as np
 from deflectometry.facet import FoundMirrors, Region, enclosing_polygon
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import RigidTransform, rotation_between
 from heliogauge.surfaces import Facet
 from heliogauge.validate import FloatArray
 
@@ -177,7 +177,10 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
     if not np.isfinite(rays).all():
         return []
     center = model_m.mean(axis=0)
-    flat = np.array(model_m - center)
+    # Flat in its own plane: a panel 1 m off a trough's vertex leans by 0.3 rad in the frame of its optic.
+    normal = np.linalg.svd(model_m - center)[2][2]
+    plane_from_mirror = rotation_between(normal * np.copysign(1.0, normal[2]), [0.0, 0.0, 1.0])
+    flat = (model_m - center) @ plane_from_mirror.T
     flat[:, 2] = 0.0
     directions = rays[:, :2] / rays[:, 2:]
     if len(flat) == 3:
@@ -192,10 +195,11 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
         vector, shift = np.asarray(vectors[number]).ravel(), np.asarray(shifts[number]).ravel()
         if not (np.isfinite(vector).all() and np.isfinite(shift).all()):
             continue
-        centered = RigidTransform.from_rotation_vector(vector, shift)
-        pose = RigidTransform(centered.rotation, shift - centered.rotation @ center)
+        from_plane = RigidTransform.from_rotation_vector(vector, shift).rotation
+        rotation = from_plane @ plane_from_mirror
+        pose = RigidTransform(rotation, shift - rotation @ center)
         # The front shows where the normal points against the line of sight.
-        if shift[2] > 0 and float(centered.rotation[:, 2] @ shift) < 0:
+        if shift[2] > 0 and float(from_plane[:, 2] @ shift) < 0:
             off = camera.project(pose.apply(model_m)) - image_px
             poses.append(PoseStart(pose, float(np.sqrt((off**2).sum(axis=1).mean()))))
     return sorted((pose for pose in poses if np.isfinite(pose.rms_px)), key=lambda pose: pose.rms_px)

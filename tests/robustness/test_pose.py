@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from data_synth.dataset import DatasetOptions, write_dataset
+from data_synth.knowledge import Knowledge
+from data_synth.presets import preset_scene
 from deflectometry.pipeline import run
 from heliogauge.errors import MetrologyError
 from heliogauge.measurement import load_measurement
@@ -52,3 +55,13 @@ def test_outline_with_a_corner_twice_or_crossing_sides():
         Facet("f", [[0, 0], [3, 0], [1, 2], [3, 2], [1.5, 0.5]], plane())
     # Facets may have notches, and sides that continue each other.
     Facet("f", [[0, 0], [1, 0], [2, 0], [2, 1], [1, 0.5], [0, 1]], plane())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_panel_that_leans_in_the_frame_of_its_optic(tmp_path, seed):
+    """Start poses took a trough's panel for flat in z: the pose was 0.45 rad off, and the image contradicted it."""
+    write_dataset(tmp_path / "m", preset_scene("trough-panel"), DatasetOptions(seed, Knowledge()))
+    result = run(load_measurement(tmp_path / "m"))
+    assert [text for text in result.warnings if "no sigma is given" not in text] == []
+    assert result.numbers["alignment_turn_mrad"] < 10
+    assert np.all(agreement(result, tmp_path / "m").rms_mrad < 0.03)
