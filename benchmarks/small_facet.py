@@ -32,10 +32,11 @@ def child_cpu_s(environment, *arguments):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measure(environment, what, asked, *arguments):
-    child_cpu_s(environment, *arguments)  # the first run compiles the modules, as installing does, and is not counted
-    times = [child_cpu_s(environment, *arguments) for _ in range(RUNS)]
-    row(what, f"{np.median(times):.2f}", *asked, f"{min(times):.2f} to {max(times):.2f}")
+def measure(environment, commands):
+    """Return the CPU seconds of each command, run in turn so that other work on the machine meets all alike."""
+    for command in commands:
+        child_cpu_s(environment, *command)  # compiles the modules, as installing does, and is not counted
+    return np.array([[child_cpu_s(environment, *command) for command in commands] for _ in range(RUNS)]).T
 
 
 def main():
@@ -58,13 +59,18 @@ def main():
         }
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         run = ("-m", "heliogauge", "deflectometry", str(folder), "-o", str(out), "--no-report", "--force")
-        asked = (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}")
-        measure(environment, "heliogauge deflectometry MEAS -o OUT --no-report", asked, *run)
-        for option in ("--version", "--help"):
-            measure(environment, f"heliogauge {option}", ("< 0.5", ""), "-m", "heliogauge", option)
         libraries = "import numpy, cv2, h5netcdf, pydantic, typer"
-        measure(environment, f"beside it: {libraries}", ("", ""), "-c", libraries)
-        measure(environment, "beside it: the interpreter alone", ("", ""), "-c", "pass")
+        rows = {
+            "heliogauge deflectometry MEAS -o OUT --no-report": (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}"),
+            "heliogauge --version": ("< 0.5", ""),
+            "heliogauge --help": ("< 0.5", ""),
+            f"beside it: {libraries}": ("", ""),
+        }
+        version, usage = ("-m", "heliogauge", "--version"), ("-m", "heliogauge", "--help")
+        times = measure(environment, [run, version, usage, ("-c", libraries)])
+        for (what, asked), seconds in zip(rows.items(), times, strict=True):
+            row(what, f"{np.median(seconds):.2f}", *asked, f"{seconds.min():.2f} to {seconds.max():.2f}")
+        row("the whole command over that import alone", f"{np.median(times[0] / times[3]):.1f} x")
 
 
 if __name__ == "__main__":
