@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.common_modes import PixelSamples, UncertainPose, common_modes, spread_indices, trace_samples
+from deflectometry.given_pose import check_given_pose
 from deflectometry.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.mirror_outline import mirror_masks
 from deflectometry.mirror_pose import MirrorPose, locate_mirror, pose_from_points
@@ -20,7 +21,7 @@ from deflectometry.pose_observations import Knowledge
 from deflectometry.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup import Setup
 from deflectometry.slope_image import SlopeImage, measure_slopes
-from deflectometry.slopes import ShapeSolution, solve_shape
+from deflectometry.slopes import RoundLimits, ShapeSolution, solve_shape
 from deflectometry.undefined_outline import outline_from_image
 from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
@@ -35,6 +36,8 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray
 #: coefficients of degree 4 and 3 are known 30 times better than a single pixel.
 SHAPE_PIXELS = 2000
 MODE_PIXELS = 400
+#: Pixels that decide the tilt at last: it is the mean of a rough surface, 2000 pixels of 0.5 mrad leave 0.011 mrad.
+ALIGN_PIXELS = 16000
 #: A facet with fewer usable pixels than this determines no shape of degree 4.
 FEWEST_PIXELS = 60
 
@@ -132,6 +135,9 @@ class LocatedMirror:
         Distance to the outline below which pixels mix the mirror with its surroundings [px].
     source : str
         Where the pose comes from, in words with numbers.
+    outline_pose : RigidTransform
+        Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from `pose` only
+        where that was given.
     evidence : MirrorPose, optional
         The adjustment, where the outline gave the pose.
     """
@@ -140,6 +146,7 @@ class LocatedMirror:
     pose: UncertainPose
     margin_px: float
     source: str
+    outline_pose: RigidTransform
     evidence: MirrorPose | None = None
 
 
@@ -218,7 +225,7 @@ def evaluate_frames(
     _warn_of_missing_sigmas(setup)
     with progress.stage("find mirror"):
         located = locate(observation, setup, mirror)
-        masks = mirror_masks(setup.camera, located.pose.cam_from_mirror, located.facets, margin_px=located.margin_px)
+        masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
     with progress.stage("phase"):
         screen_map = measure_screen_map(
             observation.frames, observation.pattern, response=observation.response, region=masks.facet_index >= 0,
@@ -229,7 +236,7 @@ def evaluate_frames(
     with progress.stage("slopes"):
         measured, samples = _usable_facets(located, screen_map, masks.facet_index)
         align = choices.align is Align.NORMAL
-        solution = solve_shape(trace_samples(setup, samples), located.pose.cam_from_mirror, align=align)
+        solution = _solve(setup, samples, located.pose.cam_from_mirror, align=align)
         images = {}
         for index, sample, surface in zip(measured, samples, solution.surfaces, strict=True):
             pose = solution.cam_from_mirror @ sample.facet.ensemble_from_facet
@@ -286,14 +293,14 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
     EstimationError
         No mirror in view, or an outline that does not fit.
     """
-    if mirror.facets and mirror.known_pose is not None:
-        # Half a pixel's diagonal: what a pixel needs to lie wholly on the mirror in a sharp image.
-        return LocatedMirror(
-            mirror.facets, UncertainPose(*mirror.known_pose), 0.5 * np.sqrt(2.0), "given in measurement.toml"
-        )
     image = observation.lit
     if image is None:
         image = modulation_image(observation.frames, observation.pattern, response=observation.response)
+    if mirror.facets and mirror.known_pose is not None:
+        checked = check_given_pose(image, setup.camera, mirror.facets, *mirror.known_pose)
+        source = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
+        pose = UncertainPose(*mirror.known_pose)
+        return LocatedMirror(mirror.facets, pose, checked.margin_px, source, checked.outline_pose)
     if not mirror.facets:
         return _locate_without_outline(observation, image, setup, mirror)
     evidence = locate_mirror(image, setup.camera, mirror.facets, mirror.knowledge)
@@ -301,7 +308,9 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"
     )
-    return LocatedMirror(mirror.facets, _uncertain(evidence), evidence.mask_margin_px, source, evidence)
+    return LocatedMirror(
+        mirror.facets, _uncertain(evidence), evidence.mask_margin_px, source, evidence.cam_from_mirror, evidence
+    )
 
 
 def _uncertain(evidence: MirrorPose) -> UncertainPose:
@@ -329,7 +338,7 @@ def _locate_without_outline(
         pose = UncertainPose(*reflect(setup), lambda other: reflect(other)[0])
         source = "reflection at the middle of the mirror and the measured distance (no outline given)"
     facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
-    return LocatedMirror((facet,), pose, rough.margin_px, source, evidence)
+    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence)
 
 
 def _usable_facets(
@@ -343,7 +352,8 @@ def _usable_facets(
         if usable.size < FEWEST_PIXELS:
             warnings.warn(_why_not(facet, region, screen_map), QualityWarning, stacklevel=2)
             continue
-        chosen = usable[spread_indices(usable.size, SHAPE_PIXELS)]
+        most = max(ALIGN_PIXELS // len(located.facets), SHAPE_PIXELS)
+        chosen = usable[spread_indices(usable.size, most)]
         row, column = np.divmod(chosen, facet_index.shape[1])
         pixels = np.stack([column, row], axis=-1).astype(np.float64)
         measured.append(index)
@@ -351,6 +361,17 @@ def _usable_facets(
     if not samples:
         raise EstimationError(_why_not(located.facets[0], facet_index == 0, screen_map))
     return measured, samples
+
+
+def _solve(setup: Setup, samples: Sequence[PixelSamples], start: RigidTransform, *, align: bool) -> ShapeSolution:
+    """Find shape and tilt with a part of the pixels, then with all that were picked."""
+    part = trace_samples(setup, [_thin(sample, SHAPE_PIXELS) for sample in samples])
+    solution = solve_shape(part, start, align=align)
+    # Two rounds from there: what the further pixels change is small, and its square is nothing.
+    rest = RoundLimits(outer=2, must_settle=False)
+    return solve_shape(
+        trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution, rounds=rest
+    )
 
 
 def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from deflectometry.facet import find_mirrors
 from deflectometry.mirror_outline import lit_share
-from deflectometry.outline_edges import OutlineEdges, OutlineFit, OutlineSearch
+from deflectometry.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
 from deflectometry.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.pose_start import mirror_regions, point_poses, start_poses
 from deflectometry.setup import Setup
@@ -117,7 +117,7 @@ class MirrorPose:
     @property
     def mask_margin_px(self) -> float:
         """Distance from the outline within which a pixel mixes the facet with what is beside it [px]."""
-        return float(max(0.5 * np.sqrt(2), np.nan_to_num(0.5 * self.edge_width_px) + 0.5) + self.sigma_edge_px)
+        return edge_margin_px(self.edge_width_px, self.sigma_edge_px)
 
     def with_setup(self, setup: Setup) -> RigidTransform:
         """Return the pose that the same images and distances give with another camera or screen."""

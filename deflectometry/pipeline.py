@@ -155,6 +155,8 @@ def run(
         with progress.stage("check frames"):
             refuse_faulty_frames(observation)
         mirror = describe_mirror(measurement, setup)
+        if mirror.known_pose is not None:
+            refuse_impossible(setup, mirror.known_pose[0])
         evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
         refuse_impossible(setup, evaluation.solution.cam_from_mirror)
         as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)

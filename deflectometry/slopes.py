@@ -17,6 +17,8 @@ from heliogauge.validate import FloatArray
 SHAPE_DEGREE = 4
 #: The shape and the tilt are converged when no slope changes by more than this [rad].
 SLOPE_TOLERANCE_RAD = 1e-9
+#: A fit is settled when reweighting changes its coefficients by less than this share of the largest.
+SETTLED = 1e-7
 #: Newton rounds along a line of sight.
 MAX_ITERATIONS = 30
 
@@ -349,19 +351,20 @@ def _fit_potential(
 ) -> FloatArray:
     """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient)."""
     usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
-    if np.count_nonzero(usable) < (degree + 1) * (degree + 2) // 2:
-        raise EstimationError(
-            f"slopes: only {np.count_nonzero(usable)} of {usable.size} lines of sight meet the mirror's surface; check "
-            "the camera (focal length and center in pixels), the mirror's pose and its design (all in metres)"
-        )
     u, v = (points_m[:2, usable] - surface.center_m[:, None]) / surface.scale_m
     matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
     target = slope_error[:, usable]
+    coefficients: FloatArray = np.zeros(len(matrix))
     weight = np.ones(2 * u.size)
     for _ in range(reweighting):
         weighted = matrix * weight
         # Least squares, not solve: a facet seen on one line of pixels has no shape across it, and needs none.
-        coefficients = np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0]
+        before, coefficients = (
+            coefficients,
+            np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0],
+        )
+        if np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
+            break
         residual = target - (coefficients @ matrix).reshape(2, -1)
         limit = 4.685 / 0.6745 * np.median(np.abs(residual), axis=1, keepdims=True)
         ratio = residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)
