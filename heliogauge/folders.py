@@ -11,7 +11,7 @@ from types import TracebackType
 from heliogauge.errors import InputError
 
 #: The disk says no, not the program: full, over quota, read-only, worn out.
-_DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+_DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG})
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,9 @@ class WholeFolder:
                 raise InputError(
                     f"{self._target}: cannot be written ({error.strerror or error}); check permissions and space"
                 ) from error
+            elif isinstance(error, InputError) and str(self._working) in str(error):
+                # The temporary folder is gone by the time the message is read.
+                raise InputError(str(error).replace(str(self._working), str(self._target))) from error
         finally:
             shutil.rmtree(self._working, ignore_errors=True)
 

@@ -6,7 +6,8 @@ A NetCDF-4 file is an HDF5 file with dimension scales and creation order: it is 
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -96,14 +97,29 @@ def write_slope_map(path: Path, maps: Mapping[str, SlopeMap], attributes: Mappin
         root = maps[ASSEMBLED]
     else:
         raise InputError(f"maps: {len(maps)} maps given; the assembled map of the name '' is needed beside the facets")
+    with _written_at_once(path) as file:
+        _write_global_attributes(file, attributes or {})
+        _write_map(file, root)
+        for name, slope_map in facets.items():
+            _write_map(file.create_group(_group_name(name), track_order=True), slope_map)
+
+
+@contextmanager
+def _written_at_once(path: Path) -> Iterator[h5py.File]:
+    """Build an HDF5 file in memory and write it in one go.
+
+    On a full disk HDF5 fails again when it closes its file, and the interpreter crashes when it ends.
+    """
+    with h5py.File(path.name, "w", driver="core", backing_store=False, block_size=2**22, track_order=True) as file:
+        yield file
+        file.flush()
+        content = file.id.get_file_image()
     try:
-        with h5py.File(path, "w", track_order=True) as file:
-            _write_global_attributes(file, attributes or {})
-            _write_map(file, root)
-            for name, slope_map in facets.items():
-                _write_map(file.create_group(_group_name(name), track_order=True), slope_map)
+        path.write_bytes(content)
     except OSError as error:
-        raise InputError(f"{path}: the slope map cannot be written ({error})") from error
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror or error}); check permissions and space"
+        ) from error
 
 
 def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
@@ -201,19 +217,16 @@ def write_pixels(
             f"not {', '.join(unknown) or 'shapes ' + str(sorted(shapes))}"
         )
     rows, columns = next(iter(shapes))
-    try:
-        with h5py.File(path, "w", track_order=True) as file:
-            _write_global_attributes(file, attributes or {})
-            scales = [_write_bare_dimension(file, name, size) for name, size in (("row", rows), ("column", columns))]
-            for name, array in arrays.items():
-                labels = dict(zip(("units", "long_name"), PIXEL_VARIABLES[name], strict=True))
-                if name == "flag":
-                    _write_flags(file, array, scales)
-                else:
-                    is_float = np.issubdtype(array.dtype, np.floating)
-                    _write_variable(file, name, array.astype(np.float32) if is_float else array, scales, labels)
-    except OSError as error:
-        raise InputError(f"{path}: the pixels cannot be written ({error})") from error
+    with _written_at_once(path) as file:
+        _write_global_attributes(file, attributes or {})
+        scales = [_write_bare_dimension(file, name, size) for name, size in (("row", rows), ("column", columns))]
+        for name, array in arrays.items():
+            labels = dict(zip(("units", "long_name"), PIXEL_VARIABLES[name], strict=True))
+            if name == "flag":
+                _write_flags(file, array, scales)
+            else:
+                is_float = np.issubdtype(array.dtype, np.floating)
+                _write_variable(file, name, array.astype(np.float32) if is_float else array, scales, labels)
 
 
 def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
