@@ -359,10 +359,8 @@ def _fit_potential(
     for _ in range(reweighting):
         weighted = matrix * weight
         # Least squares, not solve: a facet seen on one line of pixels has no shape across it, and needs none.
-        before, coefficients = (
-            coefficients,
-            np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0],
-        )
+        solved = np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0]
+        before, coefficients = coefficients, np.asarray(solved, dtype=np.float64)
         if np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
             break
         residual = target - (coefficients @ matrix).reshape(2, -1)
