@@ -45,7 +45,7 @@ shape = "rectangle"             # or "table"
 width_m = 1.2                   # size of the displayed image, not of the housing
 height_m = 0.7
 #: file = "screen_points.csv"    # for shape = "table", instead of the size: columns u, v, x_m, y_m, z_m
-rotation_vector_rad = [3.141592653589793, 0.0, 0.0]
+rotation_vector_rad = [0.0, 0.0, 3.141592653589793]
 translation_m = [0.0, -0.6, 0.0]
 sigma_rotation_mrad = 1.0       # one number, or one for each axis: [1.0, 1.0, 2.0]
 sigma_translation_mm = 1.0
@@ -130,7 +130,7 @@ point_m = [0.0, 0.0, 0.0]
 [evaluation]
 align = "normal"                # turn the mirror so that its mean normal is the design's; "outline" keeps the pose
 remove = "nothing"              # what the headline numbers leave out: nothing | tilt | focus | quadratic
-#: grid_step_mm = 5.0            # default: about one image pixel on the mirror
+#: grid_step_mm = 5.0            # default: 0.4 of an image pixel on the mirror
 """
 
 _RESPONSE = """\
