@@ -222,7 +222,6 @@ def evaluate_frames(
             f"frames: {width} x {height} px, but the camera is for {setup.camera.width_px} x "
             f"{setup.camera.height_px} px; give the camera of these images, or images that were not cut or scaled"
         )
-    _warn_of_missing_sigmas(setup)
     with progress.stage("find mirror"):
         located = locate(observation, setup, mirror)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
@@ -253,22 +252,6 @@ def evaluate_frames(
             maps[facet.name] = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
             stage.advance()
     return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices)
-
-
-def _warn_of_missing_sigmas(setup: Setup) -> None:
-    """Say which inputs count as exact, because their share of the uncertainty is then missing."""
-    exact = []
-    if not setup.camera.covariance.any():
-        exact.append("the camera ([camera] sigma_focal_px ...)")
-    if not setup.covariance_cam_from_screen.any():
-        exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
-    if exact:
-        warnings.warn(
-            f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
-            "uncertainty (focus, astigmatism, twist) is too small",
-            QualityWarning,
-            stacklevel=2,
-        )
 
 
 def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:

@@ -196,7 +196,7 @@ def _camera_section(camera: CameraRecord, shape: tuple[int, int], correct: bool)
         warnings.warn(
             f"camera '{camera.name}' belongs to images averaged over {camera.averaged:.4g} x {camera.averaged:.4g} px,"
             f" but its principal point misses the shift of {camera.principal_point_shift_px:.4f} px that averaging"
-            " causes; imported as given (import again with the correction of the principal point to repair it)",
+            " causes; imported as given (import again with --correct-principal-point to repair it)",
             QualityWarning,
             stacklevel=3,
         )
@@ -276,7 +276,7 @@ def _design_keys(parts: _Parts, options: OpencspOptions) -> dict[str, Any]:
     if start is None:
         warnings.warn(
             "no file given holds the design focal length; the design is written as a plane, so slope errors will"
-            " contain the mirror's curvature (edit [mirror] in measurement.toml)",
+            " contain the mirror's curvature (give --focal-length-m, or edit [mirror] in measurement.toml)",
             QualityWarning,
             stacklevel=4,
         )

@@ -33,6 +33,7 @@ from deflectometry.setup import Setup
 from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.images import read_frames
 from heliogauge.measurement import DeflectometryMeasurement
+from heliogauge.measurement_models import Section
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import skew
 from heliogauge.slope_map import SlopeMap
@@ -154,6 +155,7 @@ def run(
         warn_of_compression(measurement.fringe_files)
         with progress.stage("check frames"):
             refuse_faulty_frames(observation)
+        warn_of_missing_sigmas(measurement, setup)
         mirror = describe_mirror(measurement, setup)
         if mirror.known_pose is not None:
             refuse_impossible(setup, mirror.known_pose[0])
@@ -269,6 +271,26 @@ def refuse_faulty_frames(observation: Observation) -> None:
         raise EstimationError("images.fringes: " + "\n  ".join(errors))
     if observation.noise is not None and observation.response is None:
         check_noise(observation.frames, observation.pattern, observation.noise)
+
+
+def warn_of_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> None:
+    """Say which inputs count as exact because nobody said how well they are known; a sigma of 0.0 is a statement."""
+    exact = []
+    if not setup.camera.covariance.any() and not _states_sigma(measurement.model.camera):
+        exact.append("the camera ([camera] sigma_focal_px ...)")
+    if not setup.covariance_cam_from_screen.any() and not _states_sigma(measurement.model.screen):
+        exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
+    if exact:
+        warnings.warn(
+            f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
+            "uncertainty (focus, astigmatism, twist) is too small",
+            QualityWarning,
+            stacklevel=2,
+        )
+
+
+def _states_sigma(section: Section) -> bool:
+    return any(key.startswith("sigma") for key in section.model_fields_set)
 
 
 def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
