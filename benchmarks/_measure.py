@@ -60,7 +60,7 @@ def frame_filling_scene() -> FringeScene:
     facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
     return facet_scene(
         "facet that fills the frame", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65),
-        blur_sigma_px=0.5,
+        blur_sigma_px=0.1,
     )  # fmt: skip
 
 

@@ -116,7 +116,7 @@ def measure_time(case, scene, observation):
     nodes = next(iter(evaluation.maps.values())).aperture.size
     row(f"map of {nodes} nodes with height, after (one run)", f"{clock.cpu_s['maps']:.3f}")
     response = response_of(scene)
-    naive = [cpu_seconds(lambda: naive_screen_points(observation.frames, scene.pattern, response)) for _ in range(5)]
+    naive = [cpu_seconds(lambda: naive_screen_points(observation.frames, scene.pattern, response)) for _ in range(3)]
     run = fastest["with response look-up"]
     row(
         "whole-array numpy: look-up, phase, unwrapping of all pixels",
