@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ _FULL_WELLS_DN = frozenset(((1 << bits) - 1) << shift for bits in (10, 12, 14) f
 _NOISE_FACTOR = 4.0
 
 
-def check_size(frames: npt.NDArray[Any], camera: Camera, folder: Path) -> None:
+def check_size(frames: npt.NDArray[Any], camera: Camera, place: str) -> None:
     """Refuse images that are not the camera's.
 
     Parameters
@@ -28,7 +27,7 @@ def check_size(frames: npt.NDArray[Any], camera: Camera, folder: Path) -> None:
         The frames.
     camera : Camera
         The camera.
-    folder : Path
+    place : str
         Where the images are, for the message.
 
     Raises
@@ -39,7 +38,7 @@ def check_size(frames: npt.NDArray[Any], camera: Camera, folder: Path) -> None:
     height, width = frames.shape[1:]
     if (width, height) != (camera.width_px, camera.height_px):
         raise InputError(
-            f"{folder}: the images have {width} x {height} px, but [camera] is for {camera.width_px} x "
+            f"{place}: the images have {width} x {height} px, but [camera] is for {camera.width_px} x "
             f"{camera.height_px} px; give the camera of these images, or images that were not cut, turned or scaled"
         )
 
@@ -64,23 +63,23 @@ def saturation_level(frames: npt.NDArray[Any], full_scale_dn: float) -> float:
     return top if full_scale_dn > 255 and top in _FULL_WELLS_DN else full_scale_dn
 
 
-def warn_of_compression(files: Sequence[Path]) -> None:
+def warn_of_compression(names: Sequence[str]) -> None:
     """Warn of images that lost details when they were stored.
 
     Parameters
     ----------
-    files : sequence of Path
-        Fringe images.
+    names : sequence of str
+        Names of the fringe images.
 
     Warns
     -----
     QualityWarning
         At least one is a JPEG.
     """
-    lossy = [file.name for file in files if file.suffix.lower() in {".jpg", ".jpeg"}]
+    lossy = [name for name in names if name.lower().endswith((".jpg", ".jpeg"))]
     if lossy:
         warnings.warn(
-            f"{len(lossy)} of {len(files)} fringe images are JPEG files ({lossy[0]}, ...): their compression changes "
+            f"{len(lossy)} of {len(names)} fringe images are JPEG files ({lossy[0]}, ...): their compression changes "
             "the phase in blocks of 8 x 8 px, which sigma does not contain; store PNG or TIFF",
             QualityWarning,
             stacklevel=2,

@@ -151,8 +151,8 @@ def run(
         warnings.simplefilter("always", QualityWarning)
         setup, pattern = build_setup(measurement), build_pattern(measurement)
         observation = read_observation(measurement, pattern, options, progress)
-        check_size(observation.frames, setup.camera, measurement.folder)
-        warn_of_compression(measurement.fringe_files)
+        check_size(observation.frames, setup.camera, str(measurement.folder))
+        warn_of_compression([file.name for file in measurement.fringe_files])
         with progress.stage("check frames"):
             refuse_faulty_frames(observation)
         warn_of_missing_sigmas(measurement, setup)

@@ -19,7 +19,7 @@ def test_full_disk_is_one_message_and_leaves_nothing(drawn, tmp_path, repository
     """HDF5 raised twice and crashed the interpreter (exit 139)."""
     command = [sys.executable, "-m", "heliogauge", "deflectometry", str(drawn), "-o", str(tmp_path / "r"), "-q"]
     done = subprocess.run(
-        [*command, "--no-report"], cwd=repository, capture_output=True, text=True, preexec_fn=limited, timeout=120
+        [*command, "--no-report"], cwd=repository, capture_output=True, text=True, preexec_fn=limited, check=False
     )
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(f"heliogauge: {tmp_path / 'r' / 'slope_map.nc'}: cannot be written (File too large)")
