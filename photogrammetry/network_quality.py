@@ -1,0 +1,228 @@
+"""What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle import BundleResult
+from photogrammetry.constraints import Distance
+from photogrammetry.observations import IntArray
+from photogrammetry.solve_network import Solved
+
+Numbers = dict[str, float | int | None]
+
+#: A known value this many of its sigmas off is doubtful: 1 in 370 would be by chance.
+_DOUBTFUL = 3.0
+#: Intersections below this many degrees say little of the depth.
+_LEAST_ROLL_RAD = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedDistance:
+    """A known distance, and what the network says of it.
+
+    Parameters
+    ----------
+    name : str
+        The two targets.
+    used : bool
+        Whether the adjustment knew it.
+    known_m, sigma_known_m, measured_m, sigma_measured_m : float
+        Distances and their sigmas [m].
+    """
+
+    name: str
+    used: bool
+    known_m: float
+    sigma_known_m: float
+    measured_m: float
+    sigma_measured_m: float
+
+
+def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[CheckedDistance, ...]:
+    """Compare known distances with those of the adjusted network.
+
+    Parameters
+    ----------
+    bundle : BundleResult
+        The adjusted network.
+    checks : sequence of Distance
+        Distances that were not used; those used follow from the network.
+
+    Returns
+    -------
+    tuple of CheckedDistance
+        Used ones first; those of targets that are not in the network are left out.
+    """
+    table = bundle.problem.observations
+    place = {name: i for i, name in enumerate(table.targets)}
+    used = [one for one in bundle.problem.constraints if isinstance(one, Distance)]
+    found: list[CheckedDistance] = []
+    for one, known in [*((one, True) for one in used), *((one, False) for one in checks)]:
+        if not all(name in place for name in one.targets):
+            continue
+        pair = np.array([place[name] for name in one.targets], dtype=np.intp)
+        difference = bundle.points_m[pair[0]] - bundle.points_m[pair[1]]
+        length = float(np.linalg.norm(difference))
+        direction = np.concatenate([difference, -difference]) / length
+        sigma = float(np.sqrt(max(direction @ _joint(bundle, pair) @ direction, 0.0)))
+        found.append(CheckedDistance(one.name, known, one.distance_m, one.sigma_m, length, sigma))
+    return tuple(found)
+
+
+def _joint(bundle: BundleResult, pair: IntArray) -> FloatArray:
+    """Return the joint covariance of two targets, of which some may be fixed, shape (6, 6)."""
+    free = np.isin(pair, bundle.problem.target_indices(bundle.problem.fixed), invert=True)
+    joint = np.zeros((6, 6))
+    if free.any():
+        rows = np.nonzero(np.repeat(free, 3))[0]
+        joint[np.ix_(rows, rows)] = bundle.covariance.joint(targets=pair[free])
+    return joint
+
+
+def headline(solved: Solved, checks: Sequence[Distance]) -> tuple[Numbers, dict[str, str]]:
+    """Return the headline numbers, and why some are not determined.
+
+    Parameters
+    ----------
+    solved : Solved
+        The adjusted network.
+    checks : sequence of Distance
+        Scale bars that were not used.
+
+    Returns
+    -------
+    tuple of dict
+        Numbers with units in their names; reasons.
+    """
+    bundle = solved.bundle
+    table = bundle.problem.observations
+    squares = bundle.residuals_px**2
+    sigmas = bundle.sigma_points_m[table.n_rays > 0]
+    size_m = _extent_m(bundle)
+    mean_sigma = np.sqrt((sigmas**2).mean(axis=0))
+    checked = bar_checks(bundle, checks)
+    low, high = bundle.variance_factor_interval()
+    overall = float(np.sqrt((mean_sigma**2).mean()))
+    numbers: Numbers = {
+        "points_count": int((table.n_rays > 0).sum()),
+        "photos_count": int((table.n_targets_in_photo > 0).sum()),
+        "image_points_count": table.n,
+        "image_residual_rms_px": float(np.sqrt(squares.sum(axis=1).mean())),
+        "image_residual_rms_per_coordinate_px": float(np.sqrt(squares.mean())),
+        "largest_image_residual_px": float(np.sqrt(squares.sum(axis=1).max(initial=0.0))),
+        "sigma0_ratio": bundle.sigma0,
+        "variance_factor": bundle.variance_factor,
+        "variance_factor_low_factor": low,
+        "variance_factor_high_factor": high,
+        "image_sigma_factor": solved.image_sigma_factor,
+        "redundancy_count": bundle.redundancy,
+        "point_sigma_x_rms_m": float(mean_sigma[0]),
+        "point_sigma_y_rms_m": float(mean_sigma[1]),
+        "point_sigma_z_rms_m": float(mean_sigma[2]),
+        "point_sigma_largest_m": float(sigmas.max(initial=0.0)),
+        "extent_m": size_m,
+        "relative_precision_ratio": size_m / overall if overall > 0 else None,
+        "largest_eccentricity_px": solved.largest_eccentricity_px,
+        "rejected_image_points_count": len(solved.rejected) + len(solved.network.suspicious),
+        "scale_bar_residual_rms_m": _rms([one.measured_m - one.known_m for one in checked if one.used]),
+        "length_error_rms_m": _rms([one.measured_m - one.known_m for one in checked if not one.used]),
+        "length_error_largest_m": max((abs(one.measured_m - one.known_m) for one in checked if not one.used),
+                                      default=None),
+    }  # fmt: skip
+    reasons = {
+        "scale_bar_residual_rms_m": "no scale bar was used",
+        "length_error_rms_m": "no scale bar was kept apart (check_only = true)",
+        "length_error_largest_m": "no scale bar was kept apart (check_only = true)",
+        "relative_precision_ratio": "all points are held",
+        **dict.fromkeys(
+            ("sigma0_ratio", "variance_factor", "variance_factor_low_factor", "variance_factor_high_factor"),
+            "no redundancy",
+        ),
+    }
+    missing = {key: reasons[key] for key, value in numbers.items() if value is None or not np.isfinite(value)}
+    return {key: None if key in missing else value for key, value in numbers.items()}, missing
+
+
+def _extent_m(bundle: BundleResult) -> float:
+    """Return the largest distance of two points."""
+    points = bundle.points_m[bundle.problem.observations.n_rays > 0]
+    reach = 0.0
+    for first in range(0, len(points), 256):
+        block = points[first : first + 256, None] - points[None]
+        reach = max(reach, float(np.einsum("abi,abi->ab", block, block).max(initial=0.0)))
+    return float(np.sqrt(reach))
+
+
+def _rms(values: Sequence[float]) -> float | None:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def doubts(solved: Solved) -> tuple[str, ...]:
+    """Say what makes a network doubtful.
+
+    Parameters
+    ----------
+    solved : Solved
+        The adjusted network.
+
+    Returns
+    -------
+    tuple of str
+        Sentences with numbers.
+    """
+    bundle = solved.bundle
+    said = [f"photo {one.name} is left out: {one.reason}" for one in solved.network.photos_left_out]
+    said += [f"{one.name}: {one.reason}" for one in solved.unused]
+    scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)
+    if bundle.system.movements.count == 7 and not scaled:
+        said.append("there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]")
+    said += _contradictions(bundle)
+    low, high = bundle.variance_factor_interval(0.999)
+    if solved.image_sigma_factor == 1.0 and not low <= bundle.variance_factor <= high:
+        said.append(
+            f"the residuals are {bundle.sigma0:.2f} times what the stated sigmas say (sqrt of the variance factor; "
+            f"{np.sqrt(low):.2f} to {np.sqrt(high):.2f} would be by chance); sigmas of the results are as stated, "
+            'unless [adjustment] sigmas = "from residuals"'
+        )
+    free = bundle.problem.cameras[0].free
+    if "focal_px" in free and _roll_range_rad(bundle) < _LEAST_ROLL_RAD:
+        said.append(
+            "all photos are taken with the camera held the same way; turn it by 90 degrees for some, or the principal "
+            "point is badly separated from the poses"
+        )
+    few = bundle.problem.observations.n_rays
+    weak = [name for name, rays in zip(bundle.problem.observations.targets, few, strict=True) if rays == 2]
+    if weak:
+        listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
+        said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
+    return tuple(said)
+
+
+def _contradictions(bundle: BundleResult) -> list[str]:
+    """Name what is known and contradicts the rest."""
+    found: list[tuple[float, str]] = []
+    for name, residuals in bundle.constraint_residuals:
+        worst = float(np.max(np.abs(residuals), initial=0.0))
+        if worst > _DOUBTFUL:
+            found.append((worst, name))
+    distances = {one.name: one for one in bundle.problem.constraints if isinstance(one, Distance)}
+    texts = []
+    for worst, name in sorted(found, reverse=True)[:8]:
+        known = distances.get(name)
+        size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
+        texts.append(f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}")
+    return texts
+
+
+def _roll_range_rad(bundle: BundleResult) -> float:
+    """Return how far the camera was turned about its axis, from the directions of its x axis across the views."""
+    rotations = bundle.state.rotations
+    # Turn between each photo and the first after taking out the change of the viewing direction.
+    first, angles = rotations[0], []
+    for rotation in rotations:
+        relative = rotation @ first.T
+        angles.append(float(np.arctan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1])))
+    return float(np.abs(np.angle(np.exp(1j * np.array(angles)))).max(initial=0.0))
