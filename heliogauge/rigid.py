@@ -82,7 +82,8 @@ class RigidTransform:
         ----------
         step : array_like, shape (6,)
             Rotation vector [rad] and shift [m]: ``x_b`` becomes
-            ``R(step[:3]) (rotation @ x_a) + translation_m + step[3:]``. Frame a's origin stays where it is when only the rotation part is given.
+            ``R(step[:3]) (rotation @ x_a) + translation_m + step[3:]``. Frame a's origin stays where it is when only
+            the rotation part is given.
 
         Returns
         -------

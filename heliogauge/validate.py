@@ -19,9 +19,7 @@ def _shape_text(shape: Sequence[int | None]) -> str:
     return "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
 
 
-def float_array(
-    name: str, values: npt.ArrayLike, shape: Sequence[int | None], *, finite: bool = True
-) -> FloatArray:
+def float_array(name: str, values: npt.ArrayLike, shape: Sequence[int | None], *, finite: bool = True) -> FloatArray:
     """Copy values into a read-only float64 array of a given shape.
 
     Parameters
