@@ -1,10 +1,13 @@
-"""Commands of calibration: the response of camera and display."""
+"""Commands of calibration: camera; response of camera and display."""
+
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from heliogauge.commands import Force, Jobs, MeasurementFolder, OutFolder, Quiet, Verbose, make_app
 
-app = make_app("Calibration of what measures: the response of camera and display.")
+app = make_app("Calibration of what measures: camera; response of camera and display.")
 
 
 @app.command("response")
@@ -35,3 +38,41 @@ def response_command(
     if not quiet:
         typer.echo(headline_text(result))
         typer.echo(f"results: {out}; use it with response_file in [screen] of measurement.toml")
+
+
+@app.command("camera")
+def camera_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Compare with an earlier camera.json or cameras.json.")
+    ] = None,
+    refine_board: Annotated[
+        bool, typer.Option("--refine-board/--board-as-drawn", help="Estimate the board's shape, or hold it.")
+    ] = True,
+    held_out: Annotated[
+        bool, typer.Option("--held-out/--no-held-out", help="Also calibrate without each photo, as a check.")
+    ] = True,
+    jobs: Jobs = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Photos of a board -> cameras.json, points.csv (the board's shape), figures, summary.json in the folder OUT."""
+    from calibration.camera.pipeline import Options, run, write
+    from calibration.camera.report_summary import headline_text
+    from heliogauge.measurement import load_camera_calibration
+    from heliogauge.store import ResultFolder
+    from heliogauge.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    with ResultFolder(out, force=force) as working:
+        options = Options(compare=compare, refine_board=refine_board, held_out=held_out, jobs=jobs)
+        result = run(load_camera_calibration(folder), options, progress)
+        with progress.stage("write results"):
+            write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(result))
+        typer.echo(f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement')

@@ -15,13 +15,21 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
-from heliogauge.measurement_models import DeflectometryModel, ResponseModel
+from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
 
 MEASUREMENT_FILE = "measurement.toml"
-Model = DeflectometryModel | ResponseModel
-KINDS: dict[str, type[Model]] = {"deflectometry": DeflectometryModel, "response": ResponseModel}
+Model = DeflectometryModel | ResponseModel | CameraCalibrationModel
+KINDS: dict[str, type[Model]] = {
+    "deflectometry": DeflectometryModel,
+    "response": ResponseModel,
+    "camera": CameraCalibrationModel,
+}
 #: The command that evaluates each kind, for whoever calls the wrong one.
-COMMANDS = {"deflectometry": "heliogauge deflectometry", "response": "heliogauge calibrate response"}
+COMMANDS = {
+    "deflectometry": "heliogauge deflectometry",
+    "response": "heliogauge calibrate response",
+    "camera": "heliogauge calibrate camera",
+}
 #: More than this many faults at once say that the file is of another kind; the first ones are enough to see that.
 _MOST_FAULTS = 5
 
@@ -77,6 +85,32 @@ class ResponseMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         return (self.folder / MEASUREMENT_FILE, *self.grey_files)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibrationMeasurement:
+    """Checked photos of a calibration board: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : CameraCalibrationModel
+        What measurement.toml says.
+    photo_files : tuple of Path
+        The photos.
+    """
+
+    folder: Path
+    model: CameraCalibrationModel
+    photo_files: tuple[Path, ...]
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        board = getattr(self.model.board, "file", None)
+        own = (self.folder / MEASUREMENT_FILE, *((self.folder / board,) if board else ()))
+        return (*own, *self.photo_files)
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -146,6 +180,34 @@ def load_response(folder: Path) -> ResponseMeasurement:
     return ResponseMeasurement(folder, model, grey_files)
 
 
+def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
+    """Read and check a folder with photos of a calibration board.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    CameraCalibrationMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "camera"), file)
+    if not isinstance(model, CameraCalibrationModel):
+        raise _other_kind(file, model, "camera")
+    board = getattr(model.board, "file", None)
+    if board is not None and not (folder / board).is_file():
+        raise InputError(f"{file}: board.file = {board!r}: there is no such file in {folder}")
+    return CameraCalibrationMeasurement(folder, model, _image_files(folder, "images.photos", model.images.photos))
+
+
 def _other_kind(file: Path, model: Model, wanted: str) -> InputError:
     return InputError(
         f'{file}: kind = "{model.kind}" is not "{wanted}"; evaluate this folder with `{COMMANDS[model.kind]}`'
@@ -164,7 +226,7 @@ def parse_measurement(content: dict[str, Any], file: Path) -> Model:
 
     Returns
     -------
-    DeflectometryModel or ResponseModel
+    DeflectometryModel, ResponseModel or CameraCalibrationModel
         The checked content.
 
     Raises
@@ -335,9 +397,12 @@ def _fault_text(fault: Any, model: type[BaseModel]) -> str:
     if kind == "missing":
         return f"{place.shown} is missing; `heliogauge init` writes a template that explains it"
     if kind == "union_tag_not_found":
-        return f'{place.shown}.shape is missing; say "rectangle" or "table"'
+        key = str(context["discriminator"]).strip("'")
+        said = 'say "rectangle" or "table"' if key == "shape" else "`heliogauge init` writes a template with it"
+        return f"{place.shown}.{key} is missing; {said}"
     if kind == "union_tag_invalid":
-        return f"{place.shown}.shape = {context['tag']!r} is not known; say {context['expected_tags']}"
+        key = str(context["discriminator"]).strip("'")
+        return f"{place.shown}.{key} = {context['tag']!r} is not known; say {context['expected_tags']}"
     if kind == "value_error":
         return f"{place.shown}: {context['error']}"
     return f"{place.shown} = {_short(value)}: {_need(kind, context, fault)}"

@@ -370,3 +370,88 @@ class ResponseModel(Section):
     notes: str = ""
     display: DisplaySection
     images: GreyImagesSection
+
+
+# --- calibration of a camera ----------------------------------------------------------------------------------------
+
+Intrinsic = Literal[
+    "focal_px", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "p1", "p2", "k3"
+]  # fmt: skip
+
+
+class CalibratedCameraSection(Section):
+    """The camera to calibrate: its size, to check the photos against, and which intrinsics are estimated."""
+
+    name: Text = "camera"
+    width_px: Count | None = None
+    height_px: Count | None = None
+    free: Annotated[tuple[Intrinsic, ...], Field(min_length=1)] = (
+        "focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3",
+    )  # fmt: skip
+
+
+class ChessboardSection(Section):
+    """A chessboard; columns and rows count inner corners."""
+
+    type: Literal["chessboard"]
+    columns: Count
+    rows: Count
+    square_mm: Positive | None = None
+
+
+class CharucoSection(Section):
+    """A ChArUco board; columns and rows count squares."""
+
+    type: Literal["charuco"]
+    columns: Count
+    rows: Count
+    square_mm: Positive
+    marker_mm: Positive
+    dictionary: Text
+
+
+class CircleGridSection(Section):
+    """A grid of dots; in the asymmetric one every second row is shifted by half a pitch and rows are half as far."""
+
+    type: Literal["circles", "circles-asymmetric"]
+    columns: Count
+    rows: Count
+    pitch_mm: Positive | None = None
+    diameter_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _diameter_needs_the_pitch(self) -> Self:
+        if self.diameter_mm is not None and self.pitch_mm is None:
+            raise ValueError("diameter_mm says nothing without pitch_mm; give both or neither")
+        return self
+
+
+class TargetFieldSection(Section):
+    """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent."""
+
+    type: Literal["targets"]
+    dictionary: Text
+    file: Text
+
+
+BoardSection = Annotated[
+    ChessboardSection | CharucoSection | CircleGridSection | TargetFieldSection, Discriminator("type")
+]
+
+
+class PhotosSection(Section):
+    """Photos, relative to the folder; a text with ``*`` stands for all files that match."""
+
+    photos: ImageFiles
+
+
+class CameraCalibrationModel(Section):
+    """The whole measurement.toml of ``kind = "camera"``."""
+
+    kind: Literal["camera"]
+    name: Text
+    date: datetime.date | datetime.datetime | None = None
+    notes: str = ""
+    camera: CalibratedCameraSection = CalibratedCameraSection()
+    board: BoardSection
+    images: PhotosSection

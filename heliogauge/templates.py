@@ -158,7 +158,48 @@ grey = "grey_*.png"             # as fringes: a text with * (natural order), or 
 #                                     # that brighten by at least half of what the brightest do
 """
 
-_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY, "response": _RESPONSE}
+_CAMERA = """\
+# Calibration of a camera: photos of a board. Camera, poses and the board's own shape are found in one adjustment.
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+# `heliogauge photogrammetry sheets` prints boards in true scale.
+
+# Take 10 to 20 photos with focus, zoom and aperture as they will be used: the board tilted by 30 to 45 degrees to all
+# sides, at different distances, the camera turned by 90 degrees for some, the board in every corner of the image.
+
+kind = "camera"
+name = "camera 1"
+#: date = 2026-01-31
+#: notes = "lens at f/8, focus taped"
+
+[camera]
+#: name = "camera"              # its name in cameras.json
+#: width_px = 1624              # size of the photos, as a check
+#: height_px = 1232
+# What is estimated; the rest is held (aspect and distortion at 0, principal point in the middle). Lens: Brown's model.
+#: free = ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"]
+
+# The board. Its shape is estimated, so a print need not be flat or square. Without the size in mm lengths are in
+# squares (pitches); the camera is the same.
+[board]
+type = "chessboard"             # chessboard | charuco | circles | circles-asymmetric | targets
+columns = 9                     # inner corners in a row (charuco: squares; circles: dots)
+rows = 6                        # one even, one odd number: only then can corners be told apart when it is turned
+square_mm = 30.0
+#: type = "charuco"             # with columns, rows, square_mm and
+#: marker_mm = 22.0
+#: dictionary = "DICT_5X5_100"
+#: type = "circles"             # with columns, rows and
+#: pitch_mm = 30.0
+#: diameter_mm = 15.0
+#: type = "targets"             # a plate with ring-coded targets
+#: dictionary = "aicon-12"
+#: file = "targets.csv"         # rough places: columns id, x_m, y_m (z_m)
+
+[images]
+photos = "photo_*.png"          # a text with * (natural order), or a list
+"""
+
+_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA}
 
 
 def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:

@@ -16,6 +16,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 PIPELINES = {
     "deflectometry.pipeline": ("deflectometry.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),
+    "calibration.camera.pipeline": ("calibration.cli", "camera"),
 }
 
 #: Units of the command line, and what they are in the pipeline.

@@ -1,0 +1,219 @@
+"""What a calibration found: camera, poses, shape of the board, how well, and what was left out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.camera.boards import Board
+from calibration.camera.projection_sigma import Comparison, Coverage, RadialProfile, SigmaMap
+from heliogauge.camera import Camera
+from heliogauge.rigid import RigidTransform, skew
+from heliogauge.validate import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoResult:
+    """One photo.
+
+    Parameters
+    ----------
+    name : str
+        Its file.
+    cam_from_board : RigidTransform
+        Its pose.
+    covariance : ndarray, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved` [rad, m].
+    index : ndarray of int, shape (n,)
+        Points of the board that were measured.
+    pixels_px : ndarray, shape (n, 2)
+        Their places [px].
+    residuals_px : ndarray, shape (n, 2)
+        Predicted minus measured; NaN for rejected points [px].
+    kept_apart_px : float
+        RMS of the residuals of all its points when camera and board come from the other photos and only its pose is
+        fitted; NaN where that was not asked [px].
+    """
+
+    name: str
+    cam_from_board: RigidTransform
+    covariance: FloatArray
+    index: npt.NDArray[np.intp]
+    pixels_px: FloatArray
+    residuals_px: FloatArray
+    kept_apart_px: float = float("nan")
+
+    @property
+    def used(self) -> BoolArray:
+        """Points that were used, shape (n,)."""
+        return np.asarray(np.isfinite(self.residuals_px[:, 0]))
+
+    @property
+    def rms_px(self) -> float:
+        """RMS length of the residuals [px]."""
+        return rms_length(self.residuals_px[self.used])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardShape:
+    """The board as it is.
+
+    Parameters
+    ----------
+    board : Board
+        As it was drawn.
+    seen : ndarray of int, shape (k,)
+        Its points that were measured.
+    points_m : ndarray, shape (k, 3)
+        Where they are [m].
+    sigma_m : ndarray, shape (k, 3)
+        Standard deviations [m].
+    n_rays : ndarray of int, shape (k,)
+        Photos that see each.
+    prior_sigma_m : ndarray, shape (3,)
+        How far points were allowed to be from the drawing, x, y and z; 0: held [m].
+    datum : str
+        What defines the board's frame.
+    """
+
+    board: Board
+    seen: npt.NDArray[np.intp]
+    points_m: FloatArray
+    sigma_m: FloatArray
+    n_rays: npt.NDArray[np.intp]
+    prior_sigma_m: FloatArray
+    datum: str
+
+    @property
+    def departure_m(self) -> FloatArray:
+        """Place less nominal place, shape (k, 3) [m]."""
+        return np.asarray(self.points_m - self.board.points_m[self.seen])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intrinsic:
+    """One estimated intrinsic with its test: ``significance`` is the probability that it differs from zero."""
+
+    name: str
+    value: float
+    sigma: float
+    significance: float
+    rival: str
+    correlation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """How well photos and model agree.
+
+    Parameters
+    ----------
+    rms_px : float
+        RMS length of the residuals with the board's shape estimated [px].
+    rms_as_drawn_px : float
+        The same with the board held as it was drawn [px].
+    sigma_factor_ratio : float
+        Residuals over what the pixels' noise lets expect; the stated sigmas contain it.
+    redundancy : int
+        Residuals and prior knowledge less unknowns.
+    rejected : tuple of str
+        Points that were left out, with their residual.
+    """
+
+    rms_px: float
+    rms_as_drawn_px: float
+    sigma_factor_ratio: float
+    redundancy: int
+    rejected: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """A calibration.
+
+    Parameters
+    ----------
+    name, camera_name : str
+        Of the measurement, and of the camera in cameras.json.
+    camera : Camera
+        With its covariance.
+    intrinsics : tuple of Intrinsic
+        What was estimated.
+    photos : tuple of PhotoResult
+        The photos used.
+    left_out : mapping of str to str
+        Photos that were not, with the reason.
+    shape : BoardShape
+        The board.
+    quality : Quality
+        Residuals.
+    sigma : SigmaMap
+        Uncertainty over the image.
+    profile : RadialProfile
+        Radial distortion.
+    coverage : Coverage
+        Where points were measured.
+    comparison : Comparison or None
+        Against another calibration, if that was asked.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : mapping of str to float
+        Wall time of each stage [s].
+    input_sha256 : mapping of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    camera_name: str
+    camera: Camera
+    intrinsics: tuple[Intrinsic, ...]
+    photos: tuple[PhotoResult, ...]
+    left_out: Mapping[str, str]
+    shape: BoardShape
+    quality: Quality
+    sigma: SigmaMap
+    profile: RadialProfile
+    coverage: Coverage
+    comparison: Comparison | None
+    warnings: tuple[str, ...]
+    durations_s: Mapping[str, float]
+    input_sha256: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def kept_apart_px(self) -> float:
+        """RMS over all photos that were kept apart; NaN where none was [px]."""
+        counts = np.array([photo.index.size for photo in self.photos], dtype=np.float64)
+        values = np.array([photo.kept_apart_px for photo in self.photos])
+        good = np.isfinite(values)
+        if not good.any():
+            return float("nan")
+        return float(np.sqrt(np.sum(counts[good] * values[good] ** 2) / counts[good].sum()))
+
+
+def rms_length(residuals_px: FloatArray) -> float:
+    """Return the RMS length of residuals, shape (n, 2) [px]."""
+    return float(np.sqrt((residuals_px**2).sum(axis=1).mean())) if len(residuals_px) else float("nan")
+
+
+def sigma_of_shape(points_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
+    """Return the sigma of points after position, rotation and scale of the whole were taken out.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (k, 3)
+        The points [m].
+    covariance_m2 : ndarray, shape (3 k, 3 k)
+        Their joint covariance [m^2].
+
+    Returns
+    -------
+    ndarray, shape (k, 3)
+        Standard deviations under inner constraints [m].
+    """
+    arms = points_m - points_m.mean(axis=0)
+    free = np.concatenate([np.tile(np.eye(3), (len(arms), 1, 1)), skew(arms), arms[:, :, None]], axis=2)
+    basis, _ = np.linalg.qr(free.reshape(-1, 7))
+    half = covariance_m2 @ basis
+    own = np.diag(covariance_m2) - 2 * (half * basis).sum(axis=1) + ((basis @ (basis.T @ half)) * basis).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(own, 0.0)).reshape(-1, 3))
