@@ -35,7 +35,7 @@ class Mounted(NamedTuple):
 MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
     "calibrate": Mounted("calibration.cli", "Calibrate what measures: camera; response of camera and display."),
-    "photogrammetry": Mounted("photogrammetry.cli", "Sheets of coded targets and calibration boards to print."),
+    "photogrammetry": Mounted("photogrammetry.cli", "Photos of coded targets -> coordinates (and sheets to print)."),
     "deflectometry": Mounted(
         "deflectometry.cli", "Fringe images of a mirror -> slope map (and patterns, import-opencsp)."
     ),
@@ -129,7 +129,7 @@ def demo(
 
 @app.command()
 def init(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, response, camera.")],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, photogrammetry, response, camera.")],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,
 ) -> None:

@@ -16,19 +16,22 @@ from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
+from heliogauge.measurement_photogrammetry import PhotogrammetryModel
 
 MEASUREMENT_FILE = "measurement.toml"
-Model = DeflectometryModel | ResponseModel | CameraCalibrationModel
+Model = DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
     "response": ResponseModel,
     "camera": CameraCalibrationModel,
+    "photogrammetry": PhotogrammetryModel,
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
     "deflectometry": "heliogauge deflectometry",
     "response": "heliogauge calibrate response",
     "camera": "heliogauge calibrate camera",
+    "photogrammetry": "heliogauge photogrammetry",
 }
 #: More than this many faults at once say that the file is of another kind; the first ones are enough to see that.
 _MOST_FAULTS = 5
@@ -111,6 +114,31 @@ class CameraCalibrationMeasurement:
         board = getattr(self.model.board, "file", None)
         own = (self.folder / MEASUREMENT_FILE, *((self.folder / board,) if board else ()))
         return (*own, *self.photo_files)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotogrammetryMeasurement:
+    """Checked photos, or image points, of targets: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : PhotogrammetryModel
+        What measurement.toml says.
+    photo_files : tuple of Path
+        The photos; none with image points.
+    """
+
+    folder: Path
+    model: PhotogrammetryModel
+    photo_files: tuple[Path, ...]
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        named = (self.model.camera.file, self.model.image_points and self.model.image_points.file)
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -208,6 +236,36 @@ def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
     return CameraCalibrationMeasurement(folder, model, _image_files(folder, "images.photos", model.images.photos))
 
 
+def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
+    """Read and check a folder with photos, or image points, of targets.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    PhotogrammetryMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "photogrammetry"), file)
+    if not isinstance(model, PhotogrammetryModel):
+        raise _other_kind(file, model, "photogrammetry")
+    photos = () if model.images is None else _image_files(folder, "images.photos", model.images.photos)
+    found = PhotogrammetryMeasurement(folder, model, photos)
+    for path in found.input_files:
+        if not path.is_file():
+            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    return found
+
+
 def _other_kind(file: Path, model: Model, wanted: str) -> InputError:
     return InputError(
         f'{file}: kind = "{model.kind}" is not "{wanted}"; evaluate this folder with `{COMMANDS[model.kind]}`'
@@ -226,7 +284,7 @@ def parse_measurement(content: dict[str, Any], file: Path) -> Model:
 
     Returns
     -------
-    DeflectometryModel, ResponseModel or CameraCalibrationModel
+    DeflectometryModel, ResponseModel, CameraCalibrationModel or PhotogrammetryModel
         The checked content.
 
     Raises

@@ -199,7 +199,89 @@ square_mm = 30.0
 photos = "photo_*.png"          # a text with * (natural order), or a list
 """
 
-_TEMPLATES: dict[str, str] = {"deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA}
+_PHOTOGRAMMETRY = """\
+# Photogrammetry: photos of targets to coordinates with standard deviations, poses and a calibrated camera.
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+# `heliogauge photogrammetry sheets` prints targets in true scale.
+
+# Walk round the object: 60 to 90 degrees between the outermost photos, every target in at least four, the camera turned
+# by 90 degrees for some. Same focus, zoom and aperture for all.
+
+kind = "photogrammetry"
+name = "collector 1"
+#: date = 2026-01-31
+#: notes = "22 degrees Celsius"
+
+# The camera. With nothing said it calibrates itself. A known camera is held, unless free names what is estimated.
+[camera]
+#: name = "camera"              # its name in cameras.json
+#: file = "camera.json"         # from `heliogauge calibrate camera`
+#: prior = true                 # with a file and free: its covariance holds them
+#: focal_length_35mm = 24.0     # a start, as on the lens for a 36 mm x 24 mm film, where 28 mm is far off
+#: free = ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"]
+
+# Photos, all of one size ...
+[images]
+photos = "photo_*.jpg"          # a text with * (natural order), or a list
+
+[targets]
+dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20; or square markers: "DICT_4X4_100"
+#: polarity = "both"            # black-on-white | white-on-black | both
+#: smallest_px = 6.0            # diameter of the dots in the photos
+#: largest_px = 100.0
+
+# ... or image points that another program measured (columns image, target, x_px, y_px, sigma_x_px, sigma_y_px).
+#: [image_points]
+#: file = "image_points.csv"
+#: pixel_origin = "corner"      # where (0, 0) is: "center" or outer "corner" of the top-left pixel
+
+# Known distances; check_only keeps one out of the adjustment, as a test of it.
+# Targets by number; corners of square markers by marker and corner, clockwise from its top left: "23.0" to "23.3".
+[[scale_bar]]
+a = "1"
+b = "2"
+length_m = 1.5
+sigma_mm = 0.02
+#: check_only = false
+
+# Control points; without sigma_mm they are held exactly.
+#: [[control_point]]
+#: target = "7"
+#: xyz_m = [0.0, 0.0, 0.0]
+#: sigma_mm = 0.1
+
+#: [[constraint]]
+#: kind = "coordinate"
+#: target = "5"
+#: axis = "z"
+#: value_m = 0.0
+#: sigma_mm = 0.1
+#: [[constraint]]
+#: kind = "distance"
+#: a = "5"
+#: b = "6"
+#: distance_m = 2.0
+#: sigma_mm = 1.0
+#: [[constraint]]
+#: kind = "plane"               # of its own, or a known one with normal = [0.0, 0.0, 1.0] and offset_m = 0.0
+#: targets = ["1", "2", "3", "4", "5"]
+#: sigma_mm = 0.05
+
+# Position, rotation and scale as far as the above leaves them open: inner constraints over all or some targets, or
+# "minimal" (3-2-1) with three targets.
+#: [datum]
+#: kind = "inner"
+#: targets = ["1", "2", "3", "4"]
+
+#: [adjustment]
+#: reject = true                # leave out image points that contradict the others
+#: family_significance = 0.05   # probability of leaving out any good one of all
+#: sigmas = "from residuals"    # or "stated"; default: from residuals for photos, stated for image points with sigma
+"""
+
+_TEMPLATES: dict[str, str] = {
+    "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
+}  # fmt: skip
 
 
 def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:

@@ -1,13 +1,41 @@
-"""``heliogauge photogrammetry``: targets to print."""
+"""``heliogauge photogrammetry``: photos of targets to coordinates; targets to print."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, make_app
+from heliogauge.commands import Force, Jobs, MeasurementFolder, OutFolder, Quiet, Verbose, make_app
 
-app = make_app("Sheets of coded targets and calibration boards to print.")
+app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
+
+
+@app.command("run")
+def run_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    jobs: Jobs = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, rejected.csv, summary.json."""
+    from heliogauge.measurement import load_photogrammetry
+    from heliogauge.store import ResultFolder
+    from heliogauge.terminal import terminal_progress
+    from photogrammetry.pipeline import Options, run, summarise, write
+    from photogrammetry.pipeline_headline import headline_text
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    with ResultFolder(out, force=force) as working:
+        result = run(load_photogrammetry(folder), Options(jobs=jobs), progress)
+        with progress.stage("write results"):
+            write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(summarise(result)))
+        typer.echo(f"results: {out}")
 
 
 @app.command()

@@ -67,7 +67,8 @@ def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[Checke
         difference = bundle.points_m[pair[0]] - bundle.points_m[pair[1]]
         length = float(np.linalg.norm(difference))
         direction = np.concatenate([difference, -difference]) / length
-        sigma = float(np.sqrt(max(direction @ _joint(bundle, pair) @ direction, 0.0)))
+        variance = float(direction @ _joint(bundle, pair) @ direction)
+        sigma = float(np.sqrt(max(variance, 0.0)))
         found.append(CheckedDistance(one.name, known, one.distance_m, one.sigma_m, length, sigma))
     return tuple(found)
 

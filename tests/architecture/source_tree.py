@@ -13,7 +13,7 @@ _BORDER_NAMES = frozenset({
     "images", "measurement", "measurement_models", "measurement_writer", "templates", "store", "figures", "report",
     "folders", "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale",
 })  # fmt: skip
-_BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_")
+_BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_", "measurement_")
 #: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.
 _BORDER_MODULES = {
     "deflectometry.inputs": "turns a measurement folder into the values the numeric modules take",

@@ -29,6 +29,7 @@ PIPELINE_LEVEL = {"heliogauge.demo": "the demo makes synthetic data and measures
 #: Parts of the kernel that open files or talk to people; numeric modules do without.
 BORDER = frozenset({
     "heliogauge.images", "heliogauge.measurement", "heliogauge.measurement_models", "heliogauge.measurement_writer",
+    "heliogauge.measurement_photogrammetry",
     "heliogauge.templates", "heliogauge.folders", "heliogauge.store", "heliogauge.figures", "heliogauge.report",
     "heliogauge.terminal", "heliogauge.commands", "heliogauge.cli", "heliogauge.demo",
 })  # fmt: skip

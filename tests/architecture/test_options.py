@@ -15,6 +15,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 #: Pipelines, whose Options must agree with the flags of a command.
 PIPELINES = {
     "deflectometry.pipeline": ("deflectometry.cli", "run"),
+    "photogrammetry.pipeline": ("photogrammetry.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),
     "calibration.camera.pipeline": ("calibration.cli", "camera"),
 }

@@ -1,0 +1,138 @@
+"""The centre of a circle's image is not the image of its centre: corrected without knowing how targets are turned."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.bundle_state import BundleState
+from photogrammetry.observations import ImagePoints
+
+# Three photos give nine equations for the six numbers of a disc.
+_LEAST_PHOTOS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discs:
+    """The targets as flat discs, from the ellipses they show.
+
+    Parameters
+    ----------
+    shapes_m2 : ndarray, shape (n, 3, 3)
+        ``radius^2 (I - normal normal^T)`` of each target in the world frame [m^2].
+    known : ndarray of bool, shape (n,)
+        False where too few ellipses or no flat disc fits.
+    """
+
+    shapes_m2: FloatArray
+    known: BoolArray
+
+
+def estimate_discs(
+    observations: ImagePoints, ellipses_px2: FloatArray, state: BundleState, camera_of_photo: np.ndarray
+) -> Discs:
+    """Find size and attitude of each target from its ellipses in all photos.
+
+    Parameters
+    ----------
+    observations : ImagePoints
+        The image points.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Shape of each target's ellipse, ``x^T S^-1 x = 1``; NaN where it has none [px^2].
+    state : BundleState
+        The adjusted network.
+    camera_of_photo : ndarray of int
+        Camera of each photo.
+
+    Returns
+    -------
+    Discs
+        Size and attitude.
+
+    Notes
+    -----
+    A disc small against its distance shows the ellipse ``S = J M J^T`` with J the derivative of pixels by world
+    coordinates and ``M = r^2 (I - n n^T)``: linear in M, three equations for each photo. The radius needs not be known.
+    """
+    n = len(observations.targets)
+    normal, right, rays = np.zeros((n, 6, 6)), np.zeros((n, 6)), np.zeros(n, dtype=np.intp)
+    for photo in range(len(observations.photos)):
+        rows = np.nonzero((observations.photo_index == photo) & np.isfinite(ellipses_px2).all(axis=(1, 2)))[0]
+        targets = observations.target_index[rows]
+        pose = state.cam_from_world(photo)
+        _, d_point, _ = state.cameras[camera_of_photo[photo]].project_with_jacobians(
+            pose.apply(state.points_m[targets])
+        )
+        jacobian = d_point @ pose.rotation
+        design = np.stack([_row(jacobian, 0, 0), _row(jacobian, 1, 1), _row(jacobian, 0, 1)], axis=1)
+        seen = np.stack([ellipses_px2[rows, 0, 0], ellipses_px2[rows, 1, 1], ellipses_px2[rows, 0, 1]], axis=1)
+        # Ellipses are measured to a share of their size.
+        weight = 1 / np.maximum(np.trace(ellipses_px2[rows], axis1=1, axis2=2), 1e-300)[:, None]
+        design, seen = design * weight[:, :, None], seen * weight
+        np.add.at(normal, targets, np.einsum("mra,mrb->mab", design, design))
+        np.add.at(right, targets, np.einsum("mra,mr->ma", design, seen))
+        np.add.at(rays, targets, 1)
+    return _discs(normal, right, rays)
+
+
+def _row(jacobian: FloatArray, i: int, j: int) -> FloatArray:
+    """Return the derivative of element (i, j) of J M J^T by xx, yy, zz, xy, xz, yz of M, (m, 6)."""
+    a, b = jacobian[:, i], jacobian[:, j]
+    mixed = [a[:, k] * b[:, m] + a[:, m] * b[:, k] for k, m in ((0, 1), (0, 2), (1, 2))]
+    return np.column_stack([a * b, *mixed])
+
+
+def _discs(normal: FloatArray, right: FloatArray, rays: np.ndarray) -> Discs:
+    n = len(rays)
+    shapes, known = np.zeros((n, 3, 3)), np.zeros(n, dtype=np.bool_)
+    for target in np.nonzero(rays >= _LEAST_PHOTOS)[0].tolist():
+        values = np.linalg.lstsq(normal[target], right[target], rcond=1e-10)[0]
+        xx, yy, zz, xy, xz, yz = values
+        eigenvalues, vectors = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+        smallest, middle, largest = eigenvalues
+        # A flat round disc has the eigenvalues 0, r^2, r^2.
+        if middle > 0.6 * largest and abs(smallest) < 0.35 * largest:
+            square = 0.5 * (middle + largest)
+            axis = vectors[:, 0]
+            shapes[target] = square * (np.eye(3) - np.outer(axis, axis))
+            known[target] = True
+    return Discs(shapes, known)
+
+
+def eccentricities_px(
+    observations: ImagePoints, discs: Discs, state: BundleState, camera_of_photo: np.ndarray
+) -> FloatArray:
+    """Return centre of the ellipse minus image of the centre, for each image point; 0 where the disc is not known.
+
+    Parameters
+    ----------
+    observations : ImagePoints
+        The image points.
+    discs : Discs
+        Size and attitude of the targets.
+    state : BundleState
+        The adjusted network.
+    camera_of_photo : ndarray of int
+        Camera of each photo.
+
+    Returns
+    -------
+    ndarray, shape (m, 2)
+        To be subtracted from measured centres [px].
+
+    Notes
+    -----
+    The image of the disc has the dual conic ``R M R^T - P P^T`` (P the centre in the camera's frame), whose last
+    column is its centre, exact for any size.
+    """
+    shift = np.zeros((observations.n, 2))
+    for photo in range(len(observations.photos)):
+        mine = observations.photo_index == photo
+        rows = np.nonzero(mine & discs.known[observations.target_index])[0]
+        targets = observations.target_index[rows]
+        pose, camera = state.cam_from_world(photo), state.cameras[camera_of_photo[photo]]
+        center = pose.apply(state.points_m[targets])
+        turned = pose.rotation @ discs.shapes_m2[targets] @ pose.rotation.T
+        dual = turned - center[:, :, None] * center[:, None, :]
+        shift[rows] = camera.project(dual[:, :, 2] / dual[:, 2:, 2]) - camera.project(center)
+    return shift

@@ -1,0 +1,319 @@
+"""Photos of targets, or image points, to coordinates with standard deviations: read, measure, solve, write."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.camera import Camera
+from heliogauge.flags import SampleFlag
+from heliogauge.measurement import PhotogrammetryMeasurement
+from heliogauge.measurement_photogrammetry import ImagePointsSection
+from heliogauge.progress import Progress, SilentProgress
+from heliogauge.store import (
+    PhotoPose,
+    PointTable,
+    Summary,
+    hash_files,
+    write_cameras_json,
+    write_points_csv,
+    write_summary,
+    write_table_csv,
+)
+from photogrammetry.bundle_statistics import examine_image_points, examine_intrinsics
+from photogrammetry.constraints import Distance
+from photogrammetry.network_quality import bar_checks, doubts, headline
+from photogrammetry.pipeline_inputs import build_camera, build_constraints, build_datum, build_model
+from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
+from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
+from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of the evaluation.
+
+    Parameters
+    ----------
+    jobs : int or None
+        Photos that are measured side by side; None for all processors.
+    """
+
+    jobs: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Everything a measurement gave, ready to be written.
+
+    Parameters
+    ----------
+    name : str
+        Name of what was measured.
+    measured : MeasuredPhotos
+        All image points, and what in the photos was refused.
+    solved : Solved
+        The adjusted network.
+    checks : tuple of Distance
+        Scale bars that were not used, to check against.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    measured: MeasuredPhotos
+    solved: Solved
+    checks: tuple[Distance, ...]
+    warnings: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera with the covariance of its parameters."""
+        return self.solved.bundle.cameras[0]
+
+    @property
+    def points(self) -> PointTable:
+        """Coordinates with standard deviations; targets left out stand at the end without coordinates."""
+        bundle, left = self.solved.bundle, self.solved.network.targets_left_out
+        table = bundle.problem.observations
+        rays = table.n_rays
+        kept = np.nonzero(rays > 0)[0]
+        gone = np.full((len(left), 3), np.nan)
+        flags = np.array([0] * len(kept) + [int(SampleFlag.NOT_SEEN)] * len(left), dtype=np.uint32)
+        return PointTable(
+            tuple(table.targets[i] for i in kept) + tuple(one.name for one in left),
+            np.concatenate([bundle.points_m[kept], gone]),
+            np.concatenate([bundle.sigma_points_m[kept], gone]),
+            np.concatenate([rays[kept], np.zeros(len(left), dtype=np.intp)]).astype(np.int64),
+            flags,
+        )
+
+    @property
+    def refused(self) -> tuple[Refused, ...]:
+        """Everything that was not used, by name with the reason."""
+        solved = self.solved
+        outliers = [Refused(one.label, f"{one.reason}, residual {one.residual_px:.2f} px") for one in solved.rejected]
+        left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
+        others = [Refused(one.name, one.reason) for one in (*left, *solved.unused)]
+        return (*self.measured.refused, *others, *outliers)
+
+
+def run(
+    measurement: PhotogrammetryMeasurement, options: Options | None = None, progress: Progress | None = None
+) -> Result:
+    """Evaluate a measurement.
+
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        From `heliogauge.measurement.load_photogrammetry`.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Points, poses and camera with their covariances, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        Photos, image points or camera that cannot be used.
+    EstimationError
+        The photos do not hang together, or something is not determined.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    model = measurement.model
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    measured = read_points(measurement, options, progress)
+    camera = build_camera(measurement, measured.size_px)
+    fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
+    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model))
+    sigmas = model.adjustment.sigmas
+    rescale = measured.sigma_assumed if sigmas is None else sigmas == "from residuals"
+    how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
+    with progress.stage("adjust"):
+        solved = solve_network(
+            measured.points, measured.ellipses_px2, (camera, build_model(model.camera, camera)), knowledge, how
+        )
+    checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
+                   if bar.check_only)  # fmt: skip
+    with progress.stage("statistics"):
+        said = (*measured.warnings, *doubts(solved))
+    return Result(model.name, measured, solved, checks, said, dict(progress.durations_s), hashes)
+
+
+def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
+    """Measure the photos, or read the image points.
+
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        The measurement.
+    options : Options
+        How many photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    MeasuredPhotos
+        The image points.
+
+    Raises
+    ------
+    InputError
+        Files that cannot be used.
+    EstimationError
+        No targets in the photos.
+    """
+    model = measurement.model
+    if model.targets is not None and measurement.photo_files:
+        return measure_photos(measurement.photo_files, model.targets, jobs=options.jobs, progress=progress)
+    section = model.image_points or ImagePointsSection()
+    camera = build_camera(measurement, None)
+    with progress.stage("read image points"):
+        found = read_image_points_csv(
+            measurement.folder / section.file,
+            origin=PixelOrigin(section.pixel_origin),
+            default_sigma_px=section.default_sigma_px,
+            sizes_px=(camera.width_px, camera.height_px),
+        )
+    shapes = np.full((found.points.n, 2, 2), np.nan)
+    return MeasuredPhotos(found.points, shapes, None, (), found.warnings, found.sigma_assumed)
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the files of a result into an existing folder.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to; usually the folder that `heliogauge.store.ResultFolder` gives.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_points_csv(folder / "points.csv", result.points)
+    write_cameras_json(folder / "cameras.json", {_camera_name(result): result.camera}, _poses(result))
+    write_table_csv(folder / "points_covariance.csv", _covariance_columns(result))
+    write_table_csv(folder / "residuals.csv", _residual_columns(result))
+    refused = result.refused
+    write_table_csv(
+        folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
+    )
+    write_table_csv(folder / "constraints.csv", _constraint_columns(result))
+    write_table_csv(folder / "intrinsics.csv", _intrinsic_columns(result))
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def _camera_name(result: Result) -> str:
+    return result.solved.bundle.problem.cameras[0].name
+
+
+def _poses(result: Result) -> dict[str, PhotoPose]:
+    bundle = result.solved.bundle
+    table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
+    counts = np.maximum(table.n_targets_in_photo, 1)
+    rms = np.sqrt(np.bincount(table.photo_index, weights=squares, minlength=len(table.photos)) / counts)
+    covariances = bundle.covariance.poses
+    return {
+        name: PhotoPose(_camera_name(result), pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
+        for i, (name, pose) in enumerate(zip(table.photos, bundle.cam_from_world, strict=True))
+    }
+
+
+def _covariance_columns(result: Result) -> dict[str, Any]:
+    bundle = result.solved.bundle
+    covariance = bundle.covariance.points
+    names = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+    columns: dict[str, Any] = {"id": list(bundle.problem.observations.targets)}
+    return columns | {f"{name}_m2": covariance[:, i, j] for name, (i, j) in names.items()}
+
+
+def _residual_columns(result: Result) -> dict[str, Any]:
+    bundle = result.solved.bundle
+    table, tests = bundle.problem.observations, examine_image_points(bundle)
+    sigma = np.sqrt(np.einsum("mii->mi", table.covariance_px2))
+    return {
+        "image": [table.photos[i] for i in table.photo_index],
+        "target": [table.targets[i] for i in table.target_index],
+        "x_px": table.pixels_px[:, 0],
+        "y_px": table.pixels_px[:, 1],
+        "sigma_x_px": sigma[:, 0],
+        "sigma_y_px": sigma[:, 1],
+        "residual_x_px": bundle.residuals_px[:, 0],
+        "residual_y_px": bundle.residuals_px[:, 1],
+        "redundancy_x": tests.redundancy[:, 0, 0],
+        "redundancy_y": tests.redundancy[:, 1, 1],
+        "test": np.sqrt(tests.length_squared),
+    }
+
+
+def _constraint_columns(result: Result) -> dict[str, Any]:
+    checked = bar_checks(result.solved.bundle, result.checks)
+    return {
+        "name": [one.name for one in checked],
+        "used": [int(one.used) for one in checked],
+        "known_m": [one.known_m for one in checked],
+        "sigma_known_m": [one.sigma_known_m for one in checked],
+        "measured_m": [one.measured_m for one in checked],
+        "sigma_measured_m": [one.sigma_measured_m for one in checked],
+        "error_m": [one.measured_m - one.known_m for one in checked],
+    }
+
+
+def _intrinsic_columns(result: Result) -> dict[str, Any]:
+    tests = examine_intrinsics(result.solved.bundle)
+    names = ("camera", "name", "value", "sigma", "significance", "rival", "correlation")
+    return {name: [getattr(one, name) for one in tests] for name in names}
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+
+    Returns
+    -------
+    Summary
+        What ``summary.json`` holds.
+    """
+    bundle = result.solved.bundle
+    numbers, missing = headline(result.solved, result.checks)
+    camera = result.camera
+    model = bundle.problem.cameras[0]
+    scale = "residuals" if result.solved.image_sigma_factor != 1.0 else "statement"
+    texts = {
+        "datum": bundle.datum,
+        "camera": f"{camera.width_px} x {camera.height_px} px; estimated: {', '.join(model.free) or 'nothing'}",
+        "sigma": f"1 standard deviation under this datum; size of the image points' sigmas from their {scale}",
+        "rejected": f"{len(result.refused)} items, see rejected.csv",
+    }
+    return Summary(
+        kind="photogrammetry",
+        name=result.name,
+        numbers=numbers,
+        texts=texts,
+        warnings=result.warnings,
+        durations_s=result.durations_s,
+        input_sha256=result.input_sha256,
+        not_determined=missing,
+    )

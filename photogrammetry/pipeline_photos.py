@@ -1,0 +1,181 @@
+"""Photos to image points: read, find targets, measure, several photos at a time."""
+
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images import read_image
+from heliogauge.measurement_photogrammetry import TargetsSection
+from heliogauge.progress import Progress
+from heliogauge.validate import FloatArray
+from photogrammetry.detections import Detections
+from photogrammetry.markers import find_markers
+from photogrammetry.observations import ImagePoints, image_points
+from photogrammetry.photo_targets import measure_targets
+from photogrammetry.pipeline_inputs import build_search
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Something in the photos that was not used.
+
+    Parameters
+    ----------
+    name : str
+        Marker, target or photo, and where it is.
+    reason : str
+        Why.
+    """
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPhotos:
+    """Image points of all photos.
+
+    Parameters
+    ----------
+    points : ImagePoints
+        The image points.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Shape of each target's ellipse; NaN for corners [px^2].
+    size_px : (int, int) or None
+        Width and height of the photos; None where image points were given [px].
+    refused : tuple of Refused
+        False codes, doubled names, photos without targets.
+    warnings : tuple of str
+        What makes the result doubtful.
+    sigma_assumed : bool
+        Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
+    """
+
+    points: ImagePoints
+    ellipses_px2: FloatArray
+    size_px: tuple[int, int] | None
+    refused: tuple[Refused, ...]
+    warnings: tuple[str, ...]
+    sigma_assumed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OnePhoto:
+    detections: Detections
+    ellipses_px2: FloatArray
+    size_px: tuple[int, int]
+    refused: tuple[Refused, ...]
+
+
+def measure_photos(
+    files: Sequence[Path], section: TargetsSection, *, jobs: int | None, progress: Progress
+) -> MeasuredPhotos:
+    """Find and measure the targets of all photos.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos.
+    section : TargetsSection
+        What targets they show.
+    jobs : int or None
+        Photos measured side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    MeasuredPhotos
+        Image points with covariances, and what was refused.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, sizes differ, or the dictionary is unknown.
+    EstimationError
+        No photo shows a target.
+    """
+    search = None if section.dictionary.startswith("DICT_") else build_search(section)
+
+    def one(file: Path) -> _OnePhoto:
+        image = read_image(file)
+        size = (int(image.shape[1]), int(image.shape[0]))
+        if search is None:
+            markers = find_markers(image, file.name, section.dictionary)
+            refused = [
+                Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {file.name}",
+                        bad.reason)
+                for bad in markers.rejected
+            ]  # fmt: skip
+            shapes = np.full((len(markers.detections), 2, 2), np.nan)
+            return _OnePhoto(markers.detections, shapes, size, tuple(refused))
+        rings = measure_targets(image, file.name, search)
+        shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
+        mirrored = [
+            Refused(f"target {name} in {file.name}", "is a mirror image: print or photo is the wrong way round")
+            for name in rings.mirrored
+        ]
+        return _OnePhoto(rings.detections, shapes, size, tuple(mirrored))
+
+    found: list[_OnePhoto] = []
+    with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(one, file) for file in files]
+        try:
+            for future in waiting:
+                found.append(future.result())
+                stage.advance()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    _refuse_mixture(found)
+    return _gathered(found)
+
+
+def _refuse_mixture(found: Sequence[_OnePhoto]) -> None:
+    sizes = Counter(one.size_px for one in found)
+    if len(sizes) > 1:
+        usual = sizes.most_common(1)[0][0]
+        odd = [f"{one.detections.photo} ({one.size_px[0]} x {one.size_px[1]})" for one in found if one.size_px != usual]
+        raise InputError(
+            f"images.photos: most have {usual[0]} x {usual[1]} px, but not {', '.join(odd[:5])}; photos of one camera "
+            "at one resolution, as the sensor took them, are needed"
+        )
+
+
+def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
+    photos, names, parts, shapes = [], [], [], []
+    refused = [bad for one in found for bad in one.refused]
+    doubled: Counter[str] = Counter()
+    for one in found:
+        twice = set(one.detections.duplicated)
+        # A marker of which one corner is doubled is there twice.
+        twice |= {name for name in one.detections.names if name.split(".")[0] in {t.split(".")[0] for t in twice}}
+        doubled.update({name.split(".")[0] for name in twice})
+        photo = one.detections.photo
+        refused += [Refused(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
+        keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
+        if not keep:
+            refused.append(Refused(photo, "shows no target that can be used"))
+        photos += [photo] * len(keep)
+        names += [one.detections.names[k] for k in keep]
+        parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))
+        shapes.append(one.ellipses_px2[keep])
+    if not names:
+        raise EstimationError(
+            f"images.photos: none of {len(found)} photos shows a target of the dictionary; is it the right one, and "
+            "are the targets large enough ([targets] smallest_px, largest_px)?"
+        )
+    said = []
+    if doubled:
+        listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
+        said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")
+    covariance = np.concatenate([part.covariance_px2 for part in parts])
+    # Estimators leave the two halves different in the last bit.
+    covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
+    return MeasuredPhotos(points, np.concatenate(shapes), found[0].size_px, tuple(refused), tuple(said), True)
