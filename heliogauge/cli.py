@@ -129,7 +129,10 @@ def demo(
 
 @app.command()
 def init(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, photogrammetry, response, camera.")],
+    kind: Annotated[
+        str,
+        typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, photogrammetry, response, camera."),
+    ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,
 ) -> None:

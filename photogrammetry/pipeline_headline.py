@@ -18,9 +18,9 @@ def headline_text(summary: Summary) -> str:
     """
     numbers = summary.numbers
 
-    def said(key: str, factor: float, form: str) -> str:
+    def said(key: str, factor: float, form: str, unit: str = "") -> str:
         value = numbers[key]
-        return "not determined" if value is None else format(factor * float(value), form)
+        return summary.not_determined[key] if value is None else format(factor * float(value), form) + unit
 
     lines = [
         f"{summary.name}: {numbers['points_count']} points from {numbers['photos_count']} photos",
@@ -30,8 +30,8 @@ def headline_text(summary: Summary) -> str:
         f"   z {said('point_sigma_z_rms_m', 1e3, '.4f')} mm",
         f"  largest extent   {said('extent_m', 1, '.3f')} m; relative precision 1:"
         f"{said('relative_precision_ratio', 1, '.0f')}",
-        f"  scale bars       used {said('scale_bar_residual_rms_m', 1e3, '.3f')} mm RMS; "
-        f"not used {said('length_error_rms_m', 1e3, '.3f')} mm RMS",
+        f"  scale bars       used: {said('scale_bar_residual_rms_m', 1e3, '.3f', ' mm RMS')}; "
+        f"kept apart: {said('length_error_rms_m', 1e3, '.3f', ' mm RMS')}",
         f"  datum            {summary.texts['datum']}",
         f"  left out         {summary.texts['rejected']}",
     ]

@@ -223,3 +223,33 @@ def test_published_calibration(shared_data: Path, tmp_path: Path) -> None:
     assert result.solved.bundle.sigma0 / 10 == pytest.approx(0.161480, abs=5e-7)
     assert result.refused == ()
     assert any("1.61 times what the stated sigmas say" in text for text in result.warnings)
+
+
+@pytest.mark.slow
+def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
+    """54 photos of square markers on a dish, with what OpenCSP's camera file says as a start."""
+    source = shared_data / "opencsp" / "scene_reconstruction"
+    if not source.is_dir():
+        pytest.skip("the photos of markers are not on this machine")
+    (tmp_path / "photos").symlink_to(source / "aruco_marker_images")
+    lens = {"k1": -0.05576391, "k2": 0.03966674, "p1": -0.00055473, "p2": 0.00049181}
+    free = ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"]
+    bars = (("43.0", "42.0", 3.421), ("31.0", "10.0", 5.702))
+    content = {
+        "kind": "photogrammetry",
+        "name": "dish",
+        "camera": {"focal_px": 935.57, "center_x_px": 869.7, "center_y_px": 576.1, "free": free, **lens},
+        "images": {"photos": "photos/*.JPG"},
+        "targets": {"dictionary": "DICT_4X4_1000"},
+        "scale_bar": [{"a": a, "b": b, "length_m": length, "sigma_mm": 0.5} for a, b, length in bars],
+    }
+    (tmp_path / "measurement.toml").write_text(dump_toml(content))
+    result = run(load_photogrammetry(tmp_path))
+    numbers = summarise(result).numbers
+    assert numbers["photos_count"] == 54
+    assert numbers["image_residual_rms_px"] < 0.11
+    assert numbers["scale_bar_residual_rms_m"] < 0.0005
+    assert numbers["largest_image_residual_px"] < 1.0
+    # What OpenCV reads into a carpet is refused by name.
+    assert any(one.name.startswith("marker 32 at") and "DSC03660" in one.name for one in result.refused)
+    assert np.isfinite(result.points.sigma_m).all()
