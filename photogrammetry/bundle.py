@@ -20,7 +20,7 @@ from photogrammetry.bundle_problem import BundleProblem, CameraModel, ResidualSp
 from photogrammetry.bundle_rows import BundleModel
 from photogrammetry.bundle_state import BundleState, bundle_state, d_parameters_d_intrinsics
 from photogrammetry.bundle_system import SchurSystem
-from photogrammetry.datum import Datum, DatumConstraints, DatumKind, datum_constraints
+from photogrammetry.datum import Datum, DatumKind
 
 __all__ = [
     "BundleOptions",
@@ -269,13 +269,12 @@ def _assembled(problem: BundleProblem, found: Descent[BundleState, BundleRows], 
         # The spread of the influences over that of normal errors is the variance factor; never less certain than that.
         scale = prior if options.covariance_scale is CovarianceScale.POSTERIOR else max(1.0, factor)
         factors = CovarianceFactors(shares[0] * scale, prior)
-    datum = _datum(problem, found.state, system)
-    covariance = BundleCovariance(system, datum.columns, factors)
+    covariance = BundleCovariance(system, factors)
     defect = system.layout.n - system.movements.count - rank
     return BundleResult(
         problem=problem,
         state=found.state,
-        datum=datum.text,
+        datum=system.datum.text,
         covariance=covariance,
         options=options,
         converged=found.converged,
@@ -288,14 +287,3 @@ def _assembled(problem: BundleProblem, found: Descent[BundleState, BundleRows], 
         rows=rows,
         system=system,
     )
-
-
-def _datum(problem: BundleProblem, state: BundleState, system: SchurSystem) -> DatumConstraints:
-    seen = np.unique(problem.observations.target_index)
-    free = np.setdiff1d(seen, problem.target_indices(problem.fixed)).astype(np.intp)
-    chosen = problem.target_indices(problem.datum.targets) if problem.datum.targets else free
-    names = [problem.observations.targets[i] for i in chosen]
-    parts = [f"{len(problem.fixed)} fixed targets"] if problem.fixed else []
-    parts += [f"{len(problem.constraints)} constraints"] if problem.constraints else []
-    defined = " and ".join(parts) if system.movements.count < 7 else ""
-    return datum_constraints(problem.datum, system.movements, chosen, defined=defined, names=names)

@@ -28,9 +28,7 @@ class BundleCovariance:
     Parameters
     ----------
     system : SchurSystem
-        The normal equations at the minimum.
-    datum_columns : ndarray, shape (n, 3, d)
-        Datum on the targets, one column for each free movement of the network.
+        The normal equations at the minimum, with their datum.
     factors : CovarianceFactors
         Scale.
 
@@ -41,29 +39,13 @@ class BundleCovariance:
     ``F = S^-1/2`` times the coupling of the targets is ever formed, so all points cost one triangular solution.
     """
 
-    def __init__(self, system: SchurSystem, datum_columns: FloatArray, factors: CovarianceFactors) -> None:
+    def __init__(self, system: SchurSystem, factors: CovarianceFactors) -> None:
         self._system = system
         self._layout = system.layout
         self._factors = factors
         self._elimination = system.undamped
         self._target_movements: FloatArray = system.movements.points[self._layout.eliminated]
-        self._datum_dense, self._datum_targets = self._datum(datum_columns)
-
-    def _datum(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Split the datum into dense part (g, d) and eliminated targets (e, 3, d)."""
-        layout = self._layout
-        dense = np.zeros((layout.n_global, columns.shape[2]))
-        if layout.kept.size:
-            dense[layout.n_global - 3 * layout.kept.size :] = columns[layout.kept].reshape(
-                3 * layout.kept.size, columns.shape[2]
-            )
-        return dense, columns[layout.eliminated]
-
-    @cached_property
-    def _overlap(self) -> FloatArray:
-        """Datum times free movements, ``G^T K``, shape (d, d)."""
-        overlap = self._datum_dense.T @ self._system.dense_movements
-        return np.asarray(overlap + np.einsum("eid,eif->df", self._datum_targets, self._target_movements))
+        self._datum_dense, self._datum_targets = system.split_datum()
 
     @cached_property
     def _halves(self) -> FloatArray:
@@ -96,7 +78,7 @@ class BundleCovariance:
         count = system.movements.count
         if not count:
             return np.zeros((layout.n_global, 0)), np.zeros((layout.eliminated.size, 3, 0)), np.zeros((0, 0))
-        inverse = np.linalg.inv(self._overlap)
+        inverse = np.linalg.inv(self._system.overlap)
         half = self._elimination.factor.half(self._datum_dense / system.dense_scale[:, None])
         half += self._halves @ self._datum_targets.reshape(3 * layout.eliminated.size, count)
         roots = self._elimination.roots
@@ -219,14 +201,10 @@ class BundleCovariance:
             part = lost if block.rows is None else lost[block.rows]
             inner = (block.matrix.T @ part).reshape(block.last - block.first, 3, lost.shape[1])
             targets[block.first : block.last] = -self._elimination.roots[block.first : block.last] @ inner
-        if not lost.shape[1] or not self._system.movements.count:
-            return lost, targets
         # A loose photo leaves the targets at rest under their datum, though not under any other.
         scale = self._system.dense_scale[:, None]
-        seen = self._datum_dense.T @ (lost / scale) + np.einsum("eid,eik->dk", self._datum_targets, targets)
-        amounts = np.linalg.solve(self._overlap, seen)
-        dense = lost - self._system.dense_movements @ amounts * scale
-        return dense, targets - self._target_movements @ amounts
+        dense, targets = self._system.under_datum(lost / scale, targets)
+        return dense * scale, targets
 
     @cached_property
     def unknown_targets(self) -> BoolArray:

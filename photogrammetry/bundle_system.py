@@ -12,7 +12,7 @@ from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle_problem import Layout
 from photogrammetry.bundle_rows import BundleModel, CameraRows, ExtraRows, runs
 from photogrammetry.bundle_state import BundleState
-from photogrammetry.datum import Movements, free_movements, similarity_movements
+from photogrammetry.datum import DatumConstraints, Movements, datum_constraints, free_movements, similarity_movements
 from photogrammetry.observations import IntArray
 
 # Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
@@ -262,6 +262,7 @@ class SchurSystem:
         self.rounding: float = EPSILON * float(np.linalg.norm(self.scale * model.values(state)))
         known = list(zip(self.extra.jacobians, self.extra.targets, strict=True))
         fixed = model.problem.target_indices(model.problem.fixed)
+        self._problem = model.problem
         #: Movements of the whole network that nothing sees.
         self.movements: Movements = free_movements(similarity_movements(state), known, fixed)
 
@@ -286,6 +287,42 @@ class SchurSystem:
                 3 * layout.kept.size, count
             )
         return result
+
+    @cached_property
+    def datum(self) -> DatumConstraints:
+        """The datum on the targets that takes the free movements away."""
+        problem, table = self._problem, self._problem.observations
+        free = np.setdiff1d(np.unique(table.target_index), problem.target_indices(problem.fixed)).astype(np.intp)
+        chosen = problem.target_indices(problem.datum.targets) if problem.datum.targets else free
+        names = [table.targets[i] for i in chosen]
+        parts = [f"{len(problem.fixed)} fixed targets"] if problem.fixed else []
+        parts += [f"{len(problem.constraints)} constraints"] if problem.constraints else []
+        defined = " and ".join(parts) if self.movements.count < 7 else ""
+        return datum_constraints(problem.datum, self.movements, chosen, defined=defined, names=names)
+
+    def split_datum(self) -> tuple[FloatArray, FloatArray]:
+        """Return the datum's columns of the dense part, shape (g, d), and of the eliminated targets, (e, 3, d)."""
+        layout, columns = self.layout, self.datum.columns
+        dense = np.zeros((layout.n_global, columns.shape[2]))
+        if layout.kept.size:
+            own = columns[layout.kept].reshape(3 * layout.kept.size, columns.shape[2])
+            dense[layout.n_global - 3 * layout.kept.size :] = own
+        return dense, columns[layout.eliminated]
+
+    @cached_property
+    def overlap(self) -> FloatArray:
+        """Datum times free movements, ``G^T K``, shape (d, d)."""
+        return np.asarray(np.einsum("nid,nif->df", self.datum.columns, self.movements.points))
+
+    def under_datum(self, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Take the movement of the whole network out of steps, shapes (g, k) and (e, 3, k): ``G^T step = 0``."""
+        if not self.movements.count:
+            return dense, targets
+        datum_dense, datum_targets = self.split_datum()
+        seen = datum_dense.T @ dense + np.einsum("eid,eik->dk", datum_targets, targets)
+        amounts = np.linalg.solve(self.overlap, seen)
+        moved = self.movements.points[self.layout.eliminated] @ amounts
+        return dense - self.dense_movements @ amounts, targets - moved
 
     @property
     def rank(self) -> int:
@@ -385,7 +422,9 @@ class SchurSystem:
             part = dense if block.rows is None else dense[block.rows]
             inner[block.first : block.last] = (block.matrix.T @ part).reshape(-1, 3)
         targets = -np.einsum("eij,ej->ei", elimination.roots, elimination.target_right + inner)
-        step = np.concatenate([dense / self.dense_scale, targets.ravel()])
+        # Steps obey the datum, or the estimate would be in another one than its covariance.
+        dense_step, target_step = self.under_datum((dense / self.dense_scale)[:, None], targets[:, :, None])
+        step = np.concatenate([dense_step.ravel(), target_step.ravel()])
         gradient = np.concatenate([self.normal.dense_gradient, self.normal.target_gradient.ravel()])
         scaled = step * self.scale
         return step, 0.5 * (damping * float(scaled @ scaled) - float(gradient @ step))
