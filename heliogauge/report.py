@@ -34,7 +34,7 @@ REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
 
 #: Package that holds the report notebook of each kind of measurement.
-NOTEBOOK_PACKAGES: dict[str, str] = {"deflectometry": "deflectometry"}
+NOTEBOOK_PACKAGES: dict[str, str] = {"deflectometry": "deflectometry", "photogrammetry": "photogrammetry"}
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.
 _START_S = 120

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
 
@@ -16,10 +16,11 @@ def run_command(
     out: OutFolder,
     jobs: Jobs = None,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, rejected.csv, summary.json."""
+    """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
     from heliogauge.measurement import load_photogrammetry
     from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
@@ -31,6 +32,11 @@ def run_command(
         result = run(load_photogrammetry(folder), Options(jobs=jobs), progress)
         with progress.stage("write results"):
             write(result, working)
+        if not no_report:
+            from heliogauge.report import build_report
+
+            with progress.stage("report"):
+                build_report(working)
     for text in result.warnings:
         typer.echo(f"warning: {text}", err=True)
     if not quiet:

@@ -13,6 +13,7 @@ from data_synth.target_presets import PrintChoice, target_scene
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement import load_photogrammetry, parse_measurement
 from heliogauge.measurement_writer import dump_toml
+from heliogauge.report import build_report
 from heliogauge.store import read_cameras_json, read_points_csv, read_summary, read_table_csv
 from heliogauge.templates import write_template
 from photogrammetry.pipeline import Result, run, summarise, write
@@ -253,3 +254,12 @@ def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
     # What OpenCV reads into a carpet is refused by name.
     assert any(one.name.startswith("marker 32 at") and "DSC03660" in one.name for one in result.refused)
     assert np.isfinite(result.points.sigma_m).all()
+
+
+@pytest.mark.slow
+def test_the_report_holds_figures_and_tables(points_folder: Path, tmp_path: Path) -> None:
+    write(run(load_photogrammetry(points_folder)), tmp_path)
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert text.count("data:image/png") == 3 + 1 + 8
+    for word in ("inner constraints over 52 targets", "distance 33 - 40", "focal_px", "photo_008.png", "None."):
+        assert word in text
