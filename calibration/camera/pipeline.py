@@ -86,7 +86,8 @@ class _Network:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(self.board.names[i] for i in self.seen)
+        names = self.board.names
+        return tuple(names[i] for i in self.seen)
 
     def observations(self) -> ImagePoints:
         """Gather all photos in one table."""
@@ -400,7 +401,8 @@ def _kept_apart(network: _Network, adjusted: _Adjusted, photo: int) -> float:
     """RMS of one photo's residuals when the others gave camera and board and only its pose is fitted."""
     table, state = adjusted.bundle.problem.observations, adjusted.bundle.state
     others = table.subset(table.photo_index != photo).compacted()
-    drawn = network.board.points_m[network.seen][[network.names.index(name) for name in others.targets]]
+    place = {name: i for i, name in enumerate(network.names)}
+    drawn = network.board.points_m[network.seen][[place[name] for name in others.targets]]
     poses = [state.cam_from_world(i) for i in range(len(network.points)) if i != photo]
     problem = _problem(network.free, others, drawn, adjusted.prior_sigma_m)
     bundle = adjust(problem, bundle_state(state.cameras, poses, drawn))

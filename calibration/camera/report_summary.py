@@ -37,7 +37,8 @@ def write_tables(result: Result, folder: Path) -> None:
     }
     write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses)
     shape = result.shape
-    names = tuple(shape.board.names[i] for i in shape.seen)
+    every = shape.board.names
+    names = tuple(every[i] for i in shape.seen)
     flags = np.zeros(len(names), dtype=np.uint32)
     write_points_csv(
         folder / "points.csv", PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
@@ -47,7 +48,7 @@ def write_tables(result: Result, folder: Path) -> None:
         kept = np.where(photo.used, 0, int(SampleFlag.OUTLIER))
         rows = (
             [photo.name] * photo.index.size,
-            [shape.board.names[i] for i in photo.index],
+            [every[i] for i in photo.index],
             *photo.pixels_px.T.tolist(),
             *photo.residuals_px.T.tolist(),
             kept.tolist(),
