@@ -54,12 +54,12 @@ class StageClock(SilentProgress):
         self.cpu_s[stage.name] += time.process_time()
 
 
-def frame_filling_scene() -> FringeScene:
-    """Return a facet before a larger wall whose image fills nearly all of 1624 x 1232 px."""
-    design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.7, 2.0)
+def large_facet_scene() -> FringeScene:
+    """Return a facet before a larger wall whose image fills two thirds of 1624 x 1232 px, as far as edges need."""
+    design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.4, 1.8)
     facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
     return facet_scene(
-        "facet that fills the frame", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65),
+        "large facet", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65),
         blur_sigma_px=0.1,
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ from _measure import (
     ROOT,
     StageClock,
     evaluation_inputs,
-    frame_filling_scene,
+    large_facet_scene,
     observation_of,
     response_of,
     row,
@@ -46,11 +46,7 @@ SIGMAS = {
 }  # fmt: skip
 CASES = {
     "facet": (full_scene, Knowledge(**SIGMAS), "facet 1.2 m at 9.65 m, pose from the outline"),
-    "frame": (
-        frame_filling_scene,
-        Knowledge(pose_known=True, sigma_pose_rotation_mrad=1.0, sigma_pose_translation_mm=1.0, **SIGMAS),
-        "facet 2.7 m x 2.0 m fills the frame, pose given",
-    ),
+    "large": (large_facet_scene, Knowledge(**SIGMAS), "facet 2.4 m x 1.8 m fills two thirds of the frame"),
 }
 
 
