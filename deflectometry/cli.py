@@ -29,7 +29,7 @@ def run_command(
         typer.Option("--align", help="Orientation the slopes refer to.  [default: as measurement.toml says]"),
     ] = None,
     grid_step_mm: Annotated[
-        float | None, typer.Option("--grid-step-mm", help="Grid step of the maps.  [default: half the pixel spacing]")
+        float | None, typer.Option("--grid-step-mm", help="Grid step of the maps.  [default: 0.4 of the pixel spacing]")
     ] = None,
     remove: Annotated[
         Literal["nothing", "tilt", "focus", "quadratic"] | None,
@@ -44,10 +44,10 @@ def run_command(
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
     from deflectometry.evaluate import Align
     from deflectometry.headline import headline_text
-    from deflectometry.pipeline import Options, run, summarise, write
+    from deflectometry.pipeline import Options, run, write
     from heliogauge.measurement import load_measurement
     from heliogauge.slope_removal import Removal
-    from heliogauge.store import ResultFolder
+    from heliogauge.store import ResultFolder, read_summary
     from heliogauge.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
@@ -69,7 +69,7 @@ def run_command(
     for text in result.warnings:
         typer.echo(f"warning: {text}", err=True)
     if not quiet:
-        typer.echo(headline_text(summarise(result)))
+        typer.echo(headline_text(read_summary(out)))
         typer.echo(f"results: {out}")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deflectometry.facet import find_mirrors
-from deflectometry.outline_edges import OutlineSearch, edge_margin_px
+from deflectometry.outline_edges import OutlineFit, OutlineSearch, edge_margin_px
 from deflectometry.pose_observations import KnownPoints
 from deflectometry.pose_start import mirror_regions
 from heliogauge.camera import Camera
@@ -21,6 +21,8 @@ SHARP_MARGIN_PX = 0.5 * float(np.sqrt(2.0))
 #: Offsets of the outline beyond this many of their sigmas are said, and those beyond this share of the edge's width.
 _OFF_SIGMAS = 3.0
 _OFF_WIDTH = 0.2
+#: A fit whose corners are farther off the given pose than this share of a facet follows other edges than the mirror's.
+_FARTHEST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,7 @@ def check_given_pose(
         regions = mirror_regions(found, len(facets))
         facet_px = float(np.sqrt(np.median([region.area_px for region in regions])))
         fit = OutlineSearch(image, camera, facets, found.noise_dn, facet_px).follow(pose, KnownPoints())
+        _refuse_strayed(fit, camera, facets, pose, facet_px)
     except EstimationError as error:
         warnings.warn(
             f"the given pose of the mirror could not be held against the image: {error}", QualityWarning, stacklevel=3
@@ -98,3 +101,17 @@ def check_given_pose(
             stacklevel=3,
         )
     return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms)
+
+
+def _refuse_strayed(
+    fit: OutlineFit, camera: Camera, facets: Sequence[Facet], pose: RigidTransform, facet_px: float
+) -> None:
+    """Refuse a fit that left the given pose for edges of something else (a facet beside the image's border, say)."""
+    corners = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets])
+    shift = camera.project(fit.pose.apply(corners)) - camera.project(pose.apply(corners))
+    farthest = float(np.max(np.hypot(*shift.T)))
+    if not farthest <= _FARTHEST * facet_px:
+        raise EstimationError(
+            f"the edges found put a corner {farthest:.1f} px from where the given pose has it; check [mirror.pose], "
+            "and leave some room between the mirror and the border of the image"
+        )

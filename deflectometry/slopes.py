@@ -351,6 +351,11 @@ def _fit_potential(
 ) -> FloatArray:
     """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient)."""
     usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
+    if np.count_nonzero(usable) < (degree + 1) * (degree + 2) // 2:
+        raise EstimationError(
+            f"slopes: only {np.count_nonzero(usable)} of {usable.size} lines of sight meet the mirror's surface; check "
+            "the camera (focal length and center in pixels), the mirror's pose and its design (all in metres)"
+        )
     u, v = (points_m[:2, usable] - surface.center_m[:, None]) / surface.scale_m
     matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
     target = slope_error[:, usable]
