@@ -82,8 +82,8 @@ def _solve(right: FloatArray, pair_x: BoolArray, pair_y: BoolArray) -> FloatArra
 
 
 def _laplace_eigenvalues(shape: tuple[int, int]) -> FloatArray:
-    """Return the eigenvalues of the Neumann Laplacian on the even grid that the cosine transform needs."""
-    rows, columns = (size + size % 2 for size in shape)
+    """Return the eigenvalues of the Neumann Laplacian on an even grid whose cosine transform is quick."""
+    rows, columns = (2 * cv2.getOptimalDFTSize((size + 1) // 2) for size in shape)
     along_y = 2.0 - 2.0 * np.cos(np.pi * np.arange(rows) / rows)
     along_x = 2.0 - 2.0 * np.cos(np.pi * np.arange(columns) / columns)
     eigenvalues = along_y[:, None] + along_x[None, :]
