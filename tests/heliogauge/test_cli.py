@@ -166,9 +166,11 @@ class TestMounted:
 def test_signals_unwind_the_stack(number: int) -> None:
     """What stands in a ``finally`` runs: that is what removes a half-written result."""
     program = f"""
-import os, sys, time
+import os, signal, sys, time
 from types import ModuleType
 import typer
+# A test run started in the background hands down an ignored SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from heliogauge import cli, commands
 app = commands.make_app("A probe.")
 @app.command("run")
