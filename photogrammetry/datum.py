@@ -173,6 +173,9 @@ def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntAr
     rows = np.concatenate(seen) / np.maximum(np.concatenate(sizes), 1e-300)[:, None]
     if not rows.size:
         return movements
+    if len(rows) > movements.count:
+        # Same right vectors; a full left factor of thousands of control points would be a square of thousands.
+        rows = np.linalg.qr(rows, mode="r")
     _, singular, right = np.linalg.svd(rows)
     rank = int(np.count_nonzero(singular > _FREE * max(1.0, singular[0])))
     return movements.combined(right[rank:].T)

@@ -1,5 +1,7 @@
 """Datum: movements that no image point sees, and how the datum's choice is made and said."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -111,3 +113,15 @@ def test_alignment_to_control_points_and_constraints():
     line = {str(i): np.array([float(i), 0, 0]) for i in range(3)}
     with pytest.raises(EstimationError, match="one line"):
         aligned_to_control(away, names, line)
+
+
+def test_thousands_of_control_points_need_little_memory():
+    # A full left factor of the 6000 rows of 2000 fixed targets alone would be 288 MB.
+    truth, _ = network(np.random.default_rng(2), 5, 2000)
+    movements = similarity_movements(truth)
+    tracemalloc.start()
+    free = free_movements(movements, [], np.arange(2000))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert free.count == 0
+    assert peak < 20e6
