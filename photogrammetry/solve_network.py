@@ -1,6 +1,6 @@
 """From image points to an adjusted network: start values, eccentricity, outliers, sigmas."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from photogrammetry.bundle_diagnosis import require
 from photogrammetry.bundle_statistics import Rejected, adjust_and_reject, examine_image_points
 from photogrammetry.constraints import Constraint, ControlPoint
 from photogrammetry.eccentricity import eccentricities_px, estimate_discs
-from photogrammetry.network import LeftOut, Network, build_network
+from photogrammetry.network import LeftOut, Network, StartValues, build_network
 from photogrammetry.observations import ImagePoints
 
 __all__ = ["Knowledge", "SolveOptions", "Solved", "solve_network"]
@@ -35,11 +35,14 @@ class Knowledge:
         Control points without error [m].
     datum : Datum
         The datum.
+    start : StartValues, optional
+        Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
     """
 
     constraints: tuple[Constraint, ...]
     fixed_m: dict[str, FloatArray]
     datum: Datum
+    start: StartValues = field(default_factory=StartValues)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +125,7 @@ def solve_network(
         The photos do not hang together, or something is not determined; it is named.
     """
     camera, model = cameras
-    network = build_network(points, [camera], models=[model])
+    network = build_network(points, [camera], models=[model], start=knowledge.start)
     rows = network.rows if options.reject else _with_suspicious(points, network)
     table = points.subset(rows).compacted()
     network = network if options.reject else _complete(network, table)
@@ -193,6 +196,10 @@ def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, know
     control = {one.target: one.xyz_m for one in problem.constraints if isinstance(one, ControlPoint)}
     if len(control) >= 3:
         return aligned_to_control(state, table.targets, control)
+    given = {name: knowledge.start.points_m[name] for name in table.targets if name in knowledge.start.points_m}
+    if not problem.constraints and len(given) >= 3:
+        # Growing moved the network a little; inner constraints refer to the start.
+        return aligned_to_control(state, table.targets, given)
     return aligned_to_constraints(state, table.targets, problem.constraints)
 
 
