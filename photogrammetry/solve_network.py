@@ -17,7 +17,7 @@ from photogrammetry.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.network import LeftOut, Network, StartValues, build_network
 from photogrammetry.observations import ImagePoints
 
-__all__ = ["Knowledge", "SolveOptions", "Solved", "solve_network"]
+__all__ = ["Knowledge", "SolveOptions", "Solved", "solve_from", "solve_network"]
 
 #: Sigmas from residuals need this many to spare to be worth more than the stated ones.
 _LEAST_REDUNDANCY = 20
@@ -126,6 +126,44 @@ def solve_network(
     """
     camera, model = cameras
     network = build_network(points, [camera], models=[model], start=knowledge.start)
+    return solve_from(network, points, ellipses_px2, model, knowledge, options)
+
+
+def solve_from(
+    network: Network,
+    points: ImagePoints,
+    ellipses_px2: FloatArray,
+    model: CameraModel,
+    knowledge: Knowledge,
+    options: SolveOptions,
+) -> Solved:
+    """Solve a photo network from start values.
+
+    Parameters
+    ----------
+    network : Network
+        Start values; its rows are those of the image points.
+    points : ImagePoints
+        All image points, false ones among them.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Ellipses of the targets; NaN where there is none [px^2].
+    model : CameraModel
+        What of the camera is free.
+    knowledge : Knowledge
+        Scale bars, control points, constraints and datum.
+    options : SolveOptions
+        How to solve.
+
+    Returns
+    -------
+    Solved
+        The adjusted network.
+
+    Raises
+    ------
+    EstimationError
+        Something is not determined; it is named.
+    """
     rows = network.rows if options.reject else _with_suspicious(points, network)
     table = points.subset(rows).compacted()
     network = network if options.reject else _complete(network, table)
