@@ -1,7 +1,7 @@
 """Start values of a whole photo network from image points alone: photo by photo, the best-conditioned next."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from photogrammetry.network_growth import (
     grow,
     intersect_new,
     places_of,
+    projected,
     rows_inside,
 )
 from photogrammetry.observations import ImagePoints, IntArray
@@ -27,6 +28,8 @@ from photogrammetry.resection import LEAST_TARGETS
 from photogrammetry.triangulation import LEAST_ANGLE_RAD
 
 _MOST_PAIRS = 12
+# A start farther off than this share of the image is not of these photos.
+_FAR_START = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,22 @@ class LeftOut:
 
     name: str
     reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartValues:
+    """Poses and targets known about, by name; empty where nothing is.
+
+    Parameters
+    ----------
+    cam_from_world : mapping of str to RigidTransform, optional
+        Poses of photos.
+    points_m : mapping of str to ndarray of shape (3,), optional
+        Coordinates of targets, in the frame of the poses [m].
+    """
+
+    cam_from_world: Mapping[str, RigidTransform] = field(default_factory=dict)
+    points_m: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +102,9 @@ def build_network(
     *,
     models: Sequence[CameraModel] | None = None,
     camera_of_photo: IntArray | None = None,
-    start_noise_px: float | None = None,
+    start: StartValues | None = None,
 ) -> Network:
-    """Find start values of poses and targets without any given.
+    """Find start values of poses and targets, from those given or without any.
 
     Parameters
     ----------
@@ -97,9 +116,9 @@ def build_network(
         Intrinsics that are free; they are estimated as soon as the network bears it. Known cameras by default.
     camera_of_photo : ndarray of int, optional
         Camera of each photo; the first by default.
-    start_noise_px : float, optional
-        How far image points may be off at the start, lens included; by default 1 px for known cameras and 2/1000 of
-        the image width for guessed ones [px].
+    start : StartValues, optional
+        Poses of at least two photos to go on from, instead of choosing a pair; frame and scale of the network are
+        theirs. Photos and targets without start values are tied in as always.
 
     Returns
     -------
@@ -122,10 +141,12 @@ def build_network(
     chosen = tuple(models) if models else tuple(CameraModel(f"camera {i + 1}") for i in range(len(cameras)))
     mean_sigma = float(np.sqrt(np.median(np.einsum("mii->m", observations.covariance_px2)) / 2))
     guessed = any(model.free for model in chosen)
-    default_px = 0.002 * cameras[0].width_px if guessed else 1.0
-    noise = max(1.0, (start_noise_px or default_px) / mean_sigma)
+    # Lens included: image points may be off by so much before anything is adjusted.
+    noise_px = 0.002 * cameras[0].width_px if guessed else 1.0
+    noise = max(1.0, noise_px / mean_sigma)
     empty = Growth(observations, index, list(cameras), chosen, noise)
-    grown = _started(empty)
+    placed = start is not None and sum(name in start.cam_from_world for name in observations.photos) >= 2
+    grown = _resumed(empty, start) if start is not None and placed else _started(empty)
     grow(grown)
     return _finished(grown)
 
@@ -154,6 +175,28 @@ def guessed_camera(width_px: int, height_px: int, *, focal_length_35mm: float | 
     longest = max(width_px, height_px)
     focal_px = longest * (focal_length_35mm or 28.0) / 36.0
     return Camera(width_px, height_px, focal_px, focal_px, 0.5 * (width_px - 1), 0.5 * (height_px - 1))
+
+
+def _resumed(empty: Growth, start: StartValues) -> Growth:
+    """Go on from poses and targets that are given."""
+    for place, photo in enumerate(empty.table.photos):
+        if photo in start.cam_from_world:
+            empty.poses[place] = start.cam_from_world[photo]
+    for place, target in enumerate(empty.table.targets):
+        if target in start.points_m:
+            empty.points[place] = start.points_m[target]
+    intersect_new(empty)
+    rows = rows_inside(empty)
+    misses = np.linalg.norm(projected(empty, rows) - empty.table.pixels_px[rows], axis=1)
+    typical = float(np.median(np.nan_to_num(misses, nan=np.inf))) if rows.size else np.inf
+    if typical > _FAR_START * empty.cameras[0].width_px:
+        raise EstimationError(
+            f"network: most image points are {typical:.0f} px or more from where the given start has them; are its "
+            "poses cam_from_world and of one model with its points, and is the camera right?"
+        )
+    adjust_growth(empty)
+    intersect_new(empty)
+    return empty
 
 
 def _started(empty: Growth) -> Growth:

@@ -211,7 +211,7 @@ def adjust_growth(grown: Growth) -> None:
     """
     for _ in range(2):
         rows = rows_inside(grown)
-        rows = rows[_front(grown, rows)]
+        rows = rows[np.isfinite(projected(grown, rows)).all(axis=1)]
         rays = np.bincount(grown.table.target_index[rows], minlength=len(grown.points))
         grown.points[grown.known & (rays < 2)] = np.nan
         rows = rows[rays[grown.table.target_index[rows]] >= 2]
@@ -249,14 +249,14 @@ def places_of(all_names: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
     return np.array([place[name] for name in names], dtype=np.intp)
 
 
-def _front(grown: Growth, rows: IntArray) -> BoolArray:
-    """Mark rows whose target is in front of its camera and inside its lens model."""
-    visible = np.zeros(rows.size, dtype=np.bool_)
+def projected(grown: Growth, rows: IntArray) -> FloatArray:
+    """Return where targets should be seen, shape (k, 2) [px]; NaN behind the camera or outside its lens model."""
+    pixels = np.empty((rows.size, 2))
     for photo in np.unique(grown.table.photo_index[rows]).tolist():
         own = grown.table.photo_index[rows] == photo
         points = grown.poses[photo].apply(grown.points[grown.table.target_index[rows[own]]])
-        visible[own] = np.isfinite(grown.camera(photo).project(points)).all(axis=1)
-    return visible
+        pixels[own] = grown.camera(photo).project(points)
+    return pixels
 
 
 def _bearable(model: CameraModel, grown: Growth, camera: int, n_rows: int) -> CameraModel:

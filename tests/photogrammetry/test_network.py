@@ -9,7 +9,7 @@ from photogrammetry.alignment import aligned_to_control
 from photogrammetry.bundle import BundleProblem, CameraModel, adjust, bundle_state
 from photogrammetry.bundle_diagnosis import require
 from photogrammetry.detections import Detections
-from photogrammetry.network import build_network, guessed_camera
+from photogrammetry.network import StartValues, build_network, guessed_camera
 from photogrammetry.observations import ImagePoints, detected_points
 from tests.photogrammetry.bundle_networks import camera_of, look_at, network, observe
 
@@ -34,6 +34,31 @@ def test_known_camera(height):
     assert len(found.observations.targets) == 40
     assert found.photos_left_out == found.targets_left_out == found.suspicious == ()
     agrees(found, truth, 0.01)
+
+
+def test_start_values_are_gone_on_from_in_their_own_frame():
+    rng = np.random.default_rng(4)
+    truth, _ = network(rng, 10, 40)
+    points = observe(truth, rng, 0.1)
+    # Three photos and half of the targets have start values, a little off; the rest is tied in.
+    poses = {f"photo{i}": truth.cam_from_world(i).moved(rng.normal(0, 3e-3, 6)) for i in (0, 4, 7)}
+    near = {f"t{i}": truth.points_m[i] + rng.normal(0, 5e-3, 3) for i in range(20)}
+    found = build_network(points, truth.cameras, start=StartValues(poses, near))
+    assert len(found.observations.photos) == 10
+    assert len(found.observations.targets) == 40
+    order = [int(name[1:]) for name in found.observations.targets]
+    np.testing.assert_allclose(found.state.points_m, truth.points_m[order], atol=0.02)
+    alone = build_network(points, truth.cameras)
+    assert np.abs(alone.state.points_m - truth.points_m[order]).max() > 0.5
+
+
+def test_start_values_the_wrong_way_round_are_refused():
+    rng = np.random.default_rng(4)
+    truth, points = network(rng, 6, 40)
+    poses = {f"photo{i}": truth.cam_from_world(i).inverse() for i in range(6)}
+    near = {f"t{i}": truth.points_m[i] for i in range(40)}
+    with pytest.raises(EstimationError, match="cam_from_world"):
+        build_network(points, truth.cameras, start=StartValues(poses, near))
 
 
 def test_guessed_camera_calibrates_itself():
