@@ -107,6 +107,14 @@ class ScaleBarSection(Section):
     check_only: bool = False
 
 
+class PermissibleLengthErrorSection(Section):
+    """Largest permissible length measurement error, ``a + L / k`` but at most b (VDI/VDE 2634 part 1)."""
+
+    a_mm: Positive
+    k: Annotated[float, Field(strict=True, gt=0)] = float("inf")
+    b_mm: Annotated[float, Field(strict=True, gt=0)] = float("inf")
+
+
 class ControlPointSection(Section):
     """A target with known coordinates; without sigma it is held."""
 
@@ -181,6 +189,7 @@ class PhotogrammetryModel(Section):
     image_points: ImagePointsSection | None = None
     targets: TargetsSection | None = None
     scale_bar: tuple[ScaleBarSection, ...] = ()
+    permissible_length_error: PermissibleLengthErrorSection | None = None
     control_point: tuple[ControlPointSection, ...] = ()
     constraint: tuple[KnowledgeSection, ...] = ()
     datum: DatumSection = DatumSection()

@@ -244,6 +244,12 @@ length_m = 1.5
 sigma_mm = 0.02
 #: check_only = false
 
+# How far a length may be off, a + L / k but at most b, as VDI/VDE 2634 part 1 has it: said of bars that were not used.
+#: [permissible_length_error]
+#: a_mm = 0.02
+#: k = 100000.0                 # 0.01 mm more for each metre
+#: b_mm = 0.1
+
 # Control points; without sigma_mm they are held exactly.
 #: [[control_point]]
 #: target = "7"

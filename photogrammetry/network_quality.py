@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
 from photogrammetry.bundle import BundleResult
 from photogrammetry.constraints import Distance
-from photogrammetry.observations import IntArray
+from photogrammetry.length_error import LengthRole, LengthStatement, Verdict, measured_length
 from photogrammetry.solve_network import Solved
 
 Numbers = dict[str, float | int | None]
@@ -64,34 +63,20 @@ def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[Checke
         if not all(name in place for name in one.targets):
             continue
         pair = np.array([place[name] for name in one.targets], dtype=np.intp)
-        difference = bundle.points_m[pair[0]] - bundle.points_m[pair[1]]
-        length = float(np.linalg.norm(difference))
-        direction = np.concatenate([difference, -difference]) / length
-        variance = float(direction @ _joint(bundle, pair) @ direction)
-        sigma = float(np.sqrt(max(variance, 0.0)))
+        length, sigma = measured_length(bundle, pair)
         found.append(CheckedDistance(one.name, known, one.distance_m, one.sigma_m, length, sigma))
     return tuple(found)
 
 
-def _joint(bundle: BundleResult, pair: IntArray) -> FloatArray:
-    """Return the joint covariance of two targets, of which some may be fixed, shape (6, 6)."""
-    free = np.isin(pair, bundle.problem.target_indices(bundle.problem.fixed), invert=True)
-    joint = np.zeros((6, 6))
-    if free.any():
-        rows = np.nonzero(np.repeat(free, 3))[0]
-        joint[np.ix_(rows, rows)] = bundle.covariance.joint(targets=pair[free])
-    return joint
-
-
-def headline(solved: Solved, checks: Sequence[Distance]) -> tuple[Numbers, dict[str, str]]:
+def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[str, str]]:
     """Return the headline numbers, and why some are not determined.
 
     Parameters
     ----------
     solved : Solved
         The adjusted network.
-    checks : sequence of Distance
-        Scale bars that were not used.
+    lengths : LengthStatement
+        Known lengths against the network.
 
     Returns
     -------
@@ -104,7 +89,7 @@ def headline(solved: Solved, checks: Sequence[Distance]) -> tuple[Numbers, dict[
     sigmas = bundle.sigma_points_m[table.n_rays > 0]
     size_m = _extent_m(bundle)
     mean_sigma = np.sqrt((sigmas**2).mean(axis=0))
-    checked = bar_checks(bundle, checks)
+    checked = bar_checks(bundle, ())
     low, high = bundle.variance_factor_interval()
     overall = float(np.sqrt((mean_sigma**2).mean()))
     numbers: Numbers = {
@@ -128,15 +113,20 @@ def headline(solved: Solved, checks: Sequence[Distance]) -> tuple[Numbers, dict[
         "relative_precision_ratio": size_m / overall if overall > 0 else None,
         "largest_eccentricity_px": solved.largest_eccentricity_px,
         "rejected_image_points_count": len(solved.rejected) + len(solved.network.suspicious),
-        "scale_bar_residual_rms_m": _rms([one.measured_m - one.known_m for one in checked if one.used]),
-        "length_error_rms_m": _rms([one.measured_m - one.known_m for one in checked if not one.used]),
-        "length_error_largest_m": max((abs(one.measured_m - one.known_m) for one in checked if not one.used),
-                                      default=None),
-    }  # fmt: skip
+        "scale_bar_residual_rms_m": _rms([one.measured_m - one.known_m for one in checked]),
+        **_length_numbers(lengths),
+    }
     reasons = {
         "scale_bar_residual_rms_m": "no scale bar was used",
-        "length_error_rms_m": "no scale bar was kept apart (check_only = true)",
-        "length_error_largest_m": "no scale bar was kept apart (check_only = true)",
+        **dict.fromkeys(
+            ("length_error_rms_m", "length_error_largest_m", "length_error_sigma_ratio"),
+            "no scale bar was kept apart (check_only = true)",
+        ),
+        **dict.fromkeys(
+            ("length_error_left_out_rms_m", "length_error_left_out_largest_m", "length_error_left_out_sigma_ratio"),
+            "leaving a scale bar out needs at least two",
+        ),
+        "length_errors_outside_count": "no permissible error is stated ([permissible_length_error])",
         "relative_precision_ratio": "all points are held",
         **dict.fromkeys(
             ("sigma0_ratio", "variance_factor", "variance_factor_low_factor", "variance_factor_high_factor"),
@@ -145,6 +135,76 @@ def headline(solved: Solved, checks: Sequence[Distance]) -> tuple[Numbers, dict[
     }
     missing = {key: reasons[key] for key, value in numbers.items() if value is None or not np.isfinite(value)}
     return {key: None if key in missing else value for key, value in numbers.items()}, missing
+
+
+def _length_numbers(lengths: LengthStatement) -> Numbers:
+    numbers: Numbers = {}
+    for role, name in ((LengthRole.KEPT_APART, "length_error"), (LengthRole.LEFT_OUT, "length_error_left_out")):
+        errors = [one.error_m for one in lengths.of(role)]
+        numbers[f"{name}_rms_m"] = _rms(errors)
+        numbers[f"{name}_largest_m"] = max(map(abs, errors), default=None)
+        numbers[f"{name}_sigma_ratio"] = _rms([one.error_m / one.sigma_error_m for one in lengths.of(role)])
+    numbers["lengths_checked_count"] = len(lengths.best)
+    numbers["measuring_lines_count"] = len(lengths.lengths_of_line)
+    outside = sum(one.verdict is Verdict.OUTSIDE for one in lengths.best)
+    numbers["length_errors_outside_count"] = None if lengths.permissible is None else outside
+    return numbers
+
+
+def length_doubts(lengths: LengthStatement) -> tuple[str, ...]:
+    """Say which known lengths, that the network did not use, disagree with it.
+
+    Parameters
+    ----------
+    lengths : LengthStatement
+        Known lengths against the network.
+
+    Returns
+    -------
+    tuple of str
+        Sentences with numbers.
+    """
+    said = [
+        f"{one.name}, kept apart, is off by {1e3 * one.error_m:+.3f} mm, {abs(one.error_m) / one.sigma_error_m:.1f} "
+        "times the sigma of this error: the lengths of this network are not as sure as their sigmas say"
+        for one in lengths.of(LengthRole.KEPT_APART)
+        if abs(one.error_m) > _DOUBTFUL * one.sigma_error_m
+    ]
+    outside = [one.name for one in lengths.best if one.verdict is Verdict.OUTSIDE]
+    if outside:
+        said.append(f"length errors beyond the permissible one: {', '.join(outside)}")
+    return tuple(said)
+
+
+def quality_texts(lengths: LengthStatement, extent_m: float) -> dict[str, str]:
+    """Say what the numbers of quality mean, and what of VDI/VDE 2634 part 1 is fulfilled.
+
+    Parameters
+    ----------
+    lengths : LengthStatement
+        Known lengths against the network.
+    extent_m : float
+        Largest distance of two points [m].
+
+    Returns
+    -------
+    dict of str to str
+        Sentences for the summary.
+    """
+    limit, texts = lengths.permissible, {"length_check": lengths.coverage_text}
+    if limit is not None:
+        slope = f" + L / {limit.k:g}" if np.isfinite(limit.k) else ""
+        bound = f", at most {1e3 * limit.b_m:g} mm" if np.isfinite(limit.b_m) else ""
+        verdict = {"": "no length to decide with", "open": "undecided: the known lengths' own uncertainty decides"}
+        answer = verdict.get(lengths.verdict.value, f"{lengths.verdict.value} for all {len(lengths.best)} lengths")
+        if lengths.verdict is Verdict.OUTSIDE:
+            outside = sum(one.verdict is Verdict.OUTSIDE for one in lengths.best)
+            answer = f"exceeded by {outside} of {len(lengths.best)} lengths"
+        texts["permissible_length_error"] = f"{1e3 * limit.a_m:g} mm{slope}{bound}: {answer}"
+    texts["relative_precision"] = (
+        f"1:N with N the largest distance of two targets ({extent_m:.3f} m) over the RMS of all coordinates' sigmas"
+    )
+    return texts
 
 
 def _extent_m(bundle: BundleResult) -> float:

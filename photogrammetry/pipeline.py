@@ -23,7 +23,8 @@ from heliogauge.store import (
 )
 from photogrammetry.bundle_statistics import examine_image_points, examine_intrinsics
 from photogrammetry.constraints import Distance
-from photogrammetry.network_quality import bar_checks, doubts, headline
+from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
+from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
 from photogrammetry.pipeline_inputs import build_camera, build_constraints, build_datum, build_model
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
@@ -57,6 +58,8 @@ class Result:
         The adjusted network.
     checks : tuple of Distance
         Scale bars that were not used, to check against.
+    lengths : LengthStatement
+        Known lengths against a network that did not use them.
     warnings : tuple of str
         What makes the result doubtful.
     durations_s : dict of str to float
@@ -69,6 +72,7 @@ class Result:
     measured: MeasuredPhotos
     solved: Solved
     checks: tuple[Distance, ...]
+    lengths: LengthStatement
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -149,8 +153,11 @@ def run(
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
     with progress.stage("statistics"):
-        said = (*measured.warnings, *doubts(solved))
-    return Result(model.name, measured, solved, checks, said, dict(progress.durations_s), hashes)
+        limit = model.permissible_length_error
+        permissible = None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
+        lengths = state_length_errors(solved.bundle, checks, permissible)
+        said = (*measured.warnings, *doubts(solved), *length_doubts(lengths))
+    return Result(model.name, measured, solved, checks, lengths, said, dict(progress.durations_s), hashes)
 
 
 def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
@@ -217,6 +224,7 @@ def write(result: Result, folder: Path) -> None:
         folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
     )
     write_table_csv(folder / "constraints.csv", _constraint_columns(result))
+    write_table_csv(folder / "lengths.csv", _length_columns(result))
     write_table_csv(folder / "intrinsics.csv", _intrinsic_columns(result))
     write_summary(folder / "summary.json", summarise(result))
 
@@ -277,6 +285,13 @@ def _constraint_columns(result: Result) -> dict[str, Any]:
     }
 
 
+def _length_columns(result: Result) -> dict[str, Any]:
+    names = ("name", "role", "line", "known_m", "sigma_known_m", "measured_m", "sigma_measured_m", "error_m",
+             "sigma_error_m", "permissible_m", "verdict")  # fmt: skip
+    columns = {name: [getattr(one, name) for one in result.lengths.checks] for name in names}
+    return columns | {"permissible_m": [v if np.isfinite(v) else np.nan for v in columns["permissible_m"]]}
+
+
 def _intrinsic_columns(result: Result) -> dict[str, Any]:
     tests = examine_intrinsics(result.solved.bundle)
     names = ("camera", "name", "value", "sigma", "significance", "rival", "correlation")
@@ -297,7 +312,7 @@ def summarise(result: Result) -> Summary:
         What ``summary.json`` holds.
     """
     bundle = result.solved.bundle
-    numbers, missing = headline(result.solved, result.checks)
+    numbers, missing = headline(result.solved, result.lengths)
     camera = result.camera
     model = bundle.problem.cameras[0]
     scale = "residuals" if result.solved.image_sigma_factor != 1.0 else "statement"
@@ -306,6 +321,7 @@ def summarise(result: Result) -> Summary:
         "camera": f"{camera.width_px} x {camera.height_px} px; estimated: {', '.join(model.free) or 'nothing'}",
         "sigma": f"1 standard deviation under this datum; size of the image points' sigmas from their {scale}",
         "rejected": f"{len(result.refused)} items, see rejected.csv",
+        **quality_texts(result.lengths, float(numbers["extent_m"] or 0.0)),
     }
     return Summary(
         kind="photogrammetry",

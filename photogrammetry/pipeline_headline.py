@@ -32,6 +32,7 @@ def headline_text(summary: Summary) -> str:
         f"{said('relative_precision_ratio', 1, '.0f')}",
         f"  scale bars       used: {said('scale_bar_residual_rms_m', 1e3, '.3f', ' mm RMS')}; "
         f"kept apart: {said('length_error_rms_m', 1e3, '.3f', ' mm RMS')}",
+        f"  length errors    {summary.texts['length_check']}",
         f"  datum            {summary.texts['datum']}",
         f"  left out         {summary.texts['rejected']}",
     ]

@@ -112,6 +112,27 @@ def test_bar_kept_apart_checks_the_scale(points_folder: Path, tmp_path: Path) ->
 
     numbers = summarise(run(load_photogrammetry(changed(points_folder, tmp_path / "x", keep_one_apart)))).numbers
     assert 0 < numbers["length_error_rms_m"] < 6e-5
+    assert numbers["length_errors_outside_count"] is None
+
+
+def test_length_errors_have_their_file_and_their_limits(points_folder: Path, tmp_path: Path) -> None:
+    def apart_with_a_limit(content):
+        content["scale_bar"][2]["check_only"] = True
+        content["scale_bar"][2]["length_m"] += 0.001
+        content["permissible_length_error"] = {"a_mm": 0.05, "k": 1e5, "b_mm": 0.2}
+
+    result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", apart_with_a_limit)))
+    (tmp_path / "out").mkdir()
+    write(result, tmp_path / "out")
+    table = read_table_csv(tmp_path / "out" / "lengths.csv")
+    assert table["role"] == ["kept apart", "left out", "left out"]
+    assert float(table["error_m"][0]) == pytest.approx(-0.001, abs=6e-5)
+    assert table["verdict"] == ["outside", "inside", "inside"]
+    summary = read_summary(tmp_path / "out")
+    assert summary.numbers["length_errors_outside_count"] == 1
+    assert "exceeded by 1 of 1 lengths" in summary.texts["permissible_length_error"]
+    assert "1 lengths on 1 measuring lines" in summary.texts["length_check"]
+    assert any("kept apart, is off by -1.0" in text for text in summary.warnings)
 
 
 def test_contradictory_scale_bar_is_named(points_folder: Path, tmp_path: Path) -> None:
