@@ -191,10 +191,7 @@ def to_photogrammetric(
         direction=lens.direction,
     )
     forward = _camera_from_photogrammetric(exact, down, sign)[_WITHOUT_SKEW]
-    # Columns differ by ten powers of ten (K3 in mm^-6 against px): scale before inverting.
-    scale = np.abs(forward).max(axis=0)
-    inverse = np.linalg.inv(forward / scale) / scale[:, None]
-    covariance = _symmetric(inverse @ camera.covariance[np.ix_(_WITHOUT_SKEW, _WITHOUT_SKEW)] @ inverse.T)
+    covariance = carried_back(forward, camera.covariance[np.ix_(_WITHOUT_SKEW, _WITHOUT_SKEW)])
     values = {name: getattr(exact, name) for name in PhotogrammetricParameters.__slots__}
     return PhotogrammetricParameters(**{**values, "covariance": covariance})
 
@@ -212,6 +209,34 @@ def _camera_from_photogrammetric(parameters: PhotogrammetricParameters, down: fl
     jacobian[8, 7], jacobian[8, 0] = focal, parameters.tangential[0]
     jacobian[7, 8], jacobian[7, 0] = sign * focal, sign * parameters.tangential[1]
     return jacobian
+
+
+def carried_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Carry a covariance through the inverse of a linear map.
+
+    Parameters
+    ----------
+    forward : ndarray, shape (n, n)
+        Derivative of the quantities whose covariance is known by the wanted ones.
+    covariance : ndarray, shape (n, n)
+        The known covariance.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Covariance of the wanted quantities; exactly zero for those that only rounding moves, such as the ratio of two
+        focal lengths that were estimated as one.
+    """
+    # Columns differ by ten powers of ten (K3 in mm^-6 against px): scale before inverting.
+    scale = np.abs(forward).max(axis=0)
+    inverse = np.linalg.inv(forward / scale) / scale[:, None]
+    carried = _symmetric(inverse @ covariance @ inverse.T)
+    largest = np.einsum("ij,jk,ik->i", np.abs(inverse), np.abs(covariance), np.abs(inverse))
+    # Sums of ten terms round to 1e-15 of the largest; a real variance that small would be a correlation of 1 - 1e-12.
+    held = np.diag(carried) <= 1e-12 * largest
+    carried[held] = 0.0
+    carried[:, held] = 0.0
+    return carried
 
 
 def _symmetric(covariance: FloatArray) -> FloatArray:
