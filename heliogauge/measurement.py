@@ -137,7 +137,9 @@ class PhotogrammetryMeasurement:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
-        named = (self.model.camera.file, self.model.image_points and self.model.image_points.file)
+        model = self.model
+        named = [model.camera.file, model.image_points and model.image_points.file]
+        named += [] if model.start is None else model.start.names
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
 
 

@@ -159,6 +159,18 @@ class PlaneSection(Section):
     offset_m: Number = 0.0
 
 
+class StartSection(Section):
+    """Start values that are known: coordinates of targets, poses of photos; an inner datum refers to the former."""
+
+    points: Text | None = None
+    cameras: Text | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The files that are named."""
+        return tuple(name for name in (self.points, self.cameras) if name is not None)
+
+
 class DatumSection(Section):
     """How position, rotation and scale are defined where constraints and control points leave them open."""
 
@@ -192,6 +204,7 @@ class PhotogrammetryModel(Section):
     permissible_length_error: PermissibleLengthErrorSection | None = None
     control_point: tuple[ControlPointSection, ...] = ()
     constraint: tuple[KnowledgeSection, ...] = ()
+    start: StartSection | None = None
     datum: DatumSection = DatumSection()
     adjustment: AdjustmentSection = AdjustmentSection()
 

@@ -273,6 +273,12 @@ sigma_mm = 0.02
 #: targets = ["1", "2", "3", "4", "5"]
 #: sigma_mm = 0.05
 
+# Start values, from an earlier result for example; without them the network starts from the image points alone. Where
+# nothing below or above says otherwise, position, rotation and scale are theirs.
+#: [start]
+#: cameras = "start/cameras.json"
+#: points = "start/points.csv"
+
 # Position, rotation and scale as far as the above leaves them open: inner constraints over all or some targets, or
 # "minimal" (3-2-1) with three targets.
 #: [datum]

@@ -44,6 +44,38 @@ def run_command(
         typer.echo(f"results: {out}")
 
 
+@app.command("import-colmap")
+def import_colmap_command(
+    model: Annotated[
+        Path,
+        typer.Argument(metavar="MODEL", help="Folder with cameras, images, points3D (.bin/.txt).", show_default=False),
+    ],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write.", show_default=False)],
+) -> None:
+    """Write a measurement folder from a COLMAP model, with its poses and points as start values."""
+    from photogrammetry.pipeline_colmap import import_colmap
+
+    for line in import_colmap(model, folder):
+        typer.echo(line)
+    typer.echo(f"measurement folder: {folder}; evaluate it with `heliogauge photogrammetry {folder} -o RESULT`")
+
+
+@app.command("export-colmap")
+def export_colmap_command(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Results folder of photogrammetry.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Model folder; absent or empty.", show_default=False)],
+    binary: Annotated[bool, typer.Option("--binary", help="Write .bin files instead of .txt.")] = False,
+) -> None:
+    """Write a COLMAP model from a results folder; covariances have no place in it."""
+    from photogrammetry.pipeline_colmap import export_colmap
+
+    for line in export_colmap(result, out, binary=binary):
+        typer.echo(line)
+    typer.echo(f"COLMAP model: {out}")
+
+
 @app.command()
 def sheets(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],

@@ -25,7 +25,7 @@ from photogrammetry.bundle_statistics import examine_image_points, examine_intri
 from photogrammetry.constraints import Distance
 from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
-from photogrammetry.pipeline_inputs import build_camera, build_constraints, build_datum, build_model
+from photogrammetry.pipeline_inputs import build_camera, build_constraints, build_datum, build_model, build_start
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
@@ -142,7 +142,7 @@ def run(
     measured = read_points(measurement, options, progress)
     camera = build_camera(measurement, measured.size_px)
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
-    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model))
+    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), build_start(measurement))
     sigmas = model.adjustment.sigmas
     rescale = measured.sigma_assumed if sigmas is None else sigmas == "from residuals"
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)

@@ -17,13 +17,14 @@ from heliogauge.measurement_photogrammetry import (
     PhotogrammetryModel,
     TargetsSection,
 )
-from heliogauge.store import read_camera_json
+from heliogauge.store import read_camera_json, read_cameras_json, read_points_csv
+from heliogauge.validate import FloatArray
 from photogrammetry.bundle import CameraModel, Datum, DatumKind, ResidualSpace
 from photogrammetry.bundle_state import INTRINSIC_NAMES, camera_with_intrinsics, intrinsics_of
 from photogrammetry.coded_targets import Polarity, ring_dictionary
 from photogrammetry.constraints import CommonPlane, Constraint, ControlPoint, Coordinate, Distance, KnownPlane
 from photogrammetry.detect import SearchLimits
-from photogrammetry.network import guessed_camera
+from photogrammetry.network import StartValues, guessed_camera
 from photogrammetry.photo_targets import TargetSearch
 
 _RESIDUALS = {"measured": ResidualSpace.MEASURED, "corrected": ResidualSpace.CORRECTED}
@@ -167,6 +168,36 @@ def _weighted(points: Sequence[ControlPointSection]) -> list[Constraint]:
         for one in points
         if any(one.sigma_mm)
     ]
+
+
+def build_start(measurement: PhotogrammetryMeasurement) -> StartValues:
+    """Read start values, where measurement.toml names some.
+
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        The checked measurement.
+
+    Returns
+    -------
+    StartValues
+        Poses and points; empty without ``[start]``.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read.
+    """
+    section = measurement.model.start
+    if section is None:
+        return StartValues()
+    poses = {} if section.cameras is None else read_cameras_json(measurement.folder / section.cameras)[1]
+    points: dict[str, FloatArray] = {}
+    if section.points is not None:
+        table = read_points_csv(measurement.folder / section.points)
+        known = np.isfinite(table.xyz_m).all(axis=1)
+        points = {table.ids[i]: table.xyz_m[i] for i in np.nonzero(known)[0].tolist()}
+    return StartValues({name: one.cam_from_world for name, one in poses.items()}, points)
 
 
 def build_datum(model: PhotogrammetryModel) -> Datum:
