@@ -96,6 +96,13 @@ class BundleCovariance:
         return np.asarray(0.5 * (result + np.swapaxes(result, 1, 2)))
 
     @cached_property
+    def _held(self) -> BoolArray:
+        """Unknowns of the dense part that the datum holds, shape (g,): their variance is 0 but for rounding."""
+        held = np.zeros(self._layout.n_global, dtype=np.bool_)
+        held[: 6 * self._layout.n_photos] = (self._system.datum.poses != 0).any(axis=2).ravel()
+        return held
+
+    @cached_property
     def _known(self) -> tuple[FloatArray, FloatArray]:
         """``P Q E^T`` for the rows E of constraints and priors: dense part (g, k) and targets (e, 3, k)."""
         extra, layout = self._system.extra, self._layout
@@ -173,6 +180,7 @@ class BundleCovariance:
         raw = self._dense_cofactor[columns[:, :, None], columns[:, None, :]]
         under = self._under_datum(raw, self._system.dense_movements[columns], self._carried[0][columns])
         blocks = self._scaled(under, self._known[0][columns] if self._corrects else None)
+        _hold(blocks, self._held[columns])
         lost = self._unknown_dense[columns]
         blocks[lost[:, :, None] | lost[:, None, :]] = np.nan
         return blocks
@@ -291,7 +299,15 @@ class BundleCovariance:
         under = self._under_datum(raw[None], movements[None], carried[None])
         known = gathered(*self._known)[None] if self._corrects else None
         covariance = self._scaled(under, known)[0]
+        held = np.concatenate([np.zeros(3 * chosen.size, dtype=np.bool_), self._held[dense_columns]])
+        _hold(covariance[None], held[None])
         lost = np.concatenate([np.repeat(self.unknown_targets[chosen], 3), self._unknown_dense[dense_columns]])
         covariance[lost, :] = np.nan
         covariance[:, lost] = np.nan
         return np.asarray(covariance)
+
+
+def _hold(blocks: FloatArray, held: BoolArray) -> None:
+    """Clear rows and columns of blocks, shape (b, k, k), that are held, shape (b, k), in place."""
+    blocks[held] = 0.0
+    np.swapaxes(blocks, 1, 2)[held] = 0.0

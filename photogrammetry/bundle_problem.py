@@ -113,6 +113,9 @@ class BundleProblem:
             raise InputError(f"camera_of_photo: {count} indices below {len(self.cameras)} are needed")
         object.__setattr__(self, "camera_of_photo", index)
         known = set(self.observations.targets)
+        lost = [name for name in self.datum.photos if name not in self.observations.photos]
+        if lost:
+            raise InputError(f"photos {', '.join(lost)}: named by the datum, but not in the network")
         asked = [*constrained_targets(self.constraints), *self.fixed, *self.datum.targets]
         unknown = sorted({name for name in asked if name not in known})
         if unknown:

@@ -12,7 +12,14 @@ from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle_problem import Layout
 from photogrammetry.bundle_rows import BundleModel, CameraRows, ExtraRows, runs
 from photogrammetry.bundle_state import BundleState
-from photogrammetry.datum import DatumConstraints, Movements, datum_constraints, free_movements, similarity_movements
+from photogrammetry.datum import (
+    DatumConstraints,
+    DatumKind,
+    Movements,
+    datum_constraints,
+    free_movements,
+    similarity_movements,
+)
 from photogrammetry.observations import IntArray
 
 # Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
@@ -290,11 +297,14 @@ class SchurSystem:
 
     @cached_property
     def datum(self) -> DatumConstraints:
-        """The datum on the targets that takes the free movements away."""
+        """The datum on targets or photos that takes the free movements away."""
         problem, table = self._problem, self._problem.observations
         free = np.setdiff1d(np.unique(table.target_index), problem.target_indices(problem.fixed)).astype(np.intp)
         chosen = problem.target_indices(problem.datum.targets) if problem.datum.targets else free
         names = [table.targets[i] for i in chosen]
+        if problem.datum.kind is DatumKind.PHOTOS:
+            chosen = np.array([table.photos.index(name) for name in problem.datum.photos], dtype=np.intp)
+            names = list(problem.datum.photos)
         parts = [f"{len(problem.fixed)} fixed targets"] if problem.fixed else []
         parts += [f"{len(problem.constraints)} constraints"] if problem.constraints else []
         defined = " and ".join(parts) if self.movements.count < 7 else ""
@@ -304,6 +314,7 @@ class SchurSystem:
         """Return the datum's columns of the dense part, shape (g, d), and of the eliminated targets, (e, 3, d)."""
         layout, columns = self.layout, self.datum.columns
         dense = np.zeros((layout.n_global, columns.shape[2]))
+        dense[: 6 * layout.n_photos] = self.datum.poses.reshape(6 * layout.n_photos, columns.shape[2])
         if layout.kept.size:
             own = columns[layout.kept].reshape(3 * layout.kept.size, columns.shape[2])
             dense[layout.n_global - 3 * layout.kept.size :] = own
@@ -312,7 +323,9 @@ class SchurSystem:
     @cached_property
     def overlap(self) -> FloatArray:
         """Datum times free movements, ``G^T K``, shape (d, d)."""
-        return np.asarray(np.einsum("nid,nif->df", self.datum.columns, self.movements.points))
+        datum, movements = self.datum, self.movements
+        on_poses = np.einsum("pid,pif->df", datum.poses, movements.poses)
+        return np.asarray(np.einsum("nid,nif->df", datum.columns, movements.points) + on_poses)
 
     def under_datum(self, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Take the movement of the whole network out of steps, shapes (g, k) and (e, 3, k): ``G^T step = 0``."""

@@ -21,6 +21,8 @@ class DatumKind(StrEnum):
 
     INNER = "inner constraints"
     MINIMAL = "minimal constraints (3-2-1)"
+    PHOTOS = "photos held"
+    CONTROL = "control"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +34,28 @@ class Datum:
     kind : DatumKind, optional
         Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against the
         start are zero, which gives them the smallest mean variance. Minimal constraints hold coordinates of three
-        targets, as many as needed.
+        targets, as many as needed. PHOTOS holds position and rotation of one photo and, where there is no scale, one
+        coordinate of another. CONTROL says that constraints and fixed targets must define all.
     targets : tuple of str, optional
         The chosen targets; for inner constraints all by default, for minimal ones three.
+    photos : tuple of str, optional
+        The photos that are held, one or two.
 
     Raises
     ------
     InputError
-        Minimal constraints without exactly three targets.
+        Minimal constraints without exactly three targets, or photos held without one or two.
     """
 
     kind: DatumKind = DatumKind.INNER
     targets: tuple[str, ...] = ()
+    photos: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind is DatumKind.MINIMAL and len(set(self.targets)) != 3:
             raise InputError(f"datum: minimal constraints need three targets, not {len(set(self.targets))}")
+        if self.kind is DatumKind.PHOTOS and not 1 <= len(set(self.photos)) <= 2:
+            raise InputError(f"datum: one or two photos are held, not {len(set(self.photos))}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,17 +191,20 @@ def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntAr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatumConstraints:
-    """Constraint columns of a datum on the targets, with its name.
+    """Constraint columns of a datum on targets and poses, with its name.
 
     Parameters
     ----------
     columns : ndarray, shape (n, 3, d)
-        Steps obey ``sum columns[i, c] * step[i, c] = 0``.
+        Targets: steps obey ``sum columns[i, c] * step[i, c] + sum poses[j, c] * step[j, c] = 0``.
+    poses : ndarray, shape (p, 6, d)
+        The same of the poses.
     text : str
         The datum in words, to print with every sigma.
     """
 
     columns: FloatArray
+    poses: FloatArray
     text: str
 
 
@@ -209,11 +220,11 @@ def datum_constraints(
     movements : Movements
         What is free.
     chosen : ndarray of int
-        The datum's targets.
+        The datum's targets, or its photos.
     defined : str, optional
         What constraints and fixed targets define, in words.
     names : sequence of str, optional
-        Names of the chosen targets, for the text.
+        Names of the chosen ones, for the text.
 
     Returns
     -------
@@ -223,40 +234,62 @@ def datum_constraints(
     Raises
     ------
     EstimationError
-        The chosen targets do not hold the free movements (too few, or on one line).
+        The chosen targets or photos do not hold the free movements (too few, or on one line), or control leaves some.
     """
-    columns = np.zeros(movements.points.shape)
+    columns, poses = np.zeros(movements.points.shape), np.zeros(movements.poses.shape)
     rest = f"; the rest from {defined}" if defined else ""
     if movements.count == 0:
-        return DatumConstraints(columns, f"all of it from {defined}")
-    own = movements.points[chosen].reshape(-1, movements.count)
+        return DatumConstraints(columns, poses, f"all of it from {defined}")
+    if datum.kind is DatumKind.CONTROL:
+        raise EstimationError(
+            f"datum: control points and constraints leave {movements.describe()} open; add some, or choose inner "
+            "constraints"
+        )
+    by_photo = datum.kind is DatumKind.PHOTOS
+    own = (movements.poses if by_photo else movements.points)[chosen].reshape(-1, movements.count)
     singular = np.linalg.svd(own, compute_uv=False)
     if singular.size < movements.count or singular[-1] < 1e-7 * singular[0]:
+        remedy = "name a second photo" if by_photo else "choose at least three that are not on one line"
         raise EstimationError(
-            f"datum: {chosen.size} targets do not define {movements.describe()} of the network; choose at least three "
-            "that are not on one line"
+            f"datum: {chosen.size} {'photos' if by_photo else 'targets'} do not define {movements.describe()} of the "
+            f"network; {remedy}"
         )
     if datum.kind is DatumKind.INNER:
         columns[chosen] = movements.points[chosen]
         text = f"{datum.kind.value} over {chosen.size} targets ({movements.describe()})"
-        return DatumConstraints(columns, text + rest)
-    held = _best_rows(own)
-    labels = []
-    for column, row in enumerate(sorted(held)):
-        columns[chosen[row // 3], row % 3, column] = 1.0
-        labels.append(f"{'xyz'[row % 3]} of {names[row // 3] if names else chosen[row // 3]}")
-    return DatumConstraints(columns, f"{datum.kind.value}: {', '.join(labels)} held" + rest)
+        return DatumConstraints(columns, poses, text + rest)
+    labels = names or [str(place) for place in chosen]
+    # What the first photo can hold it does; a second one only holds what is left.
+    held = sorted(_best_rows(own, preferred=6 if by_photo else 0))
+    width = 6 if by_photo else 3
+    for column, row in enumerate(held):
+        (poses if by_photo else columns)[chosen[row // width], row % width, column] = 1.0
+    if by_photo:
+        parts = ("rotation x", "rotation y", "rotation z", "shift x", "shift y", "shift z")
+        text = ", ".join(
+            f"{labels[place]} (position and rotation)" if set(range(6 * place, 6 * place + 6)) <= set(held)
+            else f"{labels[place]} ({', '.join(parts[row % 6] for row in held if row // 6 == place)} of the camera)"
+            for place in sorted({row // 6 for row in held})
+        )  # fmt: skip
+    else:
+        text = ", ".join(f"{'xyz'[row % 3]} of {labels[row // 3]}" for row in held) + " held"
+    return DatumConstraints(columns, poses, f"{datum.kind.value}: {text}{rest}")
 
 
 def _rank(matrix: FloatArray) -> int:
     return int(np.linalg.matrix_rank(matrix, tol=1e-6)) if matrix.size else 0
 
 
-def _best_rows(matrix: FloatArray) -> list[int]:
-    """Choose as many rows as there are columns, the farthest from those already chosen first (pivoted Gram-Schmidt)."""
+def _best_rows(matrix: FloatArray, *, preferred: int = 0) -> list[int]:
+    """Choose as many rows as there are columns, the farthest from those already chosen first (pivoted Gram-Schmidt).
+
+    The first ``preferred`` rows go before all others.
+    """
     rest, chosen = matrix.copy(), []
     for _ in range(matrix.shape[1]):
         lengths = (rest**2).sum(axis=1)
+        if lengths[:preferred].max(initial=0.0) > 1e-18 * (matrix**2).sum():
+            lengths[preferred:] = 0.0
         # A small preference for earlier rows keeps the choice the same on every machine.
         row = int(np.argmax(lengths * (1 - 1e-6 * np.arange(len(lengths)))))
         chosen.append(row)

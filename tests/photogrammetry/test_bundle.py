@@ -126,6 +126,8 @@ CASES = {
     "scale bars": {"constraints": ("bar", "bar 2")},
     "mixed": {"constraints": ("bar", "plane", "z", "control"), "fixed": ("t9",)},
     "fixed": {"fixed": ("t1", "t2", "t3")},
+    "photos": {"datum": Datum(DatumKind.PHOTOS, photos=("photo2", "photo5"))},
+    "photo and bar": {"datum": Datum(DatumKind.PHOTOS, photos=("photo3",)), "constraints": ("bar",)},
 }
 
 
@@ -177,6 +179,13 @@ def test_joint_covariance_is_that_of_the_dense_problem(case, loss):
         for target in chosen:
             for k in range(free.shape[1]):
                 put(columns[:, k], layout, target, (movements.points[target] @ free)[:, k])
+    elif problem.datum.kind is DatumKind.PHOTOS:
+        assert f"{problem.datum.photos[0]} (position and rotation)" in result.datum
+        first = 6 * int(problem.datum.photos[0][5:])
+        columns[first : first + 6, :6] = np.eye(6)
+        if free.shape[1] == 7:
+            axis = result.datum.split("shift ")[1][0]
+            columns[6 * int(problem.datum.photos[1][5:]) + 3 + "xyz".index(axis), 6] = 1.0
     elif free.shape[1]:
         held = result.datum.split(": ")[1].removesuffix(" held").split(", ")
         for k, text in enumerate(held):

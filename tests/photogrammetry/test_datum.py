@@ -125,3 +125,16 @@ def test_thousands_of_control_points_need_little_memory():
     tracemalloc.stop()
     assert free.count == 0
     assert peak < 20e6
+
+
+def test_one_photo_holds_no_scale():
+    movements = similarity_movements(small())
+    with pytest.raises(EstimationError, match=r"1 photos do not define .*scale of the network; name a second photo"):
+        datum_constraints(Datum(DatumKind.PHOTOS, photos=("0",)), movements, np.array([0]))
+    with pytest.raises(InputError, match="one or two photos"):
+        Datum(DatumKind.PHOTOS)
+
+
+def test_control_must_define_everything():
+    with pytest.raises(EstimationError, match="leave 3 of position, 3 of rotation, scale open"):
+        datum_constraints(Datum(DatumKind.CONTROL), similarity_movements(small()), ALL)
