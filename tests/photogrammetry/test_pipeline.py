@@ -1,6 +1,7 @@
 """Photos and image points to coordinates: recovery of known truth, real photos, published results, bad input."""
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -281,6 +282,11 @@ def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
 def test_the_report_holds_figures_and_tables(points_folder: Path, tmp_path: Path) -> None:
     write(run(load_photogrammetry(points_folder)), tmp_path)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert text.count("data:image/png") == 3 + 1 + 8
-    for word in ("inner constraints over 52 targets", "distance 33 - 40", "focal_px", "photo_008.png", "None."):
+    # Network twice, points twice, lengths, residuals four times and on one sheet, correlations.
+    assert text.count("data:image/png") == 2 + 2 + 1 + 4 + 1 + 1
+    words = ("inner constraints over 52 targets", "distance 33 - 40", "focal_px", "photo_008.png", "None.", "<canvas")
+    for word in words:
         assert word in text
+    # Nothing is loaded from elsewhere.
+    assert not re.search(r"""(src|href)=["']https?:""", text)
+    assert len(text) < 2e6
