@@ -1,0 +1,101 @@
+"""Edges across a rectified strip: where brightness changes fastest, to a fraction of a sample."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from observer.rectify import Strip
+from observer.slope_field import IntArray
+
+#: Width of the derivative filter in samples. Below one it follows the pixel grid, above two neighbouring edges mix.
+_FILTER_SAMPLES = 1.2
+#: An edge stands this many standard deviations of the noise above it.
+_NOISE_TIMES = 6.0
+#: An edge has at least this share of the contrast that most rows' strongest edges have.
+_LEAST_SHARE = 0.2
+#: What resampling and the grid of pixels leave of an edge's position, in samples.
+_FLOOR_SAMPLES = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Edges of one strip.
+
+    Parameters
+    ----------
+    row : ndarray of int, shape (n,)
+        Row of each.
+    x_m : ndarray, shape (n,)
+        Position across the trough [m].
+    sigma_x_m : ndarray, shape (n,)
+        Standard deviation of the position [m].
+    rise_dn : ndarray, shape (n,)
+        Step of the brightness towards larger x, negative where it falls [DN].
+    """
+
+    row: IntArray
+    x_m: FloatArray
+    sigma_x_m: FloatArray
+    rise_dn: FloatArray
+
+
+def find_edges(strip: Strip) -> Edges:
+    """Find all edges across a strip.
+
+    Parameters
+    ----------
+    strip : Strip
+        Rectified brightness.
+
+    Returns
+    -------
+    Edges
+        In the order of the rows.
+
+    Notes
+    -----
+    Extrema of the brightness filtered by the derivative of a Gaussian; the position is the peak of the parabola through
+    the logarithms of three values, exact for an edge blurred by a Gaussian. A linear change of the background adds a
+    constant to the derivative and leaves its peak where it is, other than a crossing of a level.
+    """
+    reach = int(np.ceil(4 * _FILTER_SAMPLES))
+    place = np.arange(-reach, reach + 1)
+    bell = np.exp(-0.5 * (place / _FILTER_SAMPLES) ** 2)
+    bell /= bell.sum()
+    derivative = place / _FILTER_SAMPLES**2 * bell
+    image = np.where(strip.seen, strip.image_dn, np.float32(0))
+    gradient = cv2.sepFilter2D(image, cv2.CV_32F, derivative, np.ones(1), borderType=cv2.BORDER_REPLICATE)
+    size = np.abs(gradient)
+    noise_dn = _noise(strip)
+    noise = noise_dn * float(np.sqrt((derivative**2).sum()))
+    strongest = float(np.median(size.max(axis=1)))
+    least = max(_NOISE_TIMES * noise, _LEAST_SHARE * strongest, 1e-6)
+    middle = size[:, 1:-1]
+    peak = (middle > least) & (middle >= size[:, :-2]) & (middle > size[:, 2:])
+    inner = strip.seen.copy()
+    # A filter that reaches beyond the photo sees its border.
+    border = cv2.erode(inner.astype(np.uint8), np.ones((1, 2 * reach + 1), np.uint8), borderValue=0).astype(bool)
+    row, column = np.nonzero(peak & border[:, 1:-1])
+    column += 1
+    before, here, after = (np.log(np.maximum(size[row, column + i], 1e-6)).astype(np.float64) for i in (-1, 0, 1))
+    bend = np.minimum(before - 2 * here + after, -1e-3)
+    shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+    step = float(strip.x_m[1] - strip.x_m[0])
+    height = gradient[row, column].astype(np.float64)
+    # The derivative's noise moves its peak by noise of the second derivative over the peak's curvature.
+    second = (place**2 / _FILTER_SAMPLES**4 - 1 / _FILTER_SAMPLES**2) * bell
+    wander = noise_dn * np.sqrt((second**2).sum()) / (np.abs(height) * np.abs(bend))
+    sigma = step * np.hypot(wander, _FLOOR_SAMPLES)
+    width = np.sqrt(-1 / bend)
+    return Edges(row, strip.x_m[column] + step * shift, sigma, height * width * np.sqrt(2 * np.pi))
+
+
+def _noise(strip: Strip) -> float:
+    """Return the noise of a strip from third differences, which smooth shading leaves out [DN]."""
+    third = np.diff(strip.image_dn, 3, axis=1)[strip.seen[:, 3:] & strip.seen[:, :-3]]
+    if third.size < 100:
+        return 1.0
+    # Weights 1, 3, 3, 1; resampling makes neighbours alike, which the factor 1.2 allows for.
+    return max(1.2 * 1.4826 * float(np.median(np.abs(third))) / float(np.sqrt(20.0)), 0.05)

@@ -1,0 +1,322 @@
+"""The mirror's slopes from touching lines of sight: smooth along each row, panel by panel, and what all rows share.
+
+Each row of the map (constant y) has nodes along x. A touching line of sight at x says something about the slopes of the
+two nodes beside it. Between them the slope error follows an integrated random walk whose roughness is estimated from
+the data: the posterior mean is a smoothing spline, and its variance says honestly how little is known between samples.
+The slope along the trough has a prior instead of a measurement where one pass only has seen the mirror.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.validate import BoolArray, FloatArray
+from observer.block_tridiagonal import BlockFactor, factorise
+
+IntArray = npt.NDArray[np.intp]
+
+#: A prior for the slope error across the trough that no mirror violates; it only keeps unmeasured rows solvable [rad].
+_LARGEST_SLOPE_RAD = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowGrid:
+    """Nodes of all rows.
+
+    Parameters
+    ----------
+    x_m : ndarray, shape (nx,)
+        Equally spaced nodes across the trough, an even number [m].
+    joined : ndarray of bool, shape (nx - 1,)
+        Whether neighbouring nodes lie on one panel.
+    n_rows : int
+        Number of rows.
+    """
+
+    x_m: FloatArray
+    joined: BoolArray
+    n_rows: int
+
+    @property
+    def step_m(self) -> float:
+        """Distance of the nodes [m]."""
+        return float(self.x_m[1] - self.x_m[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Roughness:
+    """How slopes may vary along a row.
+
+    Parameters
+    ----------
+    across : float
+        Spectral density of the second derivative of the slope error across the trough [rad^2 / m^3].
+    along_rad : float
+        Standard deviation of the slope error along the trough, about zero [rad].
+    along_length_m : float
+        Length over which the slope along the trough is correlated across the trough [m].
+    """
+
+    across: float
+    along_rad: float = 2e-3
+    along_length_m: float = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchingLines:
+    """Linearised observations: ``misfit + d_x ds_x + d_y ds_y + sum d_common dp = noise``.
+
+    Parameters
+    ----------
+    row : ndarray of int, shape (m,)
+        Row of each.
+    x_m : ndarray, shape (m,)
+        Where on the row [m].
+    misfit_rad : ndarray, shape (m,)
+        Angle by which the line misses the tube's edge with the present slopes [rad].
+    d_slope_x, d_slope_y : ndarray, shape (m,)
+        Its derivatives with respect to the slopes there.
+    sigma_rad : ndarray, shape (m,)
+        Standard deviation of the angle from the image [rad].
+    common_index : ndarray of int, shape (m, c)
+        Which common unknowns move it.
+    d_common : ndarray, shape (m, c)
+        Derivatives with respect to those.
+    """
+
+    row: IntArray
+    x_m: FloatArray
+    misfit_rad: FloatArray
+    d_slope_x: FloatArray
+    d_slope_y: FloatArray
+    sigma_rad: FloatArray
+    common_index: IntArray
+    d_common: FloatArray
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> "TouchingLines":
+        """Return some of them."""
+        return TouchingLines(*(getattr(self, name)[which] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowSystem:
+    """Factorised normal equations of all rows; the unknowns of two neighbouring nodes form one block.
+
+    Parameters
+    ----------
+    factor : BlockFactor
+        The factorised matrices.
+    before : ndarray of int, shape (m,)
+        Node before each line.
+    weights : ndarray, shape (m, 4)
+        Derivatives of each line's misfit with respect to (s_x, s_y) of the node before and of the node after.
+    bands : ndarray, shape (3, nx, 2)
+        The prior's precision of (s_x, s_y) between a node and itself, the next and the one after that.
+    log_determinant : float
+        Logarithm of the determinant of the prior of all rows minus that of the normal matrices.
+    """
+
+    factor: BlockFactor
+    before: IntArray
+    weights: FloatArray
+    bands: FloatArray
+    log_determinant: float
+
+
+def assemble(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> RowSystem:
+    """Set up and factorise the normal equations of all rows.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations.
+    grid : RowGrid
+        Nodes.
+    prior : Roughness
+        How slopes may vary.
+
+    Returns
+    -------
+    RowSystem
+        The system.
+    """
+    before, share = nodes_of(grid, lines.x_m)
+    weights = np.stack([lines.d_slope_x, lines.d_slope_y] * 2, axis=1)
+    weights *= np.stack([1 - share, 1 - share, share, share], axis=1)
+    shape = (grid.n_rows, grid.x_m.size)
+    place = lines.row * grid.x_m.size + before
+    products = np.einsum("m,mi,mj->ijm", lines.sigma_rad**-2, weights, weights)
+    sums = np.array([[np.bincount(place, one, shape[0] * shape[1]) for one in row] for row in products])
+    sums = np.moveaxis(sums.reshape(4, 4, *shape), (0, 1), (2, 3))
+    bands = prior_bands(grid, prior)
+    normal = np.zeros((3, *shape, 2, 2))
+    normal[0] += sums[..., :2, :2]
+    normal[0][:, 1:] += sums[:, :-1, 2:, 2:]
+    normal[1] += sums[..., :2, 2:]
+    normal[..., 0, 0] += bands[:, None, :, 0]
+    normal[..., 1, 1] += bands[:, None, :, 1]
+    factor = factorise(*_paired(normal))
+    alone = np.zeros((3, 1, grid.x_m.size, 2, 2))
+    alone[..., 0, 0], alone[..., 1, 1] = bands[:, None, :, 0], bands[:, None, :, 1]
+    prior_factor = factorise(*_paired(alone))
+    change = float(grid.n_rows * prior_factor.log_determinant[0] - factor.log_determinant.sum())
+    return RowSystem(factor, before, weights, bands, change)
+
+
+def nodes_of(grid: RowGrid, x_m: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the node before each place and the share of the node after; no share goes across a panel's edge.
+
+    Parameters
+    ----------
+    grid : RowGrid
+        Nodes.
+    x_m : ndarray, shape (m,)
+        Places on the rows [m].
+
+    Returns
+    -------
+    before : ndarray of int, shape (m,)
+        Node before.
+    share : ndarray, shape (m,)
+        Share of the node after.
+    """
+    position = (x_m - grid.x_m[0]) / grid.step_m
+    before = np.clip(np.floor(position).astype(np.intp), 0, grid.x_m.size - 2)
+    share = np.clip(position - before, 0.0, 1.0)
+    return before, np.where(grid.joined[before], share, np.round(share))
+
+
+def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
+    """Return the prior's precision as bands.
+
+    Parameters
+    ----------
+    grid : RowGrid
+        Nodes.
+    prior : Roughness
+        How slopes may vary.
+
+    Returns
+    -------
+    ndarray, shape (3, nx, 2)
+        Precision of (s_x, s_y) between a node and itself, the next and the one after that [1/rad^2].
+
+    Notes
+    -----
+    Across: second differences within a panel have the variance q h^3. Along: the process (k^2 - d^2/dx^2) s = white
+    noise with free ends (Whittle 1954), which has the variance ``noise / (4 k^3)`` and the correlation length
+    sqrt(3) / k.
+    """
+    n, step = grid.x_m.size, grid.step_m
+    bands = np.zeros((3, n, 2))
+    bands[0, :, 0] = _LARGEST_SLOPE_RAD**-2
+    inner = grid.joined[:-1] & grid.joined[1:]
+    stiffness = inner / (prior.across * step**3)
+    for offset, part in enumerate((1.0, -2.0, 1.0)):
+        for reach in range(3 - offset):
+            other = (1.0, -2.0, 1.0)[offset + reach]
+            bands[reach, offset : offset + n - 2, 0] += part * other * stiffness
+    wave = np.sqrt(3) / prior.along_length_m
+    link = grid.joined / step**2
+    operator = np.diag(np.full(n, wave**2))
+    index = np.arange(n - 1)
+    operator[index, index] += link
+    operator[index + 1, index + 1] += link
+    operator[index, index + 1] -= link
+    operator[index + 1, index] -= link
+    precision = operator @ operator * step / (4 * wave**3 * prior.along_rad**2)
+    for reach in range(3):
+        bands[reach, : n - reach, 1] = np.diagonal(precision, reach)
+    return bands
+
+
+def _paired(bands: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn bands, shape (3, r, nx, 2, 2), of a pentadiagonal matrix into blocks of two nodes."""
+    even, odd = bands[:, :, 0::2], bands[:, :, 1::2]
+    n_rows, n_blocks = even.shape[1:3]
+    diagonal = np.zeros((n_blocks, n_rows, 4, 4))
+    upper = np.zeros((n_blocks - 1, n_rows, 4, 4))
+    first, second = slice(0, 2), slice(2, 4)
+    by_block = np.swapaxes
+    diagonal[..., first, first] = by_block(even[0], 0, 1)
+    diagonal[..., second, second] = by_block(odd[0], 0, 1)
+    diagonal[..., first, second] = by_block(even[1], 0, 1)
+    diagonal[..., second, first] = np.swapaxes(by_block(even[1], 0, 1), 2, 3)
+    upper[..., first, first] = by_block(even[2], 0, 1)[:-1]
+    upper[..., second, first] = by_block(odd[1], 0, 1)[:-1]
+    upper[..., second, second] = by_block(odd[2], 0, 1)[:-1]
+    return diagonal, upper
+
+
+def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: FloatArray) -> FloatArray:
+    """Return the transposed derivatives times weighted values, one column for each.
+
+    Parameters
+    ----------
+    system : RowSystem
+        The rows.
+    lines : TouchingLines
+        Observations.
+    grid : RowGrid
+        Nodes.
+    values : ndarray, shape (m,)
+        Values of the observations.
+
+    Returns
+    -------
+    ndarray, shape (b, r, 4, 1)
+        Sums for each block.
+    """
+    shape = (grid.n_rows, grid.x_m.size)
+    place = lines.row * grid.x_m.size + system.before
+    weighted = (lines.sigma_rad**-2 * values)[:, None] * system.weights
+    sums = np.stack([np.bincount(place, weighted[:, i], shape[0] * shape[1]).reshape(shape) for i in range(4)], axis=2)
+    nodes = np.array(sums[..., :2], dtype=np.float64)
+    nodes[:, 1:] += sums[:, :-1, 2:]
+    return _to_blocks(nodes)
+
+
+def _to_blocks(nodes: FloatArray) -> FloatArray:
+    """Turn values at nodes, shape (r, nx, 2), into right sides, shape (nx / 2, r, 4, 1)."""
+    n_rows, n_nodes, _ = nodes.shape
+    return np.ascontiguousarray(np.swapaxes(nodes.reshape(n_rows, n_nodes // 2, 4), 0, 1))[..., None]
+
+
+def from_blocks(blocks: FloatArray) -> FloatArray:
+    """Turn solutions, shape (nx / 2, r, 4), into values at nodes.
+
+    Parameters
+    ----------
+    blocks : ndarray, shape (nx / 2, r, 4)
+        Values of the blocks.
+
+    Returns
+    -------
+    ndarray, shape (r, nx, 2)
+        (s_x, s_y) at the nodes.
+    """
+    n_blocks, n_rows, _ = blocks.shape
+    return np.swapaxes(blocks, 0, 1).reshape(n_rows, 2 * n_blocks, 2)
+
+
+def prior_pull(bands: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Return the prior's precision times present slope errors.
+
+    Parameters
+    ----------
+    bands : ndarray, shape (3, nx, 2)
+        From `prior_bands`.
+    slopes : ndarray, shape (r, nx, 2)
+        Present slope errors [rad].
+
+    Returns
+    -------
+    ndarray, shape (b, r, 4, 1)
+        In blocks.
+    """
+    product: FloatArray = np.array(bands[0] * slopes)
+    for reach in (1, 2):
+        product[:, :-reach] += bands[reach, :-reach] * slopes[:, reach:]
+        product[:, reach:] += bands[reach, :-reach] * slopes[:, :-reach]
+    return _to_blocks(product)

@@ -1,0 +1,145 @@
+"""Slopes of many rows with common unknowns: against dense algebra, and scatter against sigma."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from observer.joint_solution import find_roughness, solve_jointly
+from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, from_blocks, prior_bands, right_sides
+
+
+def random_lines(rng: np.random.Generator, grid: RowGrid, m: int, n_common: int) -> TouchingLines:
+    return TouchingLines(
+        rng.integers(0, grid.n_rows, m), rng.uniform(grid.x_m[0], grid.x_m[-1], m), rng.normal(0, 1e-3, m),
+        rng.normal(-2, 0.2, m), rng.normal(0, 0.1, m), 1e-4 * rng.uniform(1, 2, m),
+        rng.integers(0, n_common, (m, 1)), rng.normal(-0.07, 0.01, (m, 1)),
+    )  # fmt: skip
+
+
+def small_grid(n_rows: int = 3) -> RowGrid:
+    joined = np.ones(19, dtype=bool)
+    joined[9] = False
+    return RowGrid(np.linspace(-1, 1, 20), joined, n_rows)
+
+
+def dense(
+    grid: RowGrid, lines: TouchingLines, prior: Roughness, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve all rows and the common unknowns at once."""
+    system = assemble(lines, grid, prior)
+    n, c = 2 * grid.x_m.size, len(covariance)
+    jacobian = np.zeros((lines.row.size, grid.n_rows * n + c))
+    for i in range(lines.row.size):
+        first = lines.row[i] * n + 2 * system.before[i]
+        jacobian[i, first : first + 4] = system.weights[i]
+        jacobian[i, grid.n_rows * n + lines.common_index[i, 0]] += lines.d_common[i, 0]
+    bands = prior_bands(grid, prior)
+    precision = np.zeros((n, n))
+    for reach in range(3):
+        for i in range(grid.x_m.size - reach):
+            for f in range(2):
+                precision[2 * i + f, 2 * (i + reach) + f] = precision[2 * (i + reach) + f, 2 * i + f] = bands[
+                    reach, i, f
+                ]
+    normal = jacobian.T @ (jacobian / lines.sigma_rad[:, None] ** 2)
+    for r in range(grid.n_rows):
+        normal[r * n : (r + 1) * n, r * n : (r + 1) * n] += precision
+    normal[grid.n_rows * n :, grid.n_rows * n :] += np.linalg.inv(covariance)
+    inverse = np.linalg.inv(normal)
+    return -inverse @ jacobian.T @ (lines.misfit_rad / lines.sigma_rad**2), inverse
+
+
+def test_joint_solution_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(0)
+    grid, prior, covariance = small_grid(), Roughness(1e-3), np.diag([1e-6, 4e-6, 9e-6])
+    lines = random_lines(rng, grid, 200, 3)
+    found = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
+    solution, inverse = dense(grid, lines, prior, covariance)
+    np.testing.assert_allclose(found.slopes.reshape(-1), solution[:-3], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(found.common, solution[-3:], rtol=1e-8)
+    np.testing.assert_allclose(found.covariance_common, inverse[-3:, -3:], rtol=1e-8)
+    variance = found.random[..., [0, 1], [0, 1]] + found.shared
+    np.testing.assert_allclose(variance.reshape(-1), np.diag(inverse)[:-3], rtol=1e-8)
+
+
+def test_a_second_step_from_the_solution_stays() -> None:
+    rng = np.random.default_rng(1)
+    grid, prior, covariance = small_grid(), Roughness(1e-3), 4e-6 * np.eye(3)
+    lines = random_lines(rng, grid, 200, 3)
+    first = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
+    system = assemble(lines, grid, prior)
+    slopes = first.slopes[lines.row[:, None], system.before[:, None] + [0, 1]].reshape(-1, 4)
+    moved = lines.misfit_rad + (system.weights * slopes).sum(axis=1)
+    moved += lines.d_common[:, 0] * first.common[lines.common_index[:, 0]]
+    again = TouchingLines(lines.row, lines.x_m, moved, lines.d_slope_x, lines.d_slope_y, lines.sigma_rad,
+                          lines.common_index, lines.d_common)  # fmt: skip
+    second = solve_jointly(again, grid, prior, first.slopes, (first.common, covariance))
+    np.testing.assert_allclose(second.slopes, first.slopes, rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(second.common, first.common, rtol=1e-6)
+
+
+def test_panels_do_not_know_of_each_other() -> None:
+    rng = np.random.default_rng(2)
+    grid, prior = small_grid(1), Roughness(1e-3)
+    lines = random_lines(rng, grid, 80, 1)
+    left = lines.chosen(lines.x_m < 0)
+    for one in (lines, left):
+        system = assemble(one, grid, prior)
+        slopes = from_blocks(system.factor.solve(right_sides(system, one, grid, -one.misfit_rad))[..., 0])
+        if one is lines:
+            whole = slopes
+    np.testing.assert_allclose(slopes[:, :10], whole[:, :10], rtol=1e-12)
+    assert np.abs(slopes[:, 10:, 0]).max() < 1e-12 < np.abs(whole[:, 10:, 0]).max()
+
+
+def drawn(rng: np.random.Generator, grid: RowGrid, prior: Roughness) -> np.ndarray:
+    """Draw slope errors from the prior itself: panel by panel an integrated random walk."""
+    slopes = np.zeros((grid.n_rows, grid.x_m.size))
+    starts = np.concatenate([[0], np.nonzero(~grid.joined)[0] + 1, [grid.x_m.size]])
+    for first, last in pairwise(starts):
+        bends = rng.normal(0, np.sqrt(prior.across * grid.step_m**3), (grid.n_rows, last - first))
+        slopes[:, first:last] = np.cumsum(np.cumsum(bends, axis=1), axis=1) + rng.normal(0, 2e-3, (grid.n_rows, 1))
+    return slopes
+
+
+def measured(seed: int) -> tuple[float, float, float]:
+    """Simulate a mirror drawn from the prior; return mean squares of error over sigma, slopes and cameras."""
+    rng = np.random.default_rng(seed)
+    truth_prior = Roughness(1e-4, along_rad=1e-6)
+    joined = np.ones(99, dtype=bool)
+    joined[49] = False
+    grid = RowGrid(np.linspace(-2.4, 2.4, 100), joined, 60)
+    slopes = drawn(rng, grid, truth_prior)
+    n_photos, sigma_eye = 60, 4e-3
+    eyes = rng.normal(0, sigma_eye, n_photos)
+    row, photo = (part.reshape(-1) for part in np.meshgrid(np.arange(60), np.arange(n_photos), indexing="ij"))
+    row, photo = np.tile(row, 2), np.tile(photo, 2)
+    side = np.repeat([1.0, -1.0], row.size // 2)
+    x = np.linspace(-2.6, 2.6, n_photos)[photo] + 0.33 * side + rng.uniform(-0.01, 0.01, row.size)
+    keep = np.abs(x) < 2.39
+    row, photo, x = row[keep], photo[keep], x[keep]
+    sigma = np.full(row.size, 5e-5)
+    value = np.array([np.interp(x[i], grid.x_m, slopes[row[i]]) for i in range(row.size)])
+    inner = np.abs(x) > 0.06
+    misfit = 2 * value - eyes[photo] / 14.0 + rng.normal(0, sigma)
+    lines = TouchingLines(row, x, misfit, np.full(row.size, -2.0), np.zeros(row.size), sigma, photo[:, None],
+                          np.full((row.size, 1), 1 / 14.0)).chosen(inner)  # fmt: skip
+    covariance = sigma_eye**2 * np.eye(n_photos)
+    prior = find_roughness(lines, grid, Roughness(1.0, along_rad=1e-6), covariance)
+    assert abs(np.log10(prior.across / truth_prior.across)) < 1.0
+    start = np.zeros((60, 100, 2))
+    found = solve_jointly(lines, grid, truth_prior, start, (np.zeros(n_photos), covariance))
+    errors = found.common - eyes
+    chi_square = float(errors @ np.linalg.solve(found.covariance_common, errors)) / n_photos
+    sigma_slopes = np.sqrt(found.random[..., 0, 0] + found.shared[..., 0])
+    ratio = (found.slopes[..., 0] - slopes) / sigma_slopes
+    return float(np.mean(ratio**2)), chi_square, float(errors.std() / sigma_eye)
+
+
+def test_errors_have_the_stated_sigma_and_cameras_are_found_better_than_known() -> None:
+    found = np.array([measured(seed) for seed in range(6)])
+    # A few smooth patterns, which cameras and slopes share, dominate: about ten independent ones in each simulation.
+    assert found[:, 0].mean() == pytest.approx(1.0, abs=0.25)
+    assert found[:, 1].mean() == pytest.approx(1.0, abs=0.2)
+    assert (found[:, 2] < 0.5).all()
