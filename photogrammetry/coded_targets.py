@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
@@ -10,114 +9,46 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.validate import freeze
+from photogrammetry.ring_codes import (
+    CODE_INNER_RADIUS,
+    CODE_OUTER_RADIUS,
+    FEWEST_BITS,
+    MOST_BITS,
+    QUIET_RADIUS,
+    VENDOR_RADII,
+    IntArray,
+    Polarity,
+    RingCode,
+    RingRadii,
+    Sense,
+    all_rotations,
+    ink_at,
+    mirrored_word,
+    smallest_rotation,
+    turned_words,
+)
 
-#: Radii in units of the dot's radius: gap from the dot to here, code ring from here to the outer radius.
-CODE_INNER_RADIUS = 2.0
-CODE_OUTER_RADIUS = 3.0
-#: Quiet zone of the ground's colour around the code ring, in units of the dot's radius.
-QUIET_RADIUS = 4.0
-
-FEWEST_BITS = 8
-MOST_BITS = 20
-
-IntArray = npt.NDArray[np.int32]
-
-
-class Polarity(StrEnum):
-    """Which of ink and ground is bright: bits that are 1 and the dot have the ink's brightness."""
-
-    BLACK_ON_WHITE = "black-on-white"
-    WHITE_ON_BLACK = "white-on-black"
-
-
-class Sense(StrEnum):
-    """Sense in which a word's bits follow each other on the target as seen from the front, highest bit first."""
-
-    CLOCKWISE = "clockwise"
-    COUNTERCLOCKWISE = "counterclockwise"
-
-
-def _turned(words: IntArray, rotation: int, n_bits: int) -> IntArray:
-    return np.asarray(((words << rotation) & ((1 << n_bits) - 1)) | (words >> (n_bits - rotation)), dtype=np.int32)
-
-
-def _rotations(words: IntArray, n_bits: int) -> IntArray:
-    """Return all rotations to the left, shape (n_bits, n)."""
-    return np.stack([_turned(words, rotation, n_bits) for rotation in range(n_bits)])
-
-
-def smallest_rotation(word: int, n_bits: int) -> int:
-    """Return the smallest number among the rotations of a cyclic word of `n_bits` bits: it names the word.
-
-    Examples
-    --------
-    >>> smallest_rotation(0b100001000000, 12)
-    33
-    """
-    return int(_rotations(np.array([word], dtype=np.int32), n_bits).min())
-
-
-def mirrored_word(word: int, n_bits: int) -> int:
-    """Return what the mirror image of a target reads; the word itself if the target is its own mirror image.
-
-    Examples
-    --------
-    >>> mirrored_word(0b1001011, 12), mirrored_word(0b1000001, 12)
-    (105, 65)
-    """
-    return smallest_rotation(int(format(word, f"0{n_bits}b")[::-1], 2), n_bits)
-
-
-@dataclass(frozen=True, slots=True)
-class RingCode:
-    """One ring code.
-
-    Parameters
-    ----------
-    name : str
-        What is printed beside the target and names the point: the vendor's number, or a user's own text.
-    word : int
-        The bits as a number, smallest of all rotations.
-    n_bits : int
-        Number of sectors.
-    sense : Sense, optional
-        Sense in which the bits follow each other on the target.
-    """
-
-    name: str
-    word: int
-    n_bits: int
-    sense: Sense = Sense.CLOCKWISE
-
-    @property
-    def sectors(self) -> tuple[bool, ...]:
-        """Ink of the sectors, clockwise as seen from the front, the first one from 3 o'clock to 3 + 12/n o'clock."""
-        bits = tuple(bool(self.word >> (self.n_bits - 1 - k) & 1) for k in range(self.n_bits))
-        return bits if self.sense is Sense.CLOCKWISE else bits[::-1]
-
-    @property
-    def is_symmetric(self) -> bool:
-        """Whether the target is its own mirror image: its print cannot tell on which side it is seen."""
-        return mirrored_word(self.word, self.n_bits) == self.word
-
-    def arcs_rad(self) -> tuple[tuple[float, float], ...]:
-        """Return start and end of each inked arc of the code ring, neighbouring sectors joined.
-
-        Returns
-        -------
-        tuple of tuple of float
-            Angles clockwise from 3 o'clock as seen from the front; the end is larger than the start and may exceed
-            2 pi; one full turn if all sectors are inked [rad].
-        """
-        ink, n = self.sectors, self.n_bits
-        step = 2 * np.pi / n
-        if all(ink):
-            return ((0.0, 2 * np.pi),)
-        arcs = []
-        for start in (k for k in range(n) if ink[k] and not ink[k - 1]):
-            length = next(m for m in range(1, n) if not ink[(start + m) % n])
-            arcs.append((start * step, (start + length) * step))
-        return tuple(arcs)
+__all__ = [
+    "CODE_INNER_RADIUS",
+    "CODE_OUTER_RADIUS",
+    "FEWEST_BITS",
+    "MOST_BITS",
+    "QUIET_RADIUS",
+    "VENDOR_RADII",
+    "CodeReading",
+    "Polarity",
+    "RingCode",
+    "RingDictionary",
+    "RingRadii",
+    "Sense",
+    "aicon_dictionary",
+    "ink_at",
+    "metashape_dictionary",
+    "mirrored_word",
+    "ring_dictionary",
+    "smallest_rotation",
+    "user_dictionary",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +87,8 @@ class RingDictionary:
         The codes' names, as many as words.
     sense : Sense, optional
         Sense in which the bits follow each other on the target, highest bit first.
+    radii : RingRadii, optional
+        Where the code rings lie.
 
     Raises
     ------
@@ -176,6 +109,7 @@ class RingDictionary:
     words: tuple[int, ...]
     names: tuple[str, ...]
     sense: Sense = Sense.CLOCKWISE
+    radii: RingRadii = VENDOR_RADII
     _index: IntArray = field(init=False, repr=False)
     _by_name: dict[str, int] = field(init=False, repr=False)
 
@@ -187,7 +121,7 @@ class RingDictionary:
             raise InputError(f"dictionary {self.name}: as many names as words are needed, at least one")
         if given.min() <= 0 or given.max() >= 1 << self.n_bits:
             raise InputError(f"dictionary {self.name}: words of {self.n_bits} bit are 1 to {(1 << self.n_bits) - 1}")
-        rotations = _rotations(given.astype(np.int32), self.n_bits)
+        rotations = all_rotations(given.astype(np.int32), self.n_bits)
         smallest = rotations.min(axis=0)
         _refuse_repeated(f"dictionary {self.name}: word", smallest.tolist())
         _refuse_repeated(f"dictionary {self.name}: name", list(self.names))
@@ -252,7 +186,30 @@ class RingDictionary:
         """
         chosen = [self.code(name) for name in names]
         words, texts = tuple(code.word for code in chosen), tuple(code.name for code in chosen)
-        return RingDictionary(self.name, self.n_bits, words, texts, self.sense)
+        return RingDictionary(self.name, self.n_bits, words, texts, self.sense, self.radii)
+
+    def as_printed(self, sense: Sense | None = None, radii: RingRadii | None = None) -> "RingDictionary":
+        """Return the dictionary of prints that count the bits in another sense or have other radii.
+
+        Parameters
+        ----------
+        sense : Sense or None, optional
+            Sense in which the bits follow each other; the dictionary's own if absent.
+        radii : RingRadii or None, optional
+            Where the code rings lie; the dictionary's own if absent.
+
+        Returns
+        -------
+        RingDictionary
+            The same words under the same names.
+        """
+        kept = self.sense if sense is None else sense
+        return RingDictionary(self.name, self.n_bits, self.words, self.names, kept, radii or self.radii)
+
+    @property
+    def has_full_ring(self) -> bool:
+        """Whether one of the codes is a ring without a gap."""
+        return bool(self._index[-1] >= 0)
 
     def lookup(self, words: npt.ArrayLike) -> IntArray:
         """Look up many words at once.
@@ -308,7 +265,7 @@ class RingDictionary:
         return CodeReading(found, mirrored, turn)
 
     def _code(self, index: int) -> RingCode:
-        return RingCode(self.names[index], self.words[index], self.n_bits, self.sense)
+        return RingCode(self.names[index], self.words[index], self.n_bits, self.sense, self.radii)
 
     def _found(self, word: int) -> RingCode | None:
         index = int(self._index[word])
@@ -449,29 +406,6 @@ def user_dictionary(name: str, n_bits: int, words: Sequence[int], names: Sequenc
     return RingDictionary(name, n_bits, given, tuple(names) if names is not None else tuple(map(str, given)))
 
 
-def ink_at(code: RingCode, x: npt.ArrayLike, y: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Tell where a target is inked.
-
-    Parameters
-    ----------
-    code : RingCode
-        The code.
-    x, y : array_like, shape (...)
-        Points of the target's plane as seen from the front, x right and y up, in units of the dot's radius.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-        True in the dot and in the inked sectors.
-    """
-    across, up = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-    radius = np.hypot(across, up)
-    clockwise = np.arctan2(-up, across) % (2 * np.pi)
-    sector = np.minimum((clockwise * (code.n_bits / (2 * np.pi))).astype(np.int64), code.n_bits - 1)
-    in_ring = (radius >= CODE_INNER_RADIUS) & (radius <= CODE_OUTER_RADIUS)
-    return np.asarray((radius <= 1) | (in_ring & np.array(code.sectors)[sector]))
-
-
 def _even_necklaces(n_bits: int) -> IntArray:
     """Return the words with an even number of ones, not all ones, smallest of their rotations, in increasing order."""
     if n_bits % 2 or not FEWEST_BITS <= n_bits <= MOST_BITS:
@@ -483,7 +417,7 @@ def _even_necklaces(n_bits: int) -> IntArray:
     words = words[np.bitwise_count(words) % 2 == 0]
     smallest = words.copy()
     for rotation in range(1, n_bits):
-        np.minimum(smallest, _turned(words, rotation, n_bits), out=smallest)
+        np.minimum(smallest, turned_words(words, rotation, n_bits), out=smallest)
     return np.asarray(words[words == smallest], dtype=np.int32)
 
 

@@ -1,28 +1,29 @@
 """Read ring codes, and refuse what only happens to read like one.
 
 A dictionary by itself admits false codes: a third of all 12-bit words are in it. A ring is therefore read only if it is
-one: an even gap, a code ring whose inked sectors begin at 2 and end at 3 radii, as black as the dot and as white as the
-gap, with all borders where sectors have them.
+one: an even gap, a code ring whose inked sectors begin and end at the radii of the print, as black as the dot and as
+white as the gap, with all borders where sectors have them. All rings of a photo are sampled and judged at once.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.coded_targets import CODE_INNER_RADIUS, CODE_OUTER_RADIUS, RingCode, RingDictionary
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from photogrammetry.coded_targets import VENDOR_RADII, RingCode, RingDictionary, RingRadii
 from photogrammetry.ellipse import Ellipse
+from photogrammetry.pyramid import Pyramid, ellipse_frames, make_pyramid
 
-__all__ = ["RingLimits", "RingReading", "read_ring"]
+__all__ = ["RingLimits", "RingReading", "read_ring", "read_rings", "ring_outline"]
 
-#: Samples: angles for each sector, and radii in units of the dot's radius, the first one for the dot's own level.
-_ANGLES_PER_SECTOR = 12
-_RADII = np.concatenate([[0.4], np.arange(1.3, 3.51, 0.1)])
-_GAP = (_RADII > 1.35) & (_RADII < 1.65)
-_CODE = (_RADII > 2.25) & (_RADII < 2.75)
-_BEYOND = _RADII > 3.25
+#: Samples for each sector, and in this share of a sector about its middle its level is taken.
+_ANGLES_PER_SECTOR, _MIDDLE = 12, 0.6
+#: Radius of the ring on which the dot's own level is taken, and distance of the samples along the radius [radii].
+_DOT_RADIUS, _RADIAL_STEP = 0.4, 0.1
+#: Parts of gap and ring in which the level is taken, and how far the quiet zone beyond the ring is looked at.
+_GAP_PART, _RING_PART, _BEYOND_RADII = (0.35, 0.65), (0.25, 0.75), (0.25, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class RingLimits:
     most_border_error : float, optional
         Rms distance of the borders between sectors from an even division, in sectors.
     most_radial_error : float, optional
-        Distance of the ring's inner and outer border from 2 and 3, in radii of the dot.
+        Distance of the ring's inner and outer border from where the print has them, in radii of the dot.
     most_misfit : float, optional
         Rms of ink away from all borders against the code read, as a share of the dot's contrast.
 
@@ -73,7 +74,7 @@ class RingReading:
     border_error : float
         Rms distance of the borders between sectors from an even division [sectors].
     radial_error : float
-        Larger distance of the ring's inner and outer border from 2 and 3 [radii].
+        Larger distance of the ring's inner and outer border from where the print has them [radii].
     misfit : float
         Rms of ink away from all borders against the code, as a share of the dot's contrast.
     """
@@ -139,109 +140,175 @@ def read_ring(
         None if there is no ring, or not all of it in the photo; a reading without a code if there is a ring whose
         word no dictionary holds.
     """
-    sampled = _ink(image_dn, dot, dictionary.n_bits * _ANGLES_PER_SECTOR)
-    if sampled is None:
-        return None
-    ink, unevenness = sampled
+    return read_rings(make_pyramid(image_dn), [dot], dictionary, limits)[0]
+
+
+def read_rings(
+    pyramid: Pyramid, dots: Sequence[Ellipse], dictionary: RingDictionary, limits: RingLimits | None = None
+) -> tuple[RingReading | None, ...]:
+    """Read the code rings round all dots of a photo.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        The photo.
+    dots : sequence of Ellipse
+        Outlines of the dots in the photo's pixels.
+    dictionary : RingDictionary
+        The codes that may occur, and the radii of their rings.
+    limits : RingLimits, optional
+        How good a ring must be.
+
+    Returns
+    -------
+    tuple of RingReading or None
+        One for each dot; None if there is no ring, or not all of it in the photo; a reading without a code if there is
+        a ring whose word no dictionary holds.
+    """
+    found: list[RingReading | None] = [None] * len(dots)
+    if not dots:
+        return ()
     allowed = limits or RingLimits()
-    if unevenness > allowed.most_gap_unevenness:
-        return None
-    profile = ink[_CODE].mean(axis=0)
-    borders = _crossings(profile) / _ANGLES_PER_SECTOR
-    if len(borders) < 2:
-        return None
-    turn = np.exp(2j * np.pi * borders).mean()
-    phase = float(np.angle(turn)) / (2 * np.pi)
-    off = (borders - phase + 0.5) % 1.0 - 0.5
-    # From here on the first sample lies on a border between sectors.
-    position = (np.arange(len(profile)) / _ANGLES_PER_SECTOR - phase) % dictionary.n_bits
+    shapes, centers = np.array([dot.shape_px2 for dot in dots]), np.array([dot.center_px for dot in dots])
+    radii = _Radii.of(dictionary.radii)
+    half = (radii.all[-1]) * np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
+    inside = ((centers - half > 0) & (centers + half < np.array(pyramid.size_px) - 1)).all(axis=1)
+    at = np.flatnonzero(inside)
+    ink, unevenness = _ink(pyramid, shapes[at], centers[at], dictionary.n_bits * _ANGLES_PER_SECTOR, radii)
+    even = unevenness <= allowed.most_gap_unevenness
+    at, ink, unevenness = at[even], ink[even], unevenness[even]
+    profile = ink[:, radii.code].mean(axis=1)
+    phase, border_error, crossings = _borders(profile)
+    position = (np.arange(profile.shape[1]) / _ANGLES_PER_SECTOR - phase[:, None]) % dictionary.n_bits
     sector = np.minimum(position.astype(np.intp), dictionary.n_bits - 1)
-    from_border = np.abs(position - sector - 0.5)
-    levels = np.array([profile[(sector == k) & (from_border < 0.3)].mean() for k in range(dictionary.n_bits)])
+    middle = np.abs(position - sector - 0.5) < 0.5 * _MIDDLE
+    levels = _sector_levels(profile, sector, middle, dictionary.n_bits)
     bits = levels > 0.5
-    if np.count_nonzero(bits != np.roll(bits, 1)) != len(borders):
-        return None
-    found = dictionary.read([bool(bit) for bit in bits])
-    reading = RingReading(
-        found.code,
-        found.mirrored,
-        tuple(bool(bit) for bit in bits),
-        float(levels[bits].min() - levels[~bits].max()),
-        unevenness,
-        float(np.sqrt(np.mean(off**2))),
-        _radial_error(ink[1:, bits[sector] & (from_border < 0.3)]),
-        _misfit(ink, bits[sector], from_border),
-    )
-    return reading if reading.within(allowed) else None
+    inked = np.take_along_axis(bits, sector, axis=1)
+    contrast = np.where(bits, levels, np.inf).min(axis=1) - np.where(bits, -np.inf, levels).max(axis=1, initial=0.0)
+    radial_error = _radial_error(ink, inked & middle, radii)
+    misfit = _misfit(ink, inked, middle, radii)
+    whole = bits.all(axis=1) & dictionary.has_full_ring
+    settled = (np.count_nonzero(bits != np.roll(bits, 1, axis=1), axis=1) == crossings) & ((crossings >= 2) | whole)
+    for k in np.flatnonzero(settled).tolist():
+        word = tuple(bits[k].tolist())
+        measures = (contrast[k], unevenness[k], border_error[k], radial_error[k], misfit[k])
+        reading = RingReading(None, None, word, *map(float, measures))
+        if reading.within(allowed):
+            known = dictionary.read(word)
+            found[at[k]] = replace(reading, code=known.code, mirrored=known.mirrored)
+    return tuple(found)
 
 
-def _ink(image_dn: npt.NDArray[np.generic], dot: Ellipse, n_angles: int) -> tuple[FloatArray, float] | None:
-    """Share of ink on rings round a dot, shape (radii, angles), and how uneven its gap is; None beyond the border."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Radii:
+    """Radii at which rings are sampled, the first one in the dot, and which of them are where."""
+
+    print: RingRadii
+    all: FloatArray
+    gap: BoolArray
+    code: BoolArray
+    beyond: BoolArray
+
+    @classmethod
+    def of(cls, radii: RingRadii) -> "_Radii":
+        gap, width = radii.inner - 1, radii.outer - radii.inner
+        every = np.arange(1 + 0.3 * gap, radii.outer + _BEYOND_RADII[1] + 0.01, _RADIAL_STEP)
+        every = np.concatenate([[_DOT_RADIUS], every])
+        return cls(
+            radii,
+            every,
+            (every > 1 + _GAP_PART[0] * gap) & (every < 1 + _GAP_PART[1] * gap),
+            (every > radii.inner + _RING_PART[0] * width) & (every < radii.inner + _RING_PART[1] * width),
+            every > radii.outer + _BEYOND_RADII[0],
+        )
+
+
+def _ink(
+    pyramid: Pyramid, shapes: FloatArray, centers: FloatArray, n_angles: int, radii: _Radii
+) -> tuple[Float32Array, FloatArray]:
+    """Share of ink on rings round dots, shape (n, radii, angles), and how uneven their gaps are."""
     angles = np.arange(n_angles) * (2 * np.pi / n_angles)
-    points = dot.points_px(angles[None, :], _RADII[:, None])
-    low = np.floor(points.min(axis=(0, 1))).astype(int) - 1
-    high = np.ceil(points.max(axis=(0, 1))).astype(int) + 3
-    if (low < 0).any() or high[0] > image_dn.shape[1] or high[1] > image_dn.shape[0]:
-        return None
-    window = np.ascontiguousarray(image_dn[low[1] : high[1], low[0] : high[0]], dtype=np.float32)
-    at = (points - low).astype(np.float32)
-    values = np.asarray(cv2.remap(window, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float64)
-    gap = values[_GAP].mean(axis=0)
+    circle = np.stack([np.cos(angles), np.sin(angles)])
+    unit = (circle[:, None, :] * radii.all[:, None]).reshape(2, -1).astype(np.float32)
+    frames = ellipse_frames(shapes).astype(np.float32)
+    places = np.matmul(frames, unit) + centers.astype(np.float32)[:, :, None]
+    values = pyramid.sample(places[:, 0], places[:, 1], pyramid.level_for(shapes)).reshape(len(shapes), -1, n_angles)
+    gap = values[:, radii.gap].mean(axis=1, dtype=np.float64)
     # The gap's level as a plane: its first harmonic round the dot. Levels of the ring follow the plane outwards.
-    plane = np.stack([np.ones(n_angles), np.cos(angles), np.sin(angles)], axis=1)
-    solution = plane.T @ gap / (n_angles * np.array([1.0, 0.5, 0.5]))
-    inside = float(values[0].mean())
-    if inside == solution[0]:
-        return None
-    unevenness = float(np.sqrt(np.mean((gap - plane @ solution) ** 2)) / abs(inside - solution[0]))
-    slope = (plane[:, 1:] @ solution[1:])[None, :] * (_RADII[:, None] / 1.5)
-    blank = solution[0] + slope
-    return (values - blank) / (inside - solution[0]), unevenness
+    plane = np.stack([np.ones(n_angles), *circle], axis=1)
+    solution = gap @ plane / (n_angles * np.array([1.0, 0.5, 0.5]))
+    step = values[:, 0].mean(axis=1, dtype=np.float64) - solution[:, 0]
+    step = np.where(np.abs(step) > 1e-3, step, np.nan)
+    unevenness = np.sqrt(np.mean((gap - solution @ plane.T) ** 2, axis=1)) / np.abs(step)
+    slope = (solution[:, 1:] @ circle)[:, None, :] * (radii.all / (0.5 + 0.5 * radii.print.inner))[:, None]
+    blank = (solution[:, :1, None] + slope).astype(np.float32)
+    return (values - blank) / step.astype(np.float32)[:, None, None], np.nan_to_num(unevenness, nan=np.inf)
 
 
-def _crossings(profile: FloatArray) -> FloatArray:
-    """Return where a cyclic profile crosses one half, in samples."""
-    above = profile - 0.5
-    following = np.roll(above, -1)
-    at = np.flatnonzero((above > 0) != (following > 0))
-    return np.asarray(at + above[at] / (above[at] - following[at]))
+def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+    """Where profiles cross one half: phase and rms departure from even sectors [sectors], and number of crossings."""
+    above = profile - np.float32(0.5)
+    following = np.roll(above, -1, axis=1)
+    crosses = (above > 0) != (following > 0)
+    step = np.where(crosses, above - following, 1.0)
+    place = (np.arange(profile.shape[1]) + above / step) / _ANGLES_PER_SECTOR
+    turn = np.sum(np.exp(2j * np.pi * place) * crosses, axis=1)
+    phase = np.angle(turn) / (2 * np.pi)
+    off = ((place - phase[:, None] + 0.5) % 1.0 - 0.5) * crosses
+    count = np.count_nonzero(crosses, axis=1)
+    return phase, np.sqrt(np.sum(off**2, axis=1) / np.maximum(count, 1)), count
 
 
-def _radial_error(ink: FloatArray) -> float:
-    """Distance of the ring's borders from where they belong, in radii; infinite without borders."""
-    if ink.shape[1] == 0:
-        return float("inf")
-    profile = ink.mean(axis=1) - 0.5
-    inside = np.flatnonzero(profile > 0)
-    if len(inside) == 0 or inside[0] == 0 or inside[-1] == len(profile) - 1 or len(inside) != np.ptp(inside) + 1:
-        return float("inf")
-    radii = _RADII[1:]
-    step = float(radii[1] - radii[0])
-    first, last = inside[0], inside[-1]
-    begin = radii[first] - step * profile[first] / (profile[first] - profile[first - 1])
-    end = radii[last] + step * profile[last] / (profile[last] - profile[last + 1])
-    return float(max(abs(begin - CODE_INNER_RADIUS), abs(end - CODE_OUTER_RADIUS)))
+def _sector_levels(profile: Float32Array, sector: npt.NDArray[np.intp], middle: BoolArray, n_bits: int) -> FloatArray:
+    """Mean ink of the middle of each sector, shape (n, n_bits)."""
+    slot = (sector + n_bits * np.arange(len(profile))[:, None])[middle]
+    size = len(profile) * n_bits
+    sums = np.bincount(slot, profile[middle], size) / np.maximum(np.bincount(slot, minlength=size), 1)
+    return np.asarray(sums.reshape(len(profile), n_bits))
 
 
-def _misfit(ink: FloatArray, inked: BoolArray, from_border: FloatArray) -> float:
+def _radial_error(ink: Float32Array, chosen: BoolArray, radii: _Radii) -> FloatArray:
+    """Distance of the rings' borders from where they belong, in radii; infinite without borders."""
+    count = np.maximum(np.count_nonzero(chosen, axis=1), 1)
+    profile = np.einsum("nra,na->nr", ink[:, 1:], chosen) / count[:, None] - 0.5
+    places, inside = radii.all[1:], profile > 0
+    last_place = len(places) - 1
+    first, last = inside.argmax(axis=1), last_place - inside[:, ::-1].argmax(axis=1)
+    one_ring = (first > 0) & (last < last_place) & (np.count_nonzero(inside, axis=1) == last - first + 1)
+    before, after = np.maximum(first - 1, 0), np.minimum(last + 1, last_place)
+
+    def border(within: npt.NDArray[np.intp], beyond: npt.NDArray[np.intp]) -> FloatArray:
+        high, low = (np.take_along_axis(profile, at[:, None], axis=1)[:, 0] for at in (within, beyond))
+        share = high / np.where(high == low, 1.0, high - low)
+        return np.asarray(places[within] + share * (places[beyond] - places[within]))
+
+    begin, end = border(first, before), border(last, after)
+    error = np.maximum(np.abs(begin - radii.print.inner), np.abs(end - radii.print.outer))
+    return np.where(one_ring, error, np.inf)
+
+
+def _misfit(ink: Float32Array, inked: BoolArray, middle: BoolArray, radii: _Radii) -> FloatArray:
     """Rms of ink against what the sectors say, away from all borders; the quiet zone beyond the ring is blank."""
-    middle = from_border < 0.3
-    in_ring = ink[_CODE][:, middle] - inked[middle]
-    beyond = ink[_BEYOND][:, middle]
-    return float(np.sqrt(0.5 * (np.mean(in_ring**2) + np.mean(np.minimum(np.abs(beyond), 1.0) ** 2))))
+    count = np.maximum(np.count_nonzero(middle, axis=1), 1)
+    in_ring = np.mean((ink[:, radii.code] - inked[:, None, :]) ** 2, axis=1)
+    beyond = np.mean(np.minimum(np.abs(ink[:, radii.beyond]), 1.0) ** 2, axis=1)
+    return np.asarray(np.sqrt(0.5 * np.sum((in_ring + beyond) * middle, axis=1) / count))
 
 
-def ring_outline(dot: Ellipse) -> Ellipse:
+def ring_outline(dot: Ellipse, radii: RingRadii = VENDOR_RADII) -> Ellipse:
     """Return the outer outline of a target's code ring.
 
     Parameters
     ----------
     dot : Ellipse
         The dot.
+    radii : RingRadii, optional
+        The ring's radii.
 
     Returns
     -------
     Ellipse
-        Its ellipse, three times as large.
+        The dot's ellipse, enlarged to the ring's outer radius.
     """
-    return Ellipse(dot.center_px, dot.shape_px2 * CODE_OUTER_RADIUS**2)
+    return Ellipse(dot.center_px, dot.shape_px2 * radii.outer**2)

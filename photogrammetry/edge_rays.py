@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.pyramid import Pyramid, ellipse_frames
 
 __all__ = ["Outlines", "outlines_along_rays"]
 
@@ -41,14 +41,14 @@ class Outlines:
 
 
 def outlines_along_rays(
-    image_dn: npt.NDArray[np.uint8], centers_px: FloatArray, shapes_px2: FloatArray, middle_dn: FloatArray
+    pyramid: Pyramid, centers_px: FloatArray, shapes_px2: FloatArray, middle_dn: FloatArray
 ) -> Outlines:
     """Find where rays leave spots, and fit an ellipse to each.
 
     Parameters
     ----------
-    image_dn : ndarray of uint8, shape (h, w)
-        The photo [DN].
+    pyramid : Pyramid
+        The photo; large spots are looked at on a halving, where neither noise nor a display's pixels disturb.
     centers_px : ndarray, shape (n, 2)
         Starts: centres [px].
     shapes_px2 : ndarray, shape (n, 2, 2)
@@ -66,10 +66,9 @@ def outlines_along_rays(
     angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for low, high, samples in _PASSES:
-        frames = _frames(shapes)
+        frames = ellipse_frames(shapes)
         radii = np.linspace(low, high, samples)
-        place = np.einsum("nij,kj->nki", frames, circle)[:, :, None, :] * radii[:, None] + centers[:, None, None, :]
-        values = _bilinear(image_dn, place)
+        values = _along_rays(pyramid, centers, shapes, frames, circle[:, :, None] * radii)
         edges, seen = _first_crossing(values, middle_dn, radii)
         conic, ok = _fit(edges, seen, circle)
         off = np.abs(_distance(conic, edges, circle))
@@ -90,24 +89,15 @@ def outlines_along_rays(
     return Outlines(centers, shapes, rms, found)
 
 
-def _frames(shapes: FloatArray) -> FloatArray:
-    """Return the symmetric roots of shape matrices."""
-    root = np.sqrt(np.maximum(np.linalg.det(shapes), 1e-9))
-    trace = shapes[:, 0, 0] + shapes[:, 1, 1]
-    return np.asarray((shapes + root[:, None, None] * np.eye(2)) / np.sqrt(trace + 2 * root)[:, None, None])
-
-
-def _bilinear(image: npt.NDArray[np.uint8], place: FloatArray) -> FloatArray:
-    height, width = image.shape
-    x = np.clip(place[..., 0], 0, width - 1.001)
-    y = np.clip(place[..., 1], 0, height - 1.001)
-    column, row = x.astype(np.intp), y.astype(np.intp)
-    at = row * width + column
-    flat = image.ravel()
-    fx, fy = x - column, y - row
-    upper = flat[at] * (1 - fx) + flat[at + 1] * fx
-    lower = flat[at + width] * (1 - fx) + flat[at + width + 1] * fx
-    return np.asarray(upper * (1 - fy) + lower * fy)
+def _along_rays(
+    pyramid: Pyramid, centers: FloatArray, shapes: FloatArray, frames: FloatArray, rays: FloatArray
+) -> FloatArray:
+    """Grey values at all points of all rays, shape (n, rays, points); rays of the unit circle, (rays, 2, points)."""
+    count, _, points = rays.shape
+    unit = rays.transpose(1, 0, 2).reshape(2, -1)
+    place = (np.matmul(frames, unit) + centers[:, :, None]).astype(np.float32)
+    values = pyramid.sample(place[:, 0], place[:, 1], pyramid.level_for(shapes))
+    return values.reshape(-1, count, points).astype(np.float64)
 
 
 def _first_crossing(values: FloatArray, middle: FloatArray, radii: FloatArray) -> tuple[FloatArray, BoolArray]:

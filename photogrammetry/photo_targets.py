@@ -1,18 +1,20 @@
 """All circular targets of one photo: found, read, centred."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
-from photogrammetry.coded_targets import RingDictionary
-from photogrammetry.decode import RingLimits, RingReading, read_ring, ring_outline
-from photogrammetry.detect import Candidate, SearchLimits, find_candidates, measure_center
+from photogrammetry.coded_targets import VENDOR_RADII, RingDictionary
+from photogrammetry.decode import RingLimits, RingReading, read_rings, ring_outline
+from photogrammetry.detect import Candidate, SearchLimits, find_in_pyramid, measure_center
 from photogrammetry.detections import Detections
-from photogrammetry.target_center import CenterOperator, TargetCenter
-from photogrammetry.template_center import template_center
+from photogrammetry.ellipse import Ellipse
+from photogrammetry.pyramid import make_pyramid
+from photogrammetry.target_center import REACH, CenterOperator, TargetCenter
+from photogrammetry.template_center import template_center, template_centers
 
 __all__ = ["PhotoTargets", "TargetSearch", "measure_targets"]
 
@@ -90,18 +92,21 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     PhotoTargets
         Detections with covariances, and what was noticed. No target is no error.
     """
-    candidates = find_candidates(image_dn, search.limits)
+    pyramid = make_pyramid(image_dn)
+    dictionary = search.dictionary
+    limits = search.limits if dictionary is None else replace(search.limits, gap_radius=dictionary.radii.inner)
+    candidates = find_in_pyramid(pyramid, limits)
+    dots = [candidate.ellipse for candidate in candidates]
+    readings = [None] * len(dots) if dictionary is None else read_rings(pyramid, dots, dictionary, search.ring_limits)
+    ringed = [k for k, reading in enumerate(readings) if reading is not None]
     coded: list[tuple[TargetCenter, RingReading]] = []
-    rest: list[Candidate] = []
-    for candidate in candidates:
-        reading = _reading(image_dn, candidate, search)
-        if reading is None:
-            rest.append(candidate)
-            continue
-        try:
-            coded.append((measure_center(image_dn, candidate.ellipse, search.operator), reading))
-        except EstimationError:
-            rest.append(candidate)
+    rest = [candidates[k] for k, reading in enumerate(readings) if reading is None]
+    for k, center in zip(ringed, _centers(image_dn, [dots[k] for k in ringed], search), strict=True):
+        reading = readings[k]
+        if isinstance(center, TargetCenter) and reading is not None:
+            coded.append((center, reading))
+        else:
+            rest.append(candidates[k])
     named = [(center, reading) for center, reading in coded if reading.code is not None]
     uncoded = _uncoded(image_dn, rest, [center for center, _ in coded], search) if search.with_uncoded else []
     names = [reading.code.name for _, reading in named if reading.code is not None]
@@ -118,10 +123,20 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     )
 
 
-def _reading(image_dn: npt.NDArray[np.generic], candidate: Candidate, search: TargetSearch) -> RingReading | None:
-    if search.dictionary is None:
-        return None
-    return read_ring(image_dn, candidate.ellipse, search.dictionary, search.ring_limits)
+def _centers(
+    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], search: TargetSearch
+) -> Sequence[TargetCenter | EstimationError]:
+    """Measure centres: the template's all at once, those of other operators one by one."""
+    if search.operator is template_center:
+        gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
+        return template_centers(image_dn, dots, min(REACH, 1 + (REACH - 1) * gap))
+    found: list[TargetCenter | EstimationError] = []
+    for dot in dots:
+        try:
+            found.append(measure_center(image_dn, dot, search.operator))
+        except EstimationError as error:
+            found.append(error)
+    return found
 
 
 def _uncoded(
@@ -131,21 +146,15 @@ def _uncoded(
     search: TargetSearch,
 ) -> list[TargetCenter]:
     """Measure the dots without a code that do not lie within a coded target."""
-    rings = [ring_outline(center.ellipse) for center in coded]
+    radii = VENDOR_RADII if search.dictionary is None else search.dictionary.radii
+    rings = [ring_outline(center.ellipse, radii) for center in coded]
     middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)
     conics = np.array([np.linalg.inv(ring.shape_px2) for ring in rings]).reshape(-1, 2, 2)
-    kept = []
-    for candidate in candidates:
-        off = candidate.ellipse.center_px - middles
-        if (np.einsum("ni,nij,nj->n", off, conics, off) < 1).any():
-            continue
-        try:
-            center = measure_center(image_dn, candidate.ellipse, search.operator)
-        except EstimationError:
-            continue
-        if center.misfit < search.most_misfit:
-            kept.append(center)
-    return kept
+    off = np.array([candidate.ellipse.center_px for candidate in candidates]).reshape(-1, 1, 2) - middles
+    within = (np.einsum("mni,nij,mnj->mn", off, conics, off) < 1).any(axis=1)
+    free = [candidate.ellipse for candidate, covered in zip(candidates, within, strict=True) if not covered]
+    centers = [center for center in _centers(image_dn, free, search) if isinstance(center, TargetCenter)]
+    return [center for center in centers if center.misfit < search.most_misfit]
 
 
 def _detections(photo: str, names: Sequence[str], centers: Sequence[TargetCenter]) -> Detections:

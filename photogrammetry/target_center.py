@@ -5,7 +5,7 @@ covariance is then the noise of the pixels seen through the influence, so that o
 correlated (gradients of neighbouring pixels, contours at several levels) are as honest as a least-squares fit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -66,6 +66,21 @@ class TargetCenter:
     def misfit(self) -> float:
         """Residual relative to the contrast: what is no ellipse, or partly covered, shows here."""
         return self.residual_dn / max(abs(self.contrast_dn), 1e-12)
+
+    def moved(self, offset_px: npt.ArrayLike) -> "TargetCenter":
+        """Return the same centre in the pixels of an image of which the window was cut out.
+
+        Parameters
+        ----------
+        offset_px : array_like, shape (2,)
+            The window's first pixel [px].
+
+        Returns
+        -------
+        TargetCenter
+            The centre moved.
+        """
+        return replace(self, ellipse=self.ellipse.moved(offset_px))
 
 
 class CenterOperator(Protocol):
