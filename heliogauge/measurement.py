@@ -7,7 +7,7 @@ else ends as one `InputError` that names file, key, value and remedy.
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_args
@@ -15,6 +15,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
+from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
 
@@ -138,8 +139,9 @@ class PhotogrammetryMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         model = self.model
-        named = [model.camera.file, model.image_points and model.image_points.file]
+        named = [*(one.file for one in model.camera), model.image_points and model.image_points.file]
         named += [] if model.start is None else model.start.names
+        named += model.files.names
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
 
 
@@ -265,7 +267,7 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     for path in found.input_files:
         if not path.is_file():
             raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
-    return found
+    return replace(found, model=with_known_files(model, folder))
 
 
 def _other_kind(file: Path, model: Model, wanted: str) -> InputError:

@@ -5,78 +5,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, model_validator
 
-from heliogauge.measurement_models import (
-    Count,
-    Intrinsic,
-    Number,
-    PhotosSection,
-    Positive,
-    Section,
-    Sigma3,
-    Text,
-    Vector3,
-)
-
-#: Intrinsics of a camera of which nothing is known but its size.
-SELF_CALIBRATED: tuple[Intrinsic, ...] = (
-    "focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
-
-
-class NetworkCameraSection(Section):
-    """The camera: a file or start values, and which intrinsics are estimated.
-
-    Without a file and without ``focal_px`` the camera calibrates itself. A known camera is held unless ``free`` names
-    intrinsics; ``prior = true`` weighs them by the covariance of the file, ``sigma`` by single sigmas.
-    """
-
-    name: Text = "camera"
-    file: Text | None = None
-    width_px: Count | None = None
-    height_px: Count | None = None
-    focal_px: Positive | None = None
-    focal_length_35mm: Positive | None = None
-    aspect: Number = 0.0
-    center_x_px: Number | None = None
-    center_y_px: Number | None = None
-    skew: Number = 0.0
-    k1: Number = 0.0
-    k2: Number = 0.0
-    k3: Number = 0.0
-    p1: Number = 0.0
-    p2: Number = 0.0
-    distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] = "ideal_to_measured"
-    residuals: Literal["measured", "corrected"] = "measured"
-    free: tuple[Intrinsic, ...] | None = None
-    prior: bool = False
-    sigma: dict[Intrinsic, Positive] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        own = {"focal_px", "focal_length_35mm", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "k3", "p1",
-               "p2", "distortion_direction"} & self.model_fields_set  # fmt: skip
-        if self.file is not None and own:
-            raise ValueError(f"the file gives the camera, and so does {', '.join(sorted(own))}; leave one of both out")
-        if self.focal_px is not None and self.focal_length_35mm is not None:
-            raise ValueError("focal_px and focal_length_35mm say the same; leave one out")
-        if self.prior and self.file is None:
-            raise ValueError("prior = true weighs by the covariance of a camera file; give one, or use [camera.sigma]")
-        strangers = [name for name in self.sigma if name not in self.estimated]
-        if strangers:
-            raise ValueError(f"sigma of {', '.join(strangers)}, which is held; name it in free")
-        return self
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the file tells the lens, and not only what to start from."""
-        return self.file is not None or self.focal_px is not None
-
-    @property
-    def estimated(self) -> tuple[Intrinsic, ...]:
-        """Intrinsics that are estimated."""
-        if self.free is not None:
-            return self.free
-        return () if self.is_known else SELF_CALIBRATED
+from heliogauge.measurement_models import Number, PhotosSection, Positive, Section, Sigma3, Text, Vector3
+from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
 
 
 class ImagePointsSection(Section):
@@ -171,11 +101,67 @@ class StartSection(Section):
         return tuple(name for name in (self.points, self.cameras) if name is not None)
 
 
+class KnownFilesSection(Section):
+    """Tables of what is known, instead of or besides the sections in the file; `heliogauge.measurement_known`."""
+
+    control_points: Text | None = None
+    scale_bars: Text | None = None
+    coordinates: Text | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The files that are named."""
+        return tuple(name for name in (self.control_points, self.scale_bars, self.coordinates) if name is not None)
+
+
+class CollectorSection(Section):
+    """Targets on the rim of a parabolic trough; y along the trough, z out of the mirror from its vertex line.
+
+    Rim targets have x = -w/2 (left) or w/2 (right) and z = w^2 / (16 f); the targets of one end have y = 0; each pair
+    in ``along`` is ``length_m`` apart.
+    """
+
+    width_m: Positive
+    focal_length_m: Positive
+    left: Annotated[tuple[Text, ...], Field(min_length=2)]
+    right: Annotated[tuple[Text, ...], Field(min_length=2)]
+    end: Annotated[tuple[Text, ...], Field(min_length=1)]
+    along: tuple[tuple[Text, Text], ...] = ()
+    length_m: Positive | None = None
+    sigma_mm: Positive
+    length_sigma_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _length_and_pairs(self) -> Self:
+        if bool(self.along) != (self.length_m is not None):
+            raise ValueError("along and length_m belong together")
+        both = sorted(set(self.left) & set(self.right))
+        if both:
+            raise ValueError(f"target {both[0]} cannot be on both sides")
+        return self
+
+    @property
+    def rim_height_m(self) -> float:
+        """Height of the rim over the vertex line [m]."""
+        return self.width_m**2 / (16 * self.focal_length_m)
+
+
 class DatumSection(Section):
     """How position, rotation and scale are defined where constraints and control points leave them open."""
 
-    kind: Literal["inner", "minimal"] = "inner"
+    kind: Literal["inner", "minimal", "photos", "control"] = "inner"
     targets: tuple[Text, ...] = ()
+    photos: tuple[Text, ...] = ()
+
+    @model_validator(mode="after")
+    def _fitting_names(self) -> Self:
+        if self.kind == "photos" and not 1 <= len(set(self.photos)) <= 2:
+            raise ValueError("photos: one photo that stays where it is, and one more if there is no scale")
+        if self.photos and self.kind != "photos":
+            raise ValueError(f'photos belongs to kind = "photos", not to "{self.kind}"')
+        if self.targets and self.kind in {"photos", "control"}:
+            raise ValueError(f'targets belongs to kind = "inner" or "minimal", not to "{self.kind}"')
+        return self
 
 
 class AdjustmentSection(Section):
@@ -196,7 +182,7 @@ class PhotogrammetryModel(Section):
     name: Text
     date: datetime.date | datetime.datetime | None = None
     notes: str = ""
-    camera: NetworkCameraSection = NetworkCameraSection()
+    camera: CameraSections = (NetworkCameraSection(),)
     images: PhotosSection | None = None
     image_points: ImagePointsSection | None = None
     targets: TargetsSection | None = None
@@ -205,6 +191,8 @@ class PhotogrammetryModel(Section):
     control_point: tuple[ControlPointSection, ...] = ()
     constraint: tuple[KnowledgeSection, ...] = ()
     start: StartSection | None = None
+    files: KnownFilesSection = KnownFilesSection()
+    collector: CollectorSection | None = None
     datum: DatumSection = DatumSection()
     adjustment: AdjustmentSection = AdjustmentSection()
 
@@ -214,8 +202,7 @@ class PhotogrammetryModel(Section):
             raise ValueError("give [images] with photos, or [image_points] with a file, one of both")
         if self.images is not None and self.targets is None:
             raise ValueError("[targets] is missing: say which dictionary the targets in the photos are from")
-        if self.image_points is not None and self.camera.file is None and self.camera.width_px is None:
-            raise ValueError("camera: width_px and height_px (or a file) are needed with image points")
-        if (self.camera.width_px is None) != (self.camera.height_px is None):
-            raise ValueError("camera: width_px and height_px belong together")
+        unsized = [one.name for one in self.camera if not one.has_size]
+        if self.image_points is not None and unsized:
+            raise ValueError(f"{', '.join(unsized)}: width_px and height_px (or a file) are needed with image points")
         return self

@@ -59,28 +59,59 @@ def aligned_to_control(state: BundleState, targets: Sequence[str], control_m: Ma
     ------
     EstimationError
         Fewer than three of the control points are in the network, or all are on one line.
+    """
+    moved = best_fit(state, targets, control_m)
+    place = {name: i for i, name in enumerate(targets)}
+    names = [name for name in control_m if name in place]
+    moved.points_m[[place[name] for name in names]] = [control_m[name] for name in names]
+    return moved
+
+
+def best_fit(
+    state: BundleState, targets: Sequence[str], wanted_m: Mapping[str, FloatArray], *, with_scale: bool = True
+) -> BundleState:
+    """Move a network as a whole to where coordinates are wanted.
+
+    Parameters
+    ----------
+    state : BundleState
+        The network, in any frame and scale.
+    targets : sequence of str
+        Names of its targets.
+    wanted_m : mapping of str to array_like of shape (3,)
+        Coordinates of at least three of them, not on one line [m].
+    with_scale : bool, optional
+        Whether the scale may change too.
+
+    Returns
+    -------
+    BundleState
+        The network with the smallest sum of squared distances.
+
+    Raises
+    ------
+    EstimationError
+        Fewer than three of the targets are in the network, or all are on one line.
 
     Notes
     -----
     Umeyama, IEEE Trans. PAMI 13 (1991) 376.
     """
     place = {name: i for i, name in enumerate(targets)}
-    names = [name for name in control_m if name in place]
+    names = [name for name in wanted_m if name in place]
     if len(names) < 3:
         raise EstimationError(f"alignment: 3 control points in the network are needed, not {len(names)}")
     own = state.points_m[[place[name] for name in names]]
-    wanted = np.array([control_m[name] for name in names], dtype=np.float64)
+    wanted = np.array([wanted_m[name] for name in names], dtype=np.float64)
     own_arms, wanted_arms = own - own.mean(axis=0), wanted - wanted.mean(axis=0)
     left, singular, right = np.linalg.svd(wanted_arms.T @ own_arms)
     if singular[1] < 1e-9 * singular[0]:
         raise EstimationError(f"alignment: the control points {', '.join(names)} are on one line; add one beside it")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = left @ np.diag(sign) @ right
-    scale = float((singular * sign).sum() / (own_arms**2).sum())
+    scale = float((singular * sign).sum() / (own_arms**2).sum()) if with_scale else 1.0
     shift = wanted.mean(axis=0) - scale * rotation @ own.mean(axis=0)
-    moved = transformed(state, RigidTransform(rotation, shift), scale)
-    moved.points_m[[place[name] for name in names]] = wanted
-    return moved
+    return transformed(state, RigidTransform(rotation, shift), scale)
 
 
 def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Sequence[Constraint]) -> BundleState:

@@ -143,6 +143,7 @@ def adjust_and_reject(
     options: BundleOptions | None = None,
     family_significance: float = 0.05,
     most_rounds: int = 20,
+    suspects: BoolArray | None = None,
 ) -> tuple[BundleResult, tuple[Rejected, ...]]:
     """Adjust, leave out the worst image points, adjust again, until none is too far off.
 
@@ -158,6 +159,8 @@ def adjust_and_reject(
         Probability of leaving out any good image point of all.
     most_rounds : int, optional
         Rounds after which the search ends.
+    suspects : ndarray of bool, shape (m,), optional
+        Image points that take no part until the others are clean; then those that agree come in.
 
     Returns
     -------
@@ -166,12 +169,14 @@ def adjust_and_reject(
     rejected : tuple of Rejected
         What was left out, in order. In each round only the worst image point of a photo and of a target goes, because
         one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What turns out to
-        agree in the end comes back.
+        agree in the end comes back. Suspects that stay out are not among them.
     """
     options = options or BundleOptions()
-    rows = np.arange(problem.observations.n)
+    outside = np.zeros(problem.observations.n, dtype=np.bool_) if suspects is None else suspects
+    rows = np.nonzero(~outside)[0]
     rejected: dict[int, Rejected] = {}
-    result = adjust(problem, start, options=options)
+    first = replace(problem, observations=problem.observations.subset(rows)) if outside.any() else problem
+    result = adjust(first, start, options=options)
     for _ in range(most_rounds):
         tests = examine_image_points(result)
         marked = tests.outliers(family_significance)
@@ -188,7 +193,8 @@ def adjust_and_reject(
         rows = rows[keep]
         smaller = replace(result.problem, observations=result.problem.observations.subset(keep))
         result = adjust(smaller, result.state, options=options)
-    back = _innocent(problem, result, list(rejected), family_significance)
+    asked = [*rejected, *np.nonzero(outside)[0].tolist()]
+    back = _innocent(problem, result, asked, family_significance)
     if back:
         rows = np.sort(np.concatenate([rows, np.array(back, dtype=np.intp)]))
         result = adjust(replace(problem, observations=problem.observations.subset(rows)), result.state, options=options)

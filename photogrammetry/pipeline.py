@@ -25,7 +25,8 @@ from photogrammetry.bundle_statistics import examine_image_points, examine_intri
 from photogrammetry.constraints import Distance
 from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
-from photogrammetry.pipeline_inputs import build_camera, build_constraints, build_datum, build_model, build_start
+from photogrammetry.pipeline_cameras import build_cameras, sizes_of_cameras
+from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
@@ -79,8 +80,14 @@ class Result:
 
     @property
     def camera(self) -> Camera:
-        """The camera with the covariance of its parameters."""
+        """The first camera with the covariance of its parameters."""
         return self.solved.bundle.cameras[0]
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """All cameras by name, with the covariance of their parameters."""
+        bundle = self.solved.bundle
+        return {model.name: one for model, one in zip(bundle.problem.cameras, bundle.cameras, strict=True)}
 
     @property
     def points(self) -> PointTable:
@@ -140,16 +147,14 @@ def run(
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     measured = read_points(measurement, options, progress)
-    camera = build_camera(measurement, measured.size_px)
+    cameras = build_cameras(measurement, measured.points.photos, measured.sizes_px)
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
     knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), build_start(measurement))
     sigmas = model.adjustment.sigmas
     rescale = measured.sigma_assumed if sigmas is None else sigmas == "from residuals"
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
     with progress.stage("adjust"):
-        solved = solve_network(
-            measured.points, measured.ellipses_px2, (camera, build_model(model.camera, camera)), knowledge, how
-        )
+        solved = solve_network(measured.points, measured.ellipses_px2, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
     with progress.stage("statistics"):
@@ -188,13 +193,12 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
     if model.targets is not None and measurement.photo_files:
         return measure_photos(measurement.photo_files, model.targets, jobs=options.jobs, progress=progress)
     section = model.image_points or ImagePointsSection()
-    camera = build_camera(measurement, None)
     with progress.stage("read image points"):
         found = read_image_points_csv(
             measurement.folder / section.file,
             origin=PixelOrigin(section.pixel_origin),
             default_sigma_px=section.default_sigma_px,
-            sizes_px=(camera.width_px, camera.height_px),
+            sizes_px=lambda photos: sizes_of_cameras(measurement, photos),
         )
     shapes = np.full((found.points.n, 2, 2), np.nan)
     return MeasuredPhotos(found.points, shapes, None, (), found.warnings, found.sigma_assumed)
@@ -216,7 +220,7 @@ def write(result: Result, folder: Path) -> None:
         A file cannot be written.
     """
     write_points_csv(folder / "points.csv", result.points)
-    write_cameras_json(folder / "cameras.json", {_camera_name(result): result.camera}, _poses(result))
+    write_cameras_json(folder / "cameras.json", result.cameras, _poses(result))
     write_table_csv(folder / "points_covariance.csv", _covariance_columns(result))
     write_table_csv(folder / "residuals.csv", _residual_columns(result))
     refused = result.refused
@@ -229,18 +233,15 @@ def write(result: Result, folder: Path) -> None:
     write_summary(folder / "summary.json", summarise(result))
 
 
-def _camera_name(result: Result) -> str:
-    return result.solved.bundle.problem.cameras[0].name
-
-
 def _poses(result: Result) -> dict[str, PhotoPose]:
     bundle = result.solved.bundle
     table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
     counts = np.maximum(table.n_targets_in_photo, 1)
     rms = np.sqrt(np.bincount(table.photo_index, weights=squares, minlength=len(table.photos)) / counts)
     covariances = bundle.covariance.poses
+    owners = [bundle.problem.cameras[place].name for place in bundle.problem.camera_index]
     return {
-        name: PhotoPose(_camera_name(result), pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
+        name: PhotoPose(owners[i], pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
         for i, (name, pose) in enumerate(zip(table.photos, bundle.cam_from_world, strict=True))
     }
 
@@ -313,12 +314,14 @@ def summarise(result: Result) -> Summary:
     """
     bundle = result.solved.bundle
     numbers, missing = headline(result.solved, result.lengths)
-    camera = result.camera
-    model = bundle.problem.cameras[0]
+    described = [
+        f"{model.name}: {one.width_px} x {one.height_px} px; estimated: {', '.join(model.free) or 'nothing'}"
+        for model, one in zip(bundle.problem.cameras, bundle.cameras, strict=True)
+    ]
     scale = "residuals" if result.solved.image_sigma_factor != 1.0 else "statement"
     texts = {
         "datum": bundle.datum,
-        "camera": f"{camera.width_px} x {camera.height_px} px; estimated: {', '.join(model.free) or 'nothing'}",
+        "camera": "; ".join(described if len(described) > 1 else [described[0].partition(": ")[2]]),
         "sigma": f"1 standard deviation under this datum; size of the image points' sigmas from their {scale}",
         "rejected": f"{len(result.refused)} items, see rejected.csv",
         **quality_texts(result.lengths, float(numbers["extent_m"] or 0.0)),

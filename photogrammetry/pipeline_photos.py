@@ -46,8 +46,8 @@ class MeasuredPhotos:
         The image points.
     ellipses_px2 : ndarray, shape (m, 2, 2)
         Shape of each target's ellipse; NaN for corners [px^2].
-    size_px : (int, int) or None
-        Width and height of the photos; None where image points were given [px].
+    sizes_px : dict of str to (int, int) or None
+        Width and height of each photo; None where image points were given [px].
     refused : tuple of Refused
         False codes, doubled names, photos without targets.
     warnings : tuple of str
@@ -58,7 +58,7 @@ class MeasuredPhotos:
 
     points: ImagePoints
     ellipses_px2: FloatArray
-    size_px: tuple[int, int] | None
+    sizes_px: dict[str, tuple[int, int]] | None
     refused: tuple[Refused, ...]
     warnings: tuple[str, ...]
     sigma_assumed: bool
@@ -96,10 +96,15 @@ def measure_photos(
     Raises
     ------
     InputError
-        A photo cannot be read, sizes differ, or the dictionary is unknown.
+        A photo cannot be read, two have the same name, or the dictionary is unknown.
     EstimationError
         No photo shows a target.
     """
+    twice = [name for name, count in Counter(file.name for file in files).items() if count > 1]
+    if twice:
+        raise InputError(
+            f"images.photos: {len(twice)} names occur in two folders ({twice[0]}); give photos other names"
+        )
     search = None if section.dictionary.startswith("DICT_") else build_search(section)
 
     def one(file: Path) -> _OnePhoto:
@@ -132,19 +137,7 @@ def measure_photos(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    _refuse_mixture(found)
     return _gathered(found)
-
-
-def _refuse_mixture(found: Sequence[_OnePhoto]) -> None:
-    sizes = Counter(one.size_px for one in found)
-    if len(sizes) > 1:
-        usual = sizes.most_common(1)[0][0]
-        odd = [f"{one.detections.photo} ({one.size_px[0]} x {one.size_px[1]})" for one in found if one.size_px != usual]
-        raise InputError(
-            f"images.photos: most have {usual[0]} x {usual[1]} px, but not {', '.join(odd[:5])}; photos of one camera "
-            "at one resolution, as the sensor took them, are needed"
-        )
 
 
 def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
@@ -177,5 +170,6 @@ def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
     covariance = np.concatenate([part.covariance_px2 for part in parts])
     # Estimators leave the two halves different in the last bit.
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    sizes = {one.detections.photo: one.size_px for one in found}
     points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
-    return MeasuredPhotos(points, np.concatenate(shapes), found[0].size_px, tuple(refused), tuple(said), True)
+    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True)

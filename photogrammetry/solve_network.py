@@ -1,23 +1,33 @@
 """From image points to an adjusted network: start values, eccentricity, outliers, sigmas."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from heliogauge.camera import Camera
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.solution import CovarianceScale
 from heliogauge.validate import FloatArray
-from photogrammetry.alignment import aligned_to_constraints, aligned_to_control
-from photogrammetry.bundle import BundleOptions, BundleProblem, BundleResult, BundleState, CameraModel, Datum, adjust
+from photogrammetry.alignment import aligned_to_constraints, aligned_to_control, best_fit, transformed
+from photogrammetry.bundle import (
+    BundleOptions,
+    BundleProblem,
+    BundleResult,
+    BundleState,
+    CameraModel,
+    Datum,
+    DatumKind,
+    adjust,
+)
 from photogrammetry.bundle_diagnosis import require
 from photogrammetry.bundle_statistics import Rejected, adjust_and_reject, examine_image_points
-from photogrammetry.constraints import Constraint, ControlPoint
+from photogrammetry.constraints import Constraint, ControlPoint, Distance
 from photogrammetry.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.network import LeftOut, Network, StartValues, build_network
-from photogrammetry.observations import ImagePoints
+from photogrammetry.observations import ImagePoints, IntArray
 
-__all__ = ["Knowledge", "SolveOptions", "Solved", "solve_from", "solve_network"]
+__all__ = ["Knowledge", "NetworkCameras", "SolveOptions", "Solved", "solve_from", "solve_network"]
 
 #: Sigmas from residuals need this many to spare to be worth more than the stated ones.
 _LEAST_REDUNDANCY = 20
@@ -43,6 +53,49 @@ class Knowledge:
     fixed_m: dict[str, FloatArray]
     datum: Datum
     start: StartValues = field(default_factory=StartValues)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkCameras:
+    """The cameras of a network.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+        To start from.
+    models : tuple of CameraModel
+        What of each is free.
+    camera_of : mapping of str to int
+        Which camera took each photo.
+
+    Raises
+    ------
+    InputError
+        Not as many models as cameras.
+    """
+
+    cameras: tuple[Camera, ...]
+    models: tuple[CameraModel, ...]
+    camera_of: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        if len(self.cameras) != len(self.models) or not self.cameras:
+            raise InputError(f"cameras: {len(self.cameras)} cameras, but {len(self.models)} models")
+
+    @classmethod
+    def of(cls, bundle: BundleResult) -> "NetworkCameras":
+        """Return the cameras of an adjusted network."""
+        problem = bundle.problem
+        owners = dict(zip(problem.observations.photos, problem.camera_index.tolist(), strict=True))
+        return cls(bundle.state.cameras, problem.cameras, owners)
+
+    def index(self, photos: Sequence[str]) -> IntArray:
+        """Return the camera of each photo."""
+        return np.array([self.camera_of[name] for name in photos], dtype=np.intp)
+
+    def problem(self, table: ImagePoints) -> BundleProblem:
+        """Return the free network of image points: nothing known, inner constraints."""
+        return BundleProblem(table, self.models, self.index(table.photos))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +148,7 @@ class Solved:
 def solve_network(
     points: ImagePoints,
     ellipses_px2: FloatArray,
-    cameras: tuple[Camera, CameraModel],
+    cameras: NetworkCameras,
     knowledge: Knowledge,
     options: SolveOptions,
 ) -> Solved:
@@ -107,8 +160,8 @@ def solve_network(
         All image points, false ones among them.
     ellipses_px2 : ndarray, shape (m, 2, 2)
         Ellipses of the targets; NaN where there is none [px^2].
-    cameras : (Camera, CameraModel)
-        The camera to start from and what of it is free.
+    cameras : NetworkCameras
+        The cameras to start from and what of them is free.
     knowledge : Knowledge
         Scale bars, control points, constraints and datum.
     options : SolveOptions
@@ -124,16 +177,21 @@ def solve_network(
     EstimationError
         The photos do not hang together, or something is not determined; it is named.
     """
-    camera, model = cameras
-    network = build_network(points, [camera], models=[model], start=knowledge.start)
-    return solve_from(network, points, ellipses_px2, model, knowledge, options)
+    network = build_network(
+        points,
+        cameras.cameras,
+        models=cameras.models,
+        camera_of_photo=cameras.index(points.photos),
+        start=knowledge.start,
+    )
+    return solve_from(network, points, ellipses_px2, cameras, knowledge, options)
 
 
 def solve_from(
     network: Network,
     points: ImagePoints,
     ellipses_px2: FloatArray,
-    model: CameraModel,
+    cameras: NetworkCameras,
     knowledge: Knowledge,
     options: SolveOptions,
 ) -> Solved:
@@ -147,8 +205,8 @@ def solve_from(
         All image points, false ones among them.
     ellipses_px2 : ndarray, shape (m, 2, 2)
         Ellipses of the targets; NaN where there is none [px^2].
-    model : CameraModel
-        What of the camera is free.
+    cameras : NetworkCameras
+        What of the cameras is free, and whose the photos are.
     knowledge : Knowledge
         Scale bars, control points, constraints and datum.
     options : SolveOptions
@@ -164,23 +222,33 @@ def solve_from(
     EstimationError
         Something is not determined; it is named.
     """
-    rows = network.rows if options.reject else _with_suspicious(points, network)
+    rows = _with_suspicious(points, network)
     table = points.subset(rows).compacted()
-    network = network if options.reject else _complete(network, table)
+    if (network.observations.photos, network.observations.targets) != (table.photos, table.targets):
+        raise EstimationError("network: photos or targets were lost between start values and adjustment")
+    suspects = ~np.isin(rows, network.rows) & options.reject
     chosen = BundleOptions(covariance_scale=CovarianceScale.POSTERIOR if options.rescale else CovarianceScale.PRIOR)
     state, shift = network.state, np.zeros((table.n, 2))
     if np.isfinite(ellipses_px2[rows]).any():
-        shift, state = _decentred(BundleProblem(table, (model,)), state, ellipses_px2[rows], chosen)
+        clean = adjust(cameras.problem(table.subset(~suspects)), state, options=chosen)
+        state = clean.state
+        shift = _shifts_of_centres(table, ellipses_px2[rows], state, cameras.index(table.photos))
         table = replace(table, pixels_px=table.pixels_px - shift)
     rejected: tuple[Rejected, ...] = ()
+    network = replace(network, suspicious=network.suspicious if options.reject else ())
     if options.reject:
         # Without constraints: a wrong scale bar must not make the image points of its targets look wrong.
         alone, rejected = adjust_and_reject(
-            BundleProblem(table, (model,)), state, options=chosen, family_significance=options.family_significance
+            cameras.problem(table),
+            state,
+            options=chosen,
+            family_significance=options.family_significance,
+            suspects=suspects,
         )
         table, state = alone.problem.observations, alone.state
+        network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
-    problem, unused = _problem(table, model, knowledge)
+    problem, unused = _problem(table, cameras, knowledge)
     bundle = require(adjust(problem, _placed(state, table, problem, knowledge), options=chosen))
     factor = 1.0
     if options.rescale:
@@ -203,14 +271,15 @@ def _without_empty(table: ImagePoints, state: BundleState) -> tuple[ImagePoints,
     return table.compacted(), left
 
 
-def _complete(network: Network, table: ImagePoints) -> Network:
-    """Return the network without suspicions, for an adjustment that keeps every image point."""
-    if (network.observations.photos, network.observations.targets) != (table.photos, table.targets):
-        raise EstimationError("network: photos or targets were lost between start values and adjustment")
-    return replace(network, suspicious=())
+def _without_innocent(network: Network, table: ImagePoints) -> Network:
+    """Take suspicions back of image points that turned out to agree."""
+    used = {table.label(row) for row in range(table.n)} if network.suspicious else set()
+    return replace(network, suspicious=tuple(one for one in network.suspicious if one.name not in used))
 
 
-def _problem(table: ImagePoints, model: CameraModel, knowledge: Knowledge) -> tuple[BundleProblem, tuple[LeftOut, ...]]:
+def _problem(
+    table: ImagePoints, cameras: NetworkCameras, knowledge: Knowledge
+) -> tuple[BundleProblem, tuple[LeftOut, ...]]:
     """Keep what is known of targets in the network; name the rest."""
     seen, unused = set(table.targets), []
     constraints = []
@@ -223,7 +292,13 @@ def _problem(table: ImagePoints, model: CameraModel, knowledge: Knowledge) -> tu
     fixed = tuple(name for name in knowledge.fixed_m if name in seen)
     unused += [LeftOut(f"control point {name}", "not used: not in the network") for name in knowledge.fixed_m
                if name not in seen]  # fmt: skip
-    return BundleProblem(table, (model,), None, tuple(constraints), fixed, knowledge.datum), tuple(unused)
+    datum = knowledge.datum
+    lost = tuple(name for name in datum.targets if name not in seen)
+    if lost and datum.kind is DatumKind.INNER and len(lost) < len(datum.targets):
+        unused += [LeftOut(f"datum target {name}", "not used: not in the network") for name in lost]
+        datum = replace(datum, targets=tuple(name for name in datum.targets if name in seen))
+    free = cameras.problem(table)
+    return replace(free, constraints=tuple(constraints), fixed=fixed, datum=datum), tuple(unused)
 
 
 def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, knowledge: Knowledge) -> BundleState:
@@ -234,21 +309,26 @@ def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, know
     control = {one.target: one.xyz_m for one in problem.constraints if isinstance(one, ControlPoint)}
     if len(control) >= 3:
         return aligned_to_control(state, table.targets, control)
-    given = {name: knowledge.start.points_m[name] for name in table.targets if name in knowledge.start.points_m}
-    if not problem.constraints and len(given) >= 3:
-        # Growing moved the network a little; inner constraints refer to the start.
-        return aligned_to_control(state, table.targets, given)
-    return aligned_to_constraints(state, table.targets, problem.constraints)
+    chosen = problem.datum.targets or table.targets
+    given = {name: knowledge.start.points_m[name] for name in chosen if name in knowledge.start.points_m}
+    lengths_only = all(isinstance(one, Distance) for one in problem.constraints)
+    if lengths_only and len(given) >= 3:
+        # Growing moved the network a little; inner constraints refer to the start. Lengths keep their say in the scale.
+        scaled = aligned_to_constraints(state, table.targets, problem.constraints)
+        return best_fit(scaled, table.targets, given, with_scale=not problem.constraints)
+    placed = aligned_to_constraints(state, table.targets, problem.constraints)
+    if problem.datum.kind is DatumKind.PHOTOS and lengths_only:
+        # The world is the first photo's camera.
+        return transformed(placed, placed.cam_from_world(table.photos.index(problem.datum.photos[0])))
+    return placed
 
 
-def _decentred(
-    problem: BundleProblem, state: BundleState, ellipses_px2: FloatArray, options: BundleOptions
-) -> tuple[FloatArray, BundleState]:
+def _shifts_of_centres(
+    table: ImagePoints, ellipses_px2: FloatArray, state: BundleState, camera_of_photo: IntArray
+) -> FloatArray:
     """Find by how much ellipse centres are beside the images of the targets' centres."""
-    first = adjust(problem, state, options=options)
-    table, cameras = problem.observations, problem.camera_index
-    discs = estimate_discs(table, ellipses_px2, first.state, cameras)
-    return eccentricities_px(table, discs, first.state, cameras), first.state
+    discs = estimate_discs(table, ellipses_px2, state, camera_of_photo)
+    return eccentricities_px(table, discs, state, camera_of_photo)
 
 
 def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:

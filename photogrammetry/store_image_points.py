@@ -1,6 +1,6 @@
 """Image points measured by another program: ``image_points.csv``."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +14,8 @@ from photogrammetry.observations import ImagePoints, image_points
 
 COLUMNS = ("image", "target", "x_px", "y_px")
 SIGMA_COLUMNS = ("sigma_x_px", "sigma_y_px")
+
+SizesOf = Callable[[Sequence[str]], Mapping[str, tuple[int, int]]]
 
 
 class PixelOrigin(StrEnum):
@@ -48,7 +50,7 @@ def read_image_points_csv(
     *,
     origin: PixelOrigin = PixelOrigin.CENTER,
     default_sigma_px: float = 0.1,
-    sizes_px: Mapping[str, tuple[int, int]] | tuple[int, int] | None = None,
+    sizes_px: SizesOf | Mapping[str, tuple[int, int]] | tuple[int, int] | None = None,
 ) -> ImagePointFile:
     """Read ``image_points.csv``.
 
@@ -60,8 +62,9 @@ def read_image_points_csv(
         Whether (0, 0) is the centre or the outer corner of the top-left pixel (PhotoModeler, DBAT, COLMAP: corner).
     default_sigma_px : float, optional
         Sigma of image points that have none, where no other has one either; else the median of the others [px].
-    sizes_px : mapping of str to (int, int) or (int, int), optional
-        Width and height of each image, or of all, to see whether points lie inside [px].
+    sizes_px : mapping of str to (int, int), (int, int) or callable, optional
+        Width and height of each image or of all, or what gives those of each from their names, to see whether points
+        lie inside [px].
 
     Returns
     -------
@@ -94,7 +97,8 @@ def read_image_points_csv(
     if origin is PixelOrigin.CORNER:
         pixels = pixels - 0.5
     if sizes_px is not None:
-        _check_inside(path, photos, pixels, sizes_px)
+        known = sizes_px(list(dict.fromkeys(photos))) if callable(sizes_px) else sizes_px
+        _check_inside(path, photos, pixels, known)
     covariance = np.zeros((len(photos), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigmas.T**2
     return ImagePointFile(image_points(photos, targets, pixels, covariance), bool(missing.any()), tuple(warnings))

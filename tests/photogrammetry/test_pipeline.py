@@ -169,7 +169,7 @@ def test_false_image_point_is_rejected_by_name(points_folder: Path, tmp_path: Pa
 
 def test_photos_of_another_size_are_refused(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
-    camera = measurement.model.camera.model_copy(update={"width_px": 1601})
+    camera = (measurement.model.camera[0].model_copy(update={"width_px": 1601}),)
     other = replace(measurement, model=measurement.model.model_copy(update={"camera": camera}),
                     photo_files=measurement.photo_files[:2])  # fmt: skip
     with pytest.raises(InputError, match="the photos have 1600 x 1200 px, but the camera 1601 x 1200"):
