@@ -80,7 +80,7 @@ def drawn(folder: Path, seeds: int) -> None:
             own = folder / f"{kind}{seed}"
             scene = board_scene(kind, seed, n_photos=10)
             write_target_dataset(own, scene, camera_content(scene, board_table(kind)), PhotoOptions(seed))
-            result = run(load_camera_calibration(own), Options(held_out=False))
+            result = run(load_camera_calibration(own), Options(leave_one_out=False))
             truth = json.loads((own / "truth.json").read_text())["camera"]
             error = (result.camera.parameters - [truth.get(name, 0.0) for name in PARAMETER_NAMES])[FREE]
             covariance = result.camera.covariance[np.ix_(FREE, FREE)]

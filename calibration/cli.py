@@ -50,8 +50,13 @@ def camera_command(
     refine_board: Annotated[
         bool, typer.Option("--refine-board/--board-as-drawn", help="Estimate the board's shape, or hold it.")
     ] = True,
-    held_out: Annotated[
-        bool, typer.Option("--held-out/--no-held-out", help="Also calibrate without each photo, as a check.")
+    hold_out: Annotated[
+        str | None,
+        typer.Option(metavar="PATTERN", help="Photos to check with, such as 'check_*': only their pose is fitted."),
+    ] = None,
+    leave_one_out: Annotated[
+        bool,
+        typer.Option("--leave-one-out/--no-leave-one-out", help="Also calibrate without each photo, as a check."),
     ] = True,
     jobs: Jobs = None,
     force: Force = False,
@@ -67,7 +72,7 @@ def camera_command(
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     with ResultFolder(out, force=force) as working:
-        options = Options(compare=compare, refine_board=refine_board, held_out=held_out, jobs=jobs)
+        options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
         result = run(load_camera_calibration(folder), options, progress)
         with progress.stage("write results"):
             write(result, working)

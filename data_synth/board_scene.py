@@ -6,13 +6,14 @@ import numpy as np
 
 from data_synth.markers import charuco_print, chessboard_print
 from data_synth.photo import View
-from data_synth.prints import DotGridPrint, Print
+from data_synth.prints import DotGridPrint, Print, RingPrint
 from data_synth.sheets import Sheet, SheetShape
 from data_synth.target_presets import SMALL_CAMERA, look_at
 from data_synth.target_scene import Conditions, TargetScene
 from heliogauge.errors import InputError
-from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
+from photogrammetry.coded_targets import ring_dictionary
 
 #: A laser print: 0.1 % longer than drawn along the paper's way, 0.3 mrad out of square.
 PRINTER = np.array([[1.0, 3e-4], [0.0, 1.001]])
@@ -20,7 +21,12 @@ PRINTER = np.array([[1.0, 3e-4], [0.0, 1.001]])
 BENDING_PER_M = np.array([0.045, 0.02, -0.03])
 RIPPLE_PER_M2 = np.array([0.1, -0.08])
 
-_BOARDS = ("chessboard", "charuco", "circles", "circles-asymmetric")
+_BOARDS = ("chessboard", "charuco", "circles", "circles-asymmetric", "targets")
+#: Columns and rows of the plate with targets, and their distance.
+_PLATE = (9, 6)
+_PLATE_PITCH_M = 0.033
+#: Half turned, this one looks as before; for checks only.
+_SYMMETRIC = "chessboard-symmetric"
 
 
 def board_figure(kind: str) -> Print:
@@ -29,7 +35,7 @@ def board_figure(kind: str) -> Print:
     Parameters
     ----------
     kind : str
-        ``chessboard``, ``charuco``, ``circles`` or ``circles-asymmetric``.
+        ``chessboard``, ``chessboard-symmetric``, ``charuco``, ``circles`` or ``circles-asymmetric``.
 
     Returns
     -------
@@ -43,6 +49,8 @@ def board_figure(kind: str) -> Print:
     """
     if kind == "chessboard":
         return chessboard_print(10, 7, 0.03)
+    if kind == _SYMMETRIC:
+        return chessboard_print(10, 8, 0.03)
     if kind == "charuco":
         return charuco_print(10, 7, 0.03, 0.022, "DICT_5X5_100")
     if kind == "circles":
@@ -65,8 +73,10 @@ def board_table(kind: str) -> dict[str, object]:
     dict
         The table ``[board]``.
     """
-    return {
+    tables: dict[str, dict[str, object]] = {
         "chessboard": {"type": "chessboard", "columns": 9, "rows": 6, "square_mm": 30.0},
+        _SYMMETRIC: {"type": "chessboard", "columns": 9, "rows": 7, "square_mm": 30.0},
+        "targets": {"type": "targets", "dictionary": "aicon-12"},
         "charuco": {
             "type": "charuco",
             "columns": 10,
@@ -83,7 +93,8 @@ def board_table(kind: str) -> dict[str, object]:
             "pitch_mm": 40.0,
             "diameter_mm": 13.0,
         },
-    }[kind]
+    }
+    return tables[kind]
 
 
 def board_scene(kind: str, seed: int = 0, *, n_photos: int = 12, flat: bool = False) -> TargetScene:
@@ -92,7 +103,7 @@ def board_scene(kind: str, seed: int = 0, *, n_photos: int = 12, flat: bool = Fa
     Parameters
     ----------
     kind : str
-        The board, as for `board_figure`.
+        The board, as for `board_figure`, or ``targets``.
     seed : int, optional
         Poses are drawn with it.
     n_photos : int, optional
@@ -112,10 +123,28 @@ def board_scene(kind: str, seed: int = 0, *, n_photos: int = 12, flat: bool = Fa
     """
     rng = np.random.default_rng(seed)
     shape = SheetShape() if flat else SheetShape(PRINTER, BENDING_PER_M, RIPPLE_PER_M2)
+    if kind == "targets":
+        return _target_plate(shape, n_photos, rng)
     board = Sheet("", board_figure(kind), RigidTransform.identity(), shape=shape)
     views = tuple(_board_view(k, n_photos, rng) for k in range(n_photos))
     conditions = Conditions(blur_sigma_px=0.6, ground=0.25)
     return TargetScene(f"{kind} board", (board,), views, conditions)
+
+
+def _target_plate(shape: SheetShape, n_photos: int, rng: np.random.Generator) -> TargetScene:
+    """Place ring-coded targets on a bent plate, every fifth on a block 40 mm high."""
+    codes = ring_dictionary("aicon-12").codes
+    sheets = []
+    for k in range(_PLATE[0] * _PLATE[1]):
+        row, column = divmod(k, _PLATE[0])
+        place = np.array([column - 0.5 * (_PLATE[0] - 1), row - 0.5 * (_PLATE[1] - 1)]) * _PLATE_PITCH_M
+        at = shape.points_m(place) + np.array([0.0, 0.0, 0.04 if k % 5 == 2 else 0.0])
+        turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
+        code = codes[k]
+        sheets.append(Sheet(code.name, RingPrint(code, 0.007), RigidTransform(turn, at)))
+    views = tuple(_board_view(k, n_photos, rng) for k in range(n_photos))
+    conditions = Conditions(blur_sigma_px=0.6, ground=0.25)
+    return TargetScene("plate with targets", tuple(sheets), views, conditions, dictionary="aicon-12")
 
 
 def _board_view(k: int, n_photos: int, rng: np.random.Generator) -> View:

@@ -427,11 +427,14 @@ class CircleGridSection(Section):
 
 
 class TargetFieldSection(Section):
-    """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent."""
+    """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent.
+
+    Without a file nothing is known of the targets' places, and they need not be near a plane.
+    """
 
     type: Literal["targets"]
     dictionary: Text
-    file: Text
+    file: Text | None = None
 
 
 BoardSection = Annotated[

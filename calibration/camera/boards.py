@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, float_array, freeze, positive
@@ -91,9 +92,17 @@ class Chessboard:
         return 1.0 if self.square_m is None else self.square_m
 
     @property
+    def same_turns(self) -> tuple[int, ...]:
+        """Quarter turns after which the print looks the same, 0 first: corners of a photo cannot be told apart then."""
+        if (self.columns + self.rows) % 2:
+            return (0,)
+        # A quarter turn of an even number of corners swaps the colours.
+        return (0, 1, 2, 3) if self.columns == self.rows and self.columns % 2 else (0, 2)
+
+    @property
     def looks_the_same_turned(self) -> bool:
-        """Whether the board looks the same turned by half a turn: corners of a photo cannot be told apart then."""
-        return (self.columns + self.rows) % 2 == 0
+        """Whether the board looks the same turned by half a turn."""
+        return len(self.same_turns) > 1
 
     def describe(self) -> str:
         """Say in words what the board is."""
@@ -221,9 +230,16 @@ class CircleGrid:
         return 1.0 if self.pitch_known_m is None else self.pitch_known_m
 
     @property
+    def same_turns(self) -> tuple[int, ...]:
+        """Quarter turns after which the print looks the same, 0 first."""
+        if self.asymmetric:
+            return (0,) if self.rows % 2 else (0, 2)
+        return (0, 1, 2, 3) if self.columns == self.rows else (0, 2)
+
+    @property
     def looks_the_same_turned(self) -> bool:
         """Whether the board looks the same turned by half a turn."""
-        return not self.asymmetric or self.rows % 2 == 0
+        return len(self.same_turns) > 1
 
     def describe(self) -> str:
         """Say in words what the board is."""
@@ -276,25 +292,31 @@ class TargetField:
         return f"field of {len(self.names)} coded targets, {self.dictionary}"
 
 
-def board_warnings(board: Board) -> tuple[str, ...]:
-    """Say what makes a board unfit.
+def renumbering(board: Chessboard | CircleGrid, quarter_turns: int) -> npt.NDArray[np.intp]:
+    """Return the new number of each point when the board is counted from another corner.
 
     Parameters
     ----------
-    board : Board
+    board : Chessboard or CircleGrid
         The board.
+    quarter_turns : int
+        One of its `same_turns`.
 
     Returns
     -------
-    tuple of str
-        Warnings.
+    ndarray of int, shape (n,)
+        ``points_m[new]`` is ``points_m`` turned by so many quarter turns from x to y.
+
+    Examples
+    --------
+    >>> renumbering(Chessboard(5, 3), 2)[:3]
+    array([14, 13, 12])
     """
-    if isinstance(board, Chessboard | CircleGrid) and board.looks_the_same_turned:
-        return (
-            f"{board.describe()}: it looks the same turned by half a turn, so photos turned by more than 90 deg mix up "
-            "its points; use a board with one even and one odd number of corners, or an asymmetric grid of circles",
-        )
-    return ()
+    count = board.columns * board.rows
+    old = np.rot90(np.arange(count).reshape(board.rows, board.columns), quarter_turns).ravel()
+    new = np.empty(count, dtype=np.intp)
+    new[old] = np.arange(count)
+    return new
 
 
 def _check_grid(kind: str, columns: int, rows: int, what: str) -> None:

@@ -1,6 +1,6 @@
 """Find a board in a photo: start from OpenCV's detectors, order that is the same in every photo, own sub-pixel fit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from calibration.camera.boards import LEAST_POINTS, CharucoBoard, Chessboard, CircleGrid
 from calibration.camera.corner_fit import CornerStart, fit_corners
+from calibration.camera.detect_failures import chessboard_seen, circles_seen, markers_seen
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, freeze
 
@@ -35,6 +36,10 @@ class BoardPoints:
         Their covariances [px^2].
     blur_px : float
         Median blur of the edges [px].
+    saturated_share : float
+        Share of the board's pixels at the largest value of the image.
+    ellipses_px2 : ndarray, shape (n, 2, 2)
+        Shape of each target's ellipse, NaN where there is none; empty for boards without targets [px^2].
     """
 
     photo: str
@@ -42,6 +47,8 @@ class BoardPoints:
     pixels_px: FloatArray
     covariance_px2: FloatArray
     blur_px: float = float("nan")
+    saturated_share: float = 0.0
+    ellipses_px2: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     @property
     def n(self) -> int:
@@ -50,7 +57,14 @@ class BoardPoints:
 
     def subset(self, keep: npt.NDArray[np.bool_]) -> "BoardPoints":
         """Return some of the points."""
-        return BoardPoints(self.photo, self.index[keep], self.pixels_px[keep], self.covariance_px2[keep], self.blur_px)
+        ellipses = self.ellipses_px2[keep] if len(self.ellipses_px2) else self.ellipses_px2
+        return replace(
+            self,
+            index=self.index[keep],
+            pixels_px=self.pixels_px[keep],
+            covariance_px2=self.covariance_px2[keep],
+            ellipses_px2=ellipses,
+        )
 
 
 def as_bytes(image: npt.NDArray[np.generic]) -> ByteImage:
@@ -92,9 +106,10 @@ def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboar
             small, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
         )
     if not found:
+        instead = chessboard_seen(small, board)
         raise EstimationError(
-            f"{photo}: no chessboard of {board.columns} x {board.rows} inner corners was found (all of it must be in "
-            "the photo, sharp; are the numbers inner corners, columns first?)"
+            f"{photo}: no chessboard of {board.columns} x {board.rows} inner corners was found"
+            + (f"; {instead}" if instead else " (all of it must be in the photo, sharp)")
         )
     grid = np.asarray(corners, dtype=np.float64).reshape(board.rows, board.columns, 2)
     grid = _in_order(small, grid)
@@ -130,8 +145,8 @@ def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard
     count = np.size(ids) if np.size(corners) > 1 else 0
     if count < LEAST_POINTS:
         raise EstimationError(
-            f"{photo}: {count} corners of the ChArUco board were found, {LEAST_POINTS} are needed (are columns, rows "
-            f"and dictionary {board.dictionary} those of the print?)"
+            f"{photo}: {count} corners of the ChArUco board were found, {LEAST_POINTS} are needed; "
+            + markers_seen(as_bytes(image), board)
         )
     grid = np.full(((board.rows - 1) * (board.columns - 1), 2), np.nan)
     index = np.ravel(ids).astype(np.intp)
@@ -176,7 +191,8 @@ def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) 
             break
     if not found:
         raise EstimationError(
-            f"{photo}: no {board.describe()} was found (all of it must be in the photo, dark dots on light ground)"
+            f"{photo}: no {board.describe()} was found (all of it must be in the photo, dark dots on light ground); "
+            + circles_seen(small, board, detector)
         )
     grid = np.asarray(centers, dtype=np.float64).reshape(board.rows, board.columns, 2)
     if board.looks_the_same_turned:

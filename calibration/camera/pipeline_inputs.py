@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
+from calibration.camera.pipeline_photos import UnknownField
 from heliogauge.errors import InputError
 from heliogauge.measurement import CameraCalibrationMeasurement
 from heliogauge.measurement_models import CharucoSection, ChessboardSection, CircleGridSection, TargetFieldSection
 from heliogauge.store import read_table_csv
 
 
-def described_board(measurement: CameraCalibrationMeasurement) -> Board:
+def described_board(measurement: CameraCalibrationMeasurement) -> Board | UnknownField:
     """Return the board that measurement.toml describes.
 
     Parameters
@@ -22,7 +23,7 @@ def described_board(measurement: CameraCalibrationMeasurement) -> Board:
 
     Returns
     -------
-    Board
+    Board or UnknownField
         The board.
 
     Raises
@@ -40,6 +41,8 @@ def described_board(measurement: CameraCalibrationMeasurement) -> Board:
         share = 0.5 if section.diameter_mm is None or not section.pitch_mm else section.diameter_mm / section.pitch_mm
         asymmetric = section.type == "circles-asymmetric"
         return CircleGrid(section.columns, section.rows, asymmetric, _in_metres(section.pitch_mm), share)
+    if section.file is None:
+        return UnknownField(section.dictionary)
     return _target_field(section, measurement.folder / section.file)
 
 

@@ -1,27 +1,16 @@
-"""How well a calibrated camera is known over its image, where it was covered, and how two calibrations differ."""
+"""How well a calibrated camera is known over its image: rays, projections, radial distortion."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.camera.intrinsics import tilt_and_roll
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
-from heliogauge.rigid import RigidTransform, skew
+from heliogauge.rigid import skew
 from heliogauge.validate import FloatArray
 
 #: Nodes along the longer side of a map; uncertainty is smooth.
 _MAP_NODES = 48
-#: Cells of the coverage count along x and y.
-_CELLS = (10, 8)
-#: Photos below which a calibration rests on too little, tilt and spread that decide about focal length and centre.
-_FEW_PHOTOS = 6
-_LEAST_TILT_RAD = np.radians(20.0)
-_LEAST_ROLL_RAD = np.radians(45.0)
-_LEAST_DEPTH_RATIO = 1.2
-_LEAST_COVERED_SHARE = 0.7
-_LEAST_RADIUS_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +56,8 @@ class SigmaMap:
         return float(np.nanmax(self.sigma_projection_px))
 
 
-def _nodes(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+def map_nodes(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the nodes of a map: their columns, their rows, and all of them, shape (ny, nx, 2) [px]."""
     longer = max(camera.width_px, camera.height_px)
     x, y = (
         np.linspace(0, size - 1, max(int(np.rint(_MAP_NODES * size / longer)), 3))
@@ -81,7 +71,7 @@ def _rotation_part(rays: FloatArray) -> FloatArray:
     return np.asarray(-skew(rays))
 
 
-def _without_rotation(rays: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
+def without_rotation(rays: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Take the rotation that fits best out of changes of directions, shape (n, 3, k); return rest and rotations."""
     turns = _rotation_part(rays)
     normal = np.einsum("nij,nik->jk", turns, turns)
@@ -111,15 +101,15 @@ def sigma_map(camera: Camera, distance_m: float = 1.0) -> SigmaMap:
     """
     if not np.any(camera.covariance):
         raise InputError("sigma map: the camera has no covariance (it is treated as exact)")
-    x, y, pixels = _nodes(camera)
+    x, y, pixels = map_nodes(camera)
     flat = pixels.reshape(-1, 2)
     rays, _, d_parameters = camera.cast_rays_with_jacobians(flat)
     good = np.isfinite(d_parameters).all(axis=(1, 2))
-    root = _root(camera.covariance)
+    root = covariance_root(camera.covariance)
     moves = np.full((len(flat), 3, root.shape[1]), np.nan)
     moves[good] = d_parameters[good] @ root
     free = np.full_like(moves, np.nan)
-    free[good] = _without_rotation(rays[good], moves[good])[0]
+    free[good] = without_rotation(rays[good], moves[good])[0]
     projected = camera.projection_covariance_px2(distance_m * rays)
     shape = pixels.shape[:2]
     return SigmaMap(
@@ -132,7 +122,7 @@ def sigma_map(camera: Camera, distance_m: float = 1.0) -> SigmaMap:
     )
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def covariance_root(covariance: FloatArray) -> FloatArray:
     """Return R with ``R R^T`` = covariance, also where some parameters are held."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
@@ -195,163 +185,3 @@ def radial_profile(camera: Camera, pixels_px: FloatArray, count: int = 60) -> Ra
     variance = np.einsum("nj,jk,nk->n", slope, camera.covariance[np.ix_(chosen, chosen)], slope)
     seen = float(np.linalg.norm(pixels_px - center, axis=1).max())
     return RadialProfile(ideal * focal, shift, np.sqrt(np.maximum(variance, 0.0)), seen)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Coverage:
-    """Where in the image the board was measured.
-
-    Parameters
-    ----------
-    counts : ndarray of int, shape (8, 10)
-        Points in each cell of the image.
-    share : float
-        Share of cells with points.
-    radius_share : float
-        Largest distance of a point from the middle, over that of the image's corners.
-    """
-
-    counts: FloatArray
-    share: float
-    radius_share: float
-
-
-def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
-    """Count measured points over the image.
-
-    Parameters
-    ----------
-    camera : Camera
-        For the size of the image.
-    pixels_px : ndarray, shape (n, 2)
-        All measured points [px].
-
-    Returns
-    -------
-    Coverage
-        Counts in 10 x 8 cells.
-    """
-    size = np.array([camera.width_px, camera.height_px])
-    edges = [np.linspace(-0.5, extent - 0.5, cells + 1) for extent, cells in zip(size, _CELLS, strict=True)]
-    counts = np.histogram2d(pixels_px[:, 1], pixels_px[:, 0], bins=(edges[1], edges[0]))[0]
-    middle = 0.5 * (size - 1)
-    reach = float(np.linalg.norm(pixels_px - middle, axis=1).max() / np.linalg.norm(middle))
-    return Coverage(counts, float(np.mean(counts > 0)), reach)
-
-
-def network_warnings(poses: Sequence[RigidTransform], covered: Coverage) -> tuple[str, ...]:
-    """Say what makes a network weak, with the number that says so and the remedy.
-
-    Parameters
-    ----------
-    poses : sequence of RigidTransform
-        ``cam_from_board`` of each photo.
-    covered : Coverage
-        From `coverage`.
-
-    Returns
-    -------
-    tuple of str
-        Warnings, none for a good network.
-    """
-    said = []
-    angles = np.array([tilt_and_roll(pose) for pose in poses])
-    distances = np.array([float(np.linalg.norm(pose.translation_m)) for pose in poses])
-    if len(poses) < _FEW_PHOTOS:
-        said.append(f"only {len(poses)} photos: errors of single photos are hardly averaged; take 10 or more")
-    most = float(angles[:, 0].max())
-    if most < _LEAST_TILT_RAD:
-        said.append(
-            f"flat network: the board is never tilted by more than {np.degrees(most):.0f} deg, so focal length and "
-            "distance can hardly be told apart; tilt it by 30 to 45 deg to all sides"
-        )
-    difference = np.abs(np.angle(np.exp(1j * (angles[:, None, 1] - angles[None, :, 1]))))
-    roll = float(np.minimum(difference, np.pi - difference).max())
-    half_turns = float(difference.max())
-    if max(roll, half_turns) < _LEAST_ROLL_RAD:
-        said.append(
-            f"no roll: the camera is turned about its axis by {np.degrees(half_turns):.0f} deg at most, so principal "
-            "point, tangential distortion and pixel aspect lean on the board's shape; turn it by 90 deg for some photos"
-        )
-    depth = float(distances.max() / distances.min())
-    if depth < _LEAST_DEPTH_RATIO:
-        said.append(
-            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again"
-        )
-    if covered.share < _LEAST_COVERED_SHARE or covered.radius_share < _LEAST_RADIUS_SHARE:
-        said.append(
-            f"poor coverage: {covered.share:.0%} of the image has points, out to {covered.radius_share:.0%} of the way "
-            "to its corners; beyond, the lens is extrapolated: bring the board into every corner"
-        )
-    return tuple(said)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Two calibrations of one camera, ray by ray.
-
-    Parameters
-    ----------
-    x_px, y_px : ndarray, shape (nx,), (ny,)
-        Nodes [px].
-    angle_rad : ndarray, shape (ny, nx)
-        Angle between both lines of sight of a pixel after the best rotation [rad].
-    rotation_rad : ndarray, shape (3,)
-        That rotation, other camera from this one, as a rotation vector [rad].
-    expected_rad : float
-        RMS of the angle that both covariances let expect; 0 where neither has one [rad].
-    """
-
-    x_px: FloatArray
-    y_px: FloatArray
-    angle_rad: FloatArray
-    rotation_rad: FloatArray
-    expected_rad: float
-
-    @property
-    def rms_rad(self) -> float:
-        """RMS over the image [rad]."""
-        return float(np.sqrt(np.nanmean(self.angle_rad**2)))
-
-    @property
-    def largest_rad(self) -> float:
-        """Largest in the image [rad]."""
-        return float(np.nanmax(self.angle_rad))
-
-
-def compare(camera: Camera, other: Camera) -> Comparison:
-    """Compare two calibrations by the angle between their lines of sight, with the best rotation taken out.
-
-    Parameters
-    ----------
-    camera, other : Camera
-        The calibrations; images of one size.
-
-    Returns
-    -------
-    Comparison
-        The angle over the image.
-
-    Raises
-    ------
-    InputError
-        Images of different sizes.
-    """
-    sizes = [(one.width_px, one.height_px) for one in (camera, other)]
-    if sizes[0] != sizes[1]:
-        raise InputError(
-            f"compare: the images have {sizes[0][0]} x {sizes[0][1]} and {sizes[1][0]} x {sizes[1][1]} px; "
-            "calibrations of one camera at one resolution are needed"
-        )
-    x, y, pixels = _nodes(camera)
-    flat = pixels.reshape(-1, 2)
-    own, others = camera.cast_rays(flat), other.cast_rays(flat)
-    good = np.isfinite(own).all(axis=1) & np.isfinite(others).all(axis=1)
-    left, _, right = np.linalg.svd(others[good].T @ own[good])
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    angle = np.full(len(flat), np.nan)
-    # The chord keeps its digits where an arc cosine has none.
-    angle[good] = 2 * np.arcsin(np.clip(0.5 * np.linalg.norm(own[good] @ rotation.T - others[good], axis=1), 0, 1))
-    known = [sigma_map(one).rms_free_rad for one in (camera, other) if np.any(one.covariance)]
-    vector = RigidTransform(rotation, np.zeros(3)).rotation_vector_rad
-    return Comparison(x, y, angle.reshape(pixels.shape[:2]), vector, float(np.linalg.norm(known)) if known else 0.0)

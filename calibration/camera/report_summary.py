@@ -1,65 +1,16 @@
-"""The headline numbers of a calibration, its tables on disk, and what the terminal says."""
-
-from pathlib import Path
+"""The headline numbers of a calibration, and what the terminal says."""
 
 import numpy as np
 
+from calibration.camera.comparison import Comparison
 from calibration.camera.result import Result
-from heliogauge.flags import SampleFlag
 from heliogauge.notation import number_text
-from heliogauge.store import (
-    PhotoPose,
-    PointTable,
-    Summary,
-    write_cameras_json,
-    write_points_csv,
-    write_summary,
-    write_table_csv,
-)
+from heliogauge.store import Summary
 
+#: Differences that chance makes less often than this are called more than chance.
+_UNLIKELY = 0.01
 #: Intrinsics without a unit in their name get one that `summary.json` knows.
 _KEYS = {name: f"{name}_factor" for name in ("k1", "k2", "k3", "p1", "p2")} | {"aspect": "aspect_ratio"}
-
-
-def write_tables(result: Result, folder: Path) -> None:
-    """Write cameras.json, points.csv, image_points.csv and summary.json.
-
-    Parameters
-    ----------
-    result : Result
-        A calibration.
-    folder : Path
-        An existing folder.
-    """
-    poses = {
-        photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
-        for photo in result.photos
-    }
-    write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses)
-    shape = result.shape
-    every = shape.board.names
-    names = tuple(every[i] for i in shape.seen)
-    flags = np.zeros(len(names), dtype=np.uint32)
-    write_points_csv(
-        folder / "points.csv", PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
-    )
-    columns: dict[str, list[object]] = {key: [] for key in _IMAGE_COLUMNS}
-    for photo in result.photos:
-        kept = np.where(photo.used, 0, int(SampleFlag.OUTLIER))
-        rows = (
-            [photo.name] * photo.index.size,
-            [every[i] for i in photo.index],
-            *photo.pixels_px.T.tolist(),
-            *photo.residuals_px.T.tolist(),
-            kept.tolist(),
-        )
-        for key, values in zip(_IMAGE_COLUMNS, rows, strict=True):
-            columns[key] += values
-    write_table_csv(folder / "image_points.csv", columns)
-    write_summary(folder / "summary.json", summarise(result))
-
-
-_IMAGE_COLUMNS = ("image", "target", "x_px", "y_px", "residual_x_px", "residual_y_px", "flag")
 
 
 def summarise(result: Result) -> Summary:
@@ -80,6 +31,7 @@ def summarise(result: Result) -> Summary:
         "residual_rms_px": quality.rms_px,
         "residual_rms_board_as_drawn_px": quality.rms_as_drawn_px,
         "photos_kept_apart_rms_px": result.kept_apart_px,
+        "held_out_rms_px": result.held_out_px,
         "focal_x_px": camera.focal_x_px,
         "sigma_focal_x_px": float(camera.sigma_parameters[0]),
         "focal_y_px": camera.focal_y_px,
@@ -111,8 +63,22 @@ def summarise(result: Result) -> Summary:
             "compared_angle_rms_rad": result.comparison.rms_rad,
             "compared_angle_largest_rad": result.comparison.largest_rad,
             "compared_angle_expected_rad": result.comparison.expected_rad,
+            "compared_angle_with_rotation_rms_rad": result.comparison.raw_rms_rad,
+            "compared_angle_with_rotation_largest_rad": result.comparison.raw_largest_rad,
+            "compared_angle_with_rotation_expected_rad": result.comparison.raw_expected_rad,
+            "compared_rotation_rad": float(np.linalg.norm(result.comparison.rotation_rad)),
+            "compared_chi_square_ratio": result.comparison.chi_square / max(result.comparison.freedom, 1),
+            "compared_chance_share": result.comparison.chance,
         }
     missing = {}
+    if not np.isfinite(quality.rms_as_drawn_px):
+        missing["residual_rms_board_as_drawn_px"] = "nothing was known of the targets' places"
+    if not result.held_out:
+        missing["held_out_rms_px"] = "no photo was held out"
+    if result.comparison is not None and not np.isfinite(result.comparison.chance):
+        missing |= dict.fromkeys(
+            ("compared_chi_square_ratio", "compared_chance_share"), "neither calibration has a covariance"
+        )
     if not np.isfinite(result.kept_apart_px):
         missing["photos_kept_apart_rms_px"] = "not asked for, or too few photos"
     return Summary(
@@ -136,12 +102,9 @@ def _texts(result: Result) -> dict[str, str]:
     board = result.shape.board
     held = "held as drawn" if not result.shape.prior_sigma_m.any() else "estimated point by point"
     unit = "metres" if board.is_metric else "squares (pitches) of the board: lengths in cameras.json and points.csv too"
-    x, _, z = result.shape.prior_sigma_m / board.pitch_m
     texts = {
         "board": f"{board.describe()}; its shape is {held}",
-        "datum": f"the board as drawn, each point with a sigma of {x:.2g} pitches in its plane and {z:.2g} across"
-        if result.shape.prior_sigma_m.any()
-        else "the board as drawn",
+        "datum": _datum_text(result),
         "unit": unit,
         "residual": "root mean square length of predicted minus measured image points",
         "kept_apart": "camera and board from the other photos, only the pose of the photo fitted, none of its points "
@@ -151,6 +114,16 @@ def _texts(result: Result) -> dict[str, str]:
         "aspect": "focal_y_px / focal_x_px - 1",
     }
     return texts | {f"left out {name}": reason for name, reason in result.left_out.items()}
+
+
+def _datum_text(result: Result) -> str:
+    shape = result.shape
+    if np.isinf(shape.prior_sigma_m).any():
+        return shape.datum
+    if not shape.prior_sigma_m.any():
+        return "the board as drawn"
+    x, _, z = shape.prior_sigma_m / shape.board.pitch_m
+    return f"the board as drawn, each point with a sigma of {x:.2g} pitches in its plane and {z:.2g} across"
 
 
 def headline_text(result: Result) -> str:
@@ -172,7 +145,7 @@ def headline_text(result: Result) -> str:
     lines = [
         f"{result.name}: {camera.width_px} x {camera.height_px} px, {len(result.photos)} photos, "
         f"{sum(int(photo.used.sum()) for photo in result.photos)} points",
-        f"  residuals        {quality.rms_px:.4f} px rms; board as drawn {quality.rms_as_drawn_px:.4f} px",
+        f"  residuals        {quality.rms_px:.4f} px rms{_drawn_text(quality.rms_as_drawn_px)}",
         f"  focal length     {number_text(camera.focal_x_px, s[0], 'px')}, "
         f"{number_text(camera.focal_y_px, s[1], 'px')}",
         f"  principal point  {number_text(camera.center_x_px, s[2], 'px')}, "
@@ -182,10 +155,43 @@ def headline_text(result: Result) -> str:
     ]
     if np.isfinite(apart):
         lines.insert(2, f"  photos kept apart {apart:.4f} px rms, only their pose fitted")
+    lines += [
+        f"  held out         {one.name}: {one.rms_px:.4f} px rms over {one.count} points" for one in result.held_out
+    ]
+    if len(result.held_out) > 1:
+        lines.append(f"  held out         {result.held_out_px:.4f} px rms together")
     if result.comparison is not None:
-        one = result.comparison
-        lines.append(
-            f"  compared         {1e3 * one.rms_rad:.2g} mrad rms, {1e3 * one.largest_rad:.2g} mrad at most "
-            f"(expected {1e3 * one.expected_rad:.2g}), best rotation taken out"
-        )
+        lines += comparison_lines(result.comparison)
     return "\n".join(lines)
+
+
+def _drawn_text(rms_px: float) -> str:
+    return f"; board as drawn {rms_px:.4f} px" if np.isfinite(rms_px) else ""
+
+
+def comparison_lines(one: Comparison) -> list[str]:
+    """Return how two calibrations differ, as lines for the terminal.
+
+    Parameters
+    ----------
+    one : Comparison
+        The comparison.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    lines = [
+        f"  compared         {1e3 * one.rms_rad:.2g} mrad rms, {1e3 * one.largest_rad:.2g} mrad at most "
+        f"(expected {1e3 * one.expected_rad:.2g} rms), best rotation taken out",
+        f"                   {1e3 * one.raw_rms_rad:.2g} mrad rms, {1e3 * one.raw_largest_rad:.2g} mrad at most "
+        f"(expected {1e3 * one.raw_expected_rad:.2g} rms) with it",
+    ]
+    if np.isfinite(one.chance):
+        verdict = "more than chance" if one.chance < _UNLIKELY else "no more than chance"
+        lines.append(
+            f"                   chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom: {verdict} "
+            f"(probability {one.chance:.2g})"
+        )
+    return lines

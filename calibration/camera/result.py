@@ -7,7 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.camera.boards import Board
-from calibration.camera.projection_sigma import Comparison, Coverage, RadialProfile, SigmaMap
+from calibration.camera.comparison import Comparison
+from calibration.camera.network import Coverage
+from calibration.camera.projection_sigma import RadialProfile, SigmaMap
 from heliogauge.camera import Camera
 from heliogauge.rigid import RigidTransform, skew
 from heliogauge.validate import BoolArray, FloatArray
@@ -56,6 +58,28 @@ class PhotoResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class HeldOutPhoto:
+    """A photo that did not enter the calibration: camera and board explain it this well, only its pose is fitted.
+
+    Parameters
+    ----------
+    name : str
+        Its file.
+    cam_from_board : RigidTransform
+        Its pose.
+    count : int
+        Points of the board.
+    rms_px : float
+        RMS length of the residuals of all of them [px].
+    """
+
+    name: str
+    cam_from_board: RigidTransform
+    count: int
+    rms_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class BoardShape:
     """The board as it is.
 
@@ -72,7 +96,7 @@ class BoardShape:
     n_rays : ndarray of int, shape (k,)
         Photos that see each.
     prior_sigma_m : ndarray, shape (3,)
-        How far points were allowed to be from the drawing, x, y and z; 0: held [m].
+        How far points were allowed to be from the drawing, x, y and z; 0: held; infinite: nothing was known [m].
     datum : str
         What defines the board's frame.
     """
@@ -154,8 +178,12 @@ class Result:
         Radial distortion.
     coverage : Coverage
         Where points were measured.
+    held_out : tuple of HeldOutPhoto
+        Photos to check with.
     comparison : Comparison or None
         Against another calibration, if that was asked.
+    compared_with : Camera or None
+        That calibration.
     warnings : tuple of str
         What makes the result doubtful.
     durations_s : mapping of str to float
@@ -175,9 +203,11 @@ class Result:
     sigma: SigmaMap
     profile: RadialProfile
     coverage: Coverage
-    comparison: Comparison | None
-    warnings: tuple[str, ...]
-    durations_s: Mapping[str, float]
+    held_out: tuple[HeldOutPhoto, ...] = ()
+    comparison: Comparison | None = None
+    compared_with: Camera | None = None
+    warnings: tuple[str, ...] = ()
+    durations_s: Mapping[str, float] = field(default_factory=dict)
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -189,6 +219,14 @@ class Result:
         if not good.any():
             return float("nan")
         return float(np.sqrt(np.sum(counts[good] * values[good] ** 2) / counts[good].sum()))
+
+    @property
+    def held_out_px(self) -> float:
+        """RMS over all photos that were held out; NaN where there is none [px]."""
+        counts = np.array([photo.count for photo in self.held_out], dtype=np.float64)
+        if not counts.size:
+            return float("nan")
+        return float(np.sqrt(np.sum(counts * [photo.rms_px**2 for photo in self.held_out]) / counts.sum()))
 
 
 def rms_length(residuals_px: FloatArray) -> float:

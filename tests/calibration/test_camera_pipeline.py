@@ -75,7 +75,7 @@ def test_shape_of_the_board_against_truth(chessboard: Result, boards: dict[str, 
 
 @pytest.mark.parametrize("kind", ["charuco", "circles-asymmetric"])
 def test_other_boards_against_truth(kind: str, boards: dict[str, Path]) -> None:
-    result = run(load_camera_calibration(boards[kind]), Options(held_out=False))
+    result = run(load_camera_calibration(boards[kind]), Options(leave_one_out=False))
     assert len(result.photos) == 6
     assert result.quality.rms_px < 0.01
     assert np.abs(errors(result, boards[kind])[:4]).max() < 0.6
@@ -97,7 +97,7 @@ def test_results_on_disk(chessboard: Result, tmp_path: Path) -> None:
 
 def test_comparison_with_itself_and_with_less(chessboard: Result, boards: dict[str, Path], tmp_path: Path) -> None:
     write(chessboard, tmp_path)
-    options = Options(compare=tmp_path / "cameras.json", held_out=False, refine_board=False)
+    options = Options(compare=tmp_path / "cameras.json", leave_one_out=False, refine_board=False)
     flat = run(load_camera_calibration(boards["chessboard"]), options)
     assert flat.comparison is not None
     # A bent board taken as flat costs far more than the noise.
@@ -122,7 +122,7 @@ def test_photos_that_fail_are_named_and_left_out(boards: dict[str, Path], tmp_pa
     size = read_image(first[0]).shape
     write_image(first[0], np.full(size, 90, np.uint8))
     shutil.copy(first[1], first[2])
-    result = run(load_camera_calibration(folder), Options(held_out=False))
+    result = run(load_camera_calibration(folder), Options(leave_one_out=False))
     assert set(result.left_out) == {first[0].name, first[2].name}
     assert "is a copy of" in result.left_out[first[2].name]
     assert "no chessboard of 9 x 6" in result.left_out[first[0].name]

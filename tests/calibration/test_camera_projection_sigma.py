@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from calibration.camera.boards import Chessboard
+from calibration.camera.comparison import compare
 from calibration.camera.detect import BoardPoints
 from calibration.camera.intrinsics import homography, start_camera, start_pose, tilt_and_roll
-from calibration.camera.projection_sigma import compare, coverage, network_warnings, radial_profile, sigma_map
+from calibration.camera.network import coverage, network_warnings
+from calibration.camera.projection_sigma import radial_profile, sigma_map
 from calibration.camera.result import sigma_of_shape
 from heliogauge.camera import Camera
 from heliogauge.distortion import BrownDistortion
