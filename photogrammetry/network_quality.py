@@ -104,6 +104,7 @@ def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[st
         "variance_factor_low_factor": low,
         "variance_factor_high_factor": high,
         "image_sigma_factor": solved.image_sigma_factor,
+        "image_sigma_posterior_px": _posterior_sigma_px(bundle),
         "redundancy_count": bundle.redundancy,
         "point_sigma_x_rms_m": float(mean_sigma[0]),
         "point_sigma_y_rms_m": float(mean_sigma[1]),
@@ -129,7 +130,13 @@ def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[st
         "length_errors_outside_count": "no permissible error is stated ([permissible_length_error])",
         "relative_precision_ratio": "all points are held",
         **dict.fromkeys(
-            ("sigma0_ratio", "variance_factor", "variance_factor_low_factor", "variance_factor_high_factor"),
+            (
+                "sigma0_ratio",
+                "image_sigma_posterior_px",
+                "variance_factor",
+                "variance_factor_low_factor",
+                "variance_factor_high_factor",
+            ),
             "no redundancy",
         ),
     }
@@ -205,6 +212,12 @@ def quality_texts(lengths: LengthStatement, extent_m: float) -> dict[str, str]:
         f"1:N with N the largest distance of two targets ({extent_m:.3f} m) over the RMS of all coordinates' sigmas"
     )
     return texts
+
+
+def _posterior_sigma_px(bundle: BundleResult) -> float:
+    """Return the sigma of an image coordinate as the residuals have it; DBAT's sigma0 where all are equal."""
+    variances = np.einsum("mii->mi", bundle.problem.observations.covariance_px2)
+    return float(np.sqrt(np.median(variances))) * bundle.sigma0
 
 
 def _extent_m(bundle: BundleResult) -> float:

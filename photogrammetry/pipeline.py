@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliogauge.camera import Camera
+from heliogauge.camera_millimetres import SENSOR_NAMES, Sensor, sensor_parameters
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_photogrammetry import ImagePointsSection
@@ -25,7 +26,7 @@ from photogrammetry.bundle_statistics import examine_image_points, examine_intri
 from photogrammetry.constraints import Distance
 from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
-from photogrammetry.pipeline_cameras import build_cameras, sizes_of_cameras
+from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
 from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
@@ -67,6 +68,8 @@ class Result:
         Wall time of each stage [s].
     input_sha256 : dict of str to str
         Hash of each file read.
+    sensors : dict of str to Sensor
+        Of the cameras that were given in millimetres.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Result:
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
+    sensors: dict[str, Sensor] = field(default_factory=dict)
 
     @property
     def camera(self) -> Camera:
@@ -157,12 +161,13 @@ def run(
         solved = solve_network(measured.points, measured.ellipses_px2, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
+    sensors = sensors_of(measurement, cameras)
     with progress.stage("statistics"):
         limit = model.permissible_length_error
         permissible = None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
         lengths = state_length_errors(solved.bundle, checks, permissible)
         said = (*measured.warnings, *doubts(solved), *length_doubts(lengths))
-    return Result(model.name, measured, solved, checks, lengths, said, dict(progress.durations_s), hashes)
+    return Result(model.name, measured, solved, checks, lengths, said, dict(progress.durations_s), hashes, sensors)
 
 
 def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
@@ -230,6 +235,8 @@ def write(result: Result, folder: Path) -> None:
     write_table_csv(folder / "constraints.csv", _constraint_columns(result))
     write_table_csv(folder / "lengths.csv", _length_columns(result))
     write_table_csv(folder / "intrinsics.csv", _intrinsic_columns(result))
+    if result.sensors:
+        write_table_csv(folder / "camera_millimetres.csv", _millimetre_columns(result))
     write_summary(folder / "summary.json", summarise(result))
 
 
@@ -297,6 +304,17 @@ def _intrinsic_columns(result: Result) -> dict[str, Any]:
     tests = examine_intrinsics(result.solved.bundle)
     names = ("camera", "name", "value", "sigma", "significance", "rival", "correlation")
     return {name: [getattr(one, name) for one in tests] for name in names}
+
+
+def _millimetre_columns(result: Result) -> dict[str, Any]:
+    columns: dict[str, list[Any]] = {"camera": [], "name": [], "value": [], "sigma": []}
+    for camera, sensor in result.sensors.items():
+        found = sensor_parameters(result.cameras[camera], sensor)
+        columns["camera"] += [camera] * len(found.values)
+        columns["name"] += SENSOR_NAMES[sensor.form]
+        columns["value"] += found.values.tolist()
+        columns["sigma"] += found.sigma.tolist()
+    return columns
 
 
 def summarise(result: Result) -> Summary:

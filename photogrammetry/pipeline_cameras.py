@@ -95,7 +95,7 @@ def sizes_of_cameras(measurement: PhotogrammetryMeasurement, photos: Sequence[st
         As `build_cameras`.
     """
     cameras = build_cameras(measurement, photos, None)
-    sizes = [(one.width_px, one.height_px) for one in cameras.cameras]
+    sizes = [_size(one) for one in cameras.cameras]
     return {name: sizes[place] for name, place in cameras.camera_of.items()}
 
 
@@ -171,7 +171,8 @@ def _film_focal_length(measurement: PhotogrammetryMeasurement, camera: str, name
 def _started(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: float | None) -> Camera:
     said = section.distortion_direction
     if section.millimetres is not None:
-        return _from_millimetres(section.millimetres, size_px, said or DistortionDirection.MEASURED_TO_IDEAL)
+        way = DistortionDirection(said or DistortionDirection.MEASURED_TO_IDEAL)
+        return _from_millimetres(section.millimetres, size_px, way)
     guess = guessed_camera(*size_px, focal_length_35mm=film_mm)
     direction = DistortionDirection(said or DistortionDirection.IDEAL_TO_MEASURED)
     lens = BrownDistortion(section.k1, section.k2, section.k3, section.p1, section.p2, direction)
@@ -185,28 +186,35 @@ def _started(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: f
     return camera_with_intrinsics(camera, values)
 
 
-def sensor_of(section: MillimetreSection, size_px: tuple[int, int], direction: str) -> Sensor:
-    """Return the sensor and the conventions that a section states.
+def sensors_of(measurement: PhotogrammetryMeasurement, cameras: NetworkCameras) -> dict[str, Sensor]:
+    """Return the sensors of the cameras that are given in millimetres, to give the results in the same form.
 
     Parameters
     ----------
-    section : MillimetreSection
-        What measurement.toml says.
-    size_px : (int, int)
-        Width and height of the image [px].
-    direction : str
-        Way of the distortion.
+    measurement : PhotogrammetryMeasurement
+        The checked measurement.
+    cameras : NetworkCameras
+        The cameras that `build_cameras` made of it.
 
     Returns
     -------
-    Sensor
-        The sensor.
+    dict of str to Sensor
+        By the camera's name.
 
     Raises
     ------
     InputError
         Impossible sizes.
     """
+    own = {model.name: camera for model, camera in zip(cameras.models, cameras.cameras, strict=True)}
+    return {
+        one.name: _sensor(one.millimetres, _size(own[one.name]), own[one.name].distortion.direction)
+        for one in measurement.model.camera
+        if one.millimetres is not None and one.name in own
+    }
+
+
+def _sensor(section: MillimetreSection, size_px: tuple[int, int], direction: DistortionDirection) -> Sensor:
     return Sensor(
         *size_px,
         section.pixel_mm,
@@ -214,12 +222,16 @@ def sensor_of(section: MillimetreSection, size_px: tuple[int, int], direction: s
         section.zero_radius_mm,
         PrincipalOrigin(section.principal_origin),
         section.y_axis == "up",
-        DistortionDirection(direction),
+        direction,
     )
 
 
-def _from_millimetres(section: MillimetreSection, size_px: tuple[int, int], direction: str) -> Camera:
-    sensor = sensor_of(section, size_px, direction)
+def _size(camera: Camera) -> tuple[int, int]:
+    return camera.width_px, camera.height_px
+
+
+def _from_millimetres(section: MillimetreSection, size_px: tuple[int, int], direction: DistortionDirection) -> Camera:
+    sensor = _sensor(section, size_px, direction)
     middle = np.zeros(2)
     if sensor.principal_origin is PrincipalOrigin.CORNER:
         middle = np.array(size_px) * (0.5 * section.pixel_mm)
