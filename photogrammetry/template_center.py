@@ -82,7 +82,9 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
     and to first order for ellipses. The coverage is P(d / s) + (n_x^4 + n_y^4) (z^3 - 3 z) p(z) / (2880 s^4): a
     Gaussian edge of the same variance as blur and pixel square together, and the next term of the Edgeworth series,
     which the square contributes because it is no Gaussian (its cumulant along the normal n is
-    -(n_x^4 + n_y^4) / 120 px^4).
+    -(n_x^4 + n_y^4) / 120 px^4). Here d is the distance less k s^2 / 2: blur moves the middle level of an edge of
+    curvature k = (det M)^2 q^3 / g^3 towards the centre of its curvature. Without it discs of 6 px at a blur of 0.5 px
+    are measured 1.9 % too small, and 12 px ones 0.5 %.
     """
     cx, cy, m11, m12, m22, s = parameters[:6]
     dx, dy = x - cx, y - cy
@@ -91,7 +93,9 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
     vx, vy = m11 * ux + m12 * uy, m12 * ux + m22 * uy
     g = np.maximum(np.sqrt(vx * vx + vy * vy), 1e-12)
     distance = (q - q * q) / g
-    z = distance / s
+    determinant = m11 * m22 - m12 * m12
+    curvature = (determinant * determinant) * (q / g) ** 3
+    z = distance / s - 0.5 * s * curvature
     cumulative, bell = normal_distribution(z)
     normal4 = (vx**4 + vy**4) / g**4
     square = normal4 / (2880 * s**4)
@@ -116,11 +120,15 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
         )
         / g
     )
-    d_distance = (1 - 2 * q) / g * d_q - distance / g * d_g
+    # d of distance - s^2 curvature / 2
+    bend = 1.5 * s * s * curvature
+    d_distance = ((1 - 2 * q) / g - bend / q) * d_q + ((bend - distance) / g) * d_g
+    by_determinant = 2 / 3 * bend / determinant
+    d_distance[2:] -= np.stack([m22 * by_determinant, -2 * m12 * by_determinant, m11 * by_determinant])
     jacobian = np.empty((_N_PARAMETERS, len(x)))
     along_z = step * d_coverage_d_z / s
     jacobian[:5] = along_z * d_distance
-    jacobian[5] = -along_z * z - step * 4 * square / s * (z2 - 3) * z * bell
+    jacobian[5] = -along_z * (z + s * curvature) - step * 4 * square / s * (z2 - 3) * z * bell
     jacobian[6], jacobian[7], jacobian[8] = 1.0, x, y
     jacobian[9], jacobian[10], jacobian[11] = coverage, coverage * x, coverage * y
     return outside + step * coverage, jacobian.T
