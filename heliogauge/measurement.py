@@ -6,26 +6,29 @@ else ends as one `InputError` that names file, key, value and remedy.
 
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from heliogauge.errors import InputError
+from heliogauge.measurement_faults import fault_lines
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
+from heliogauge.measurement_plan import PhotogrammetryPlanModel
 
 MEASUREMENT_FILE = "measurement.toml"
-Model = DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel
+Model = DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
     "response": ResponseModel,
     "camera": CameraCalibrationModel,
     "photogrammetry": PhotogrammetryModel,
+    "photogrammetry-plan": PhotogrammetryPlanModel,
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
@@ -33,9 +36,8 @@ COMMANDS = {
     "response": "heliogauge calibrate response",
     "camera": "heliogauge calibrate camera",
     "photogrammetry": "heliogauge photogrammetry",
+    "photogrammetry-plan": "heliogauge photogrammetry plan",
 }
-#: More than this many faults at once say that the file is of another kind; the first ones are enough to see that.
-_MOST_FAULTS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +145,28 @@ class PhotogrammetryMeasurement:
         named += [] if model.start is None else model.start.names
         named += model.files.names
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotogrammetryPlanMeasurement:
+    """A checked plan of a photo network: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The plan's folder.
+    model : PhotogrammetryPlanModel
+        What measurement.toml says.
+    """
+
+    folder: Path
+    model: PhotogrammetryPlanModel
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the plan consists of, measurement.toml first."""
+        named = (self.model.object.targets, self.model.camera.file)
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -270,6 +294,35 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     return replace(found, model=with_known_files(model, folder))
 
 
+def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
+    """Read and check a folder with the plan of a photo network.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    PhotogrammetryPlanMeasurement
+        The plan; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "photogrammetry-plan"), file)
+    if not isinstance(model, PhotogrammetryPlanModel):
+        raise _other_kind(file, model, "photogrammetry-plan")
+    found = PhotogrammetryPlanMeasurement(folder, model)
+    for path in found.input_files:
+        if not path.is_file():
+            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    return found
+
+
 def _other_kind(file: Path, model: Model, wanted: str) -> InputError:
     return InputError(
         f'{file}: kind = "{model.kind}" is not "{wanted}"; evaluate this folder with `{COMMANDS[model.kind]}`'
@@ -288,7 +341,7 @@ def parse_measurement(content: dict[str, Any], file: Path) -> Model:
 
     Returns
     -------
-    DeflectometryModel, ResponseModel, CameraCalibrationModel or PhotogrammetryModel
+    Model
         The checked content.
 
     Raises
@@ -300,14 +353,7 @@ def parse_measurement(content: dict[str, Any], file: Path) -> Model:
     try:
         return model_type.model_validate(content)
     except ValidationError as error:
-        faults = error.errors(include_url=False)
-        places = [fault["loc"] for fault in faults]
-        # A list with one wrong entry is also "too short": what is said of the entry is enough.
-        causes = [fault for fault in faults if not any(_is_inside(place, fault["loc"]) for place in places)]
-        texts = list(dict.fromkeys(_fault_text(fault, model_type) for fault in causes))
-        lines = texts[:_MOST_FAULTS]
-        if len(texts) > _MOST_FAULTS:
-            lines.append(f"... and {len(texts) - _MOST_FAULTS} more")
+        lines = fault_lines(error, model_type)
         separator = " " if len(lines) == 1 else "\n  "
         raise InputError(f"{file}:{separator}" + "\n  ".join(lines)) from None
 
@@ -378,120 +424,3 @@ def _image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Pa
         others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise InputError(f"{file}: {key}: there is no file {missing[0]!r}{others} in {folder}")
     return tuple(folder / text for text in named)
-
-
-# --- from pydantic's faults to sentences ----------------------------------------------------------------------------
-
-
-def _models_within(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _models_within(part)
-
-
-def _keys_by_section(models: Sequence[type[BaseModel]], section: str = "") -> dict[str, set[str]]:
-    """Map each section ("mirror.pose") to the keys that any of its forms knows."""
-    found: dict[str, set[str]] = {section: set()}
-    for model in models:
-        for key, field in model.model_fields.items():
-            found[section].add(key)
-            inner = list(_models_within(field.annotation)) + [
-                m for part in field.metadata for m in _models_within(part)
-            ]
-            if inner:
-                path = f"{section}.{key}" if section else key
-                for name, keys in _keys_by_section(inner, path).items():
-                    found.setdefault(name, set()).update(keys)
-    return found
-
-
-def _is_inside(place: Sequence[int | str], other: Sequence[int | str]) -> bool:
-    return len(place) > len(other) and tuple(place[: len(other)]) == tuple(other)
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where a fault is: section, last key, the path to show, and which form of a section was taken ("table")."""
-
-    section: str
-    key: str
-    shown: str
-    form: str
-
-
-def _place(location: Sequence[int | str], sections: dict[str, set[str]], *, is_unknown: bool) -> _Place:
-    section, shown, key, form = "", "", "", ""
-    for position, part in enumerate(location):
-        path = f"{section}.{part}" if section else str(part)
-        if isinstance(part, int):
-            shown += f"[{part + 1}]"
-        elif part in sections.get(section, ()) or (is_unknown and position == len(location) - 1):
-            shown += f".{part}" if shown else part
-            section, key = (path, part) if path in sections else (section, part)
-        else:
-            # Not a key: the name of the form that pydantic chose.
-            form = part
-    return _Place(section, key, shown, form)
-
-
-def _unknown_key_text(place: _Place, sections: dict[str, set[str]]) -> str:
-    known = sections.get(place.section, set())
-    if place.key in known:
-        section = place.shown.rpartition(".")[0]
-        return f"{section}: keys of two forms are mixed, {place.form!r} and another; leave out the keys of one"
-    said = f"{place.shown} is not a key here"
-    near = get_close_matches(place.key, sorted(known), n=1, cutoff=0.6)
-    if near:
-        return f"{said}; did you mean {near[0]!r}?"
-    homes = [name for name, keys in sections.items() if place.key in keys]
-    if homes:
-        return f"{said}; it belongs to {f'[{homes[0]}]' if homes[0] else 'the top of the file'}"
-    return f"{said}; known are {', '.join(sorted(known))}"
-
-
-def _fault_text(fault: Any, model: type[BaseModel]) -> str:
-    sections = _keys_by_section([model])
-    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
-    place = _place(fault["loc"], sections, is_unknown=kind == "extra_forbidden")
-    if kind == "extra_forbidden":
-        return _unknown_key_text(place, sections)
-    if kind == "missing":
-        return f"{place.shown} is missing; `heliogauge init` writes a template that explains it"
-    if kind == "union_tag_not_found":
-        key = str(context["discriminator"]).strip("'")
-        said = 'say "rectangle" or "table"' if key == "shape" else "`heliogauge init` writes a template with it"
-        return f"{place.shown}.{key} is missing; {said}"
-    if kind == "union_tag_invalid":
-        key = str(context["discriminator"]).strip("'")
-        return f"{place.shown}.{key} = {context['tag']!r} is not known; say {context['expected_tags']}"
-    if kind == "value_error":
-        return f"{place.shown}: {context['error']}"
-    return f"{place.shown} = {_short(value)}: {_need(kind, context, fault)}"
-
-
-def _need(kind: str, context: dict[str, Any], fault: Any) -> str:
-    if kind == "finite_number":
-        return "a finite number is needed (not nan, not inf)"
-    if kind in {"float_type", "int_type"}:
-        return f"{'a number' if kind == 'float_type' else 'a whole number'} is needed, without quotes"
-    if kind == "greater_than":
-        return f"a value above {context['gt']:g} is needed"
-    if kind == "greater_than_equal":
-        return f"a value not below {context['ge']:g} is needed"
-    if kind == "literal_error":
-        return f"say {context['expected']}"
-    if kind in {"too_short", "too_long"}:
-        wanted = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
-        return f"{wanted} entries are needed, there are {context['actual_length']}"
-    if kind == "tuple_type":
-        is_table = isinstance(fault["input"], dict)
-        return "a list of tables is needed; write its name in double brackets" if is_table else "a list is needed"
-    if kind in {"model_type", "dict_type", "model_attributes_type"}:
-        return "a table is needed"
-    return str(fault["msg"][:1].lower() + fault["msg"][1:])
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

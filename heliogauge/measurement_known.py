@@ -14,7 +14,6 @@ from heliogauge.measurement_photogrammetry import (
     PhotogrammetryModel,
     ScaleBarSection,
 )
-from heliogauge.store_tables import read_table_csv
 
 CONTROL_POINT_COLUMNS = ("target", "x_m", "y_m", "z_m")
 CONTROL_POINT_SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
@@ -71,6 +70,9 @@ def with_known_files(model: PhotogrammetryModel, folder: Path) -> Photogrammetry
 def _rows(
     path: Path, columns: tuple[str, ...], content: Callable[[_Cells], dict[str, Any]], kind: type[_Kind]
 ) -> tuple[_Kind, ...]:
+    # Most measurements name no tables: numpy and the cameras would double the time of reading the file.
+    from heliogauge.store_tables import read_table_csv
+
     table = read_table_csv(path, columns)
     found = []
     for line, cells in enumerate(zip(*table.values(), strict=True), start=2):
