@@ -23,6 +23,7 @@ class SampleFlag(IntFlag):
     NOT_SEEN = 1 << 9
     SMOOTHED_GAP = 1 << 10
     INPUT_NOT_FINITE = 1 << 11
+    FAR_FROM_POINTS = 1 << 12
 
 
 FLAG_TEXTS: dict[SampleFlag, str] = {
@@ -38,6 +39,7 @@ FLAG_TEXTS: dict[SampleFlag, str] = {
     SampleFlag.NOT_SEEN: "no image shows this point",
     SampleFlag.SMOOTHED_GAP: "value bridged from neighbours (height only)",
     SampleFlag.INPUT_NOT_FINITE: "an input value was not finite",
+    SampleFlag.FAR_FROM_POINTS: "no measured point is near enough",
 }
 
 #: Bits that leave a sample without a value.
