@@ -85,7 +85,7 @@ def targets(
         str,
         typer.Option(
             help="Scene: small (8 photos, 40 codes, 12 dots), panel (40 photos, 300 codes, 8 m), single (one photo of "
-            "24 megapixel), retro, busy, markers (ArUco)."
+            "24 megapixel), retro, busy, markers (ArUco), natural (textured tiles)."
         ),
     ] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
@@ -158,4 +158,47 @@ def board(
     options = PhotoOptions(seed, None, jpeg_quality, force)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     write_target_dataset(out, scene, camera_content(scene, board_table(preset)), options, progress)
+    print(out)
+
+
+@app.command()
+def trough(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="Scene: small (24 photos of a short piece), ls2 (100 photos of 2 megapixel), ls2-long (longitudinal "
+            "errors too), ls2-two-passes, displaced, sag, clouds, ground, absorber (two photos from the sides)."
+        ),
+    ] = "small",
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of errors, paths and noise; the same seed gives the same files.")
+    ] = 0,
+    photos: Annotated[
+        int | None, typer.Option(min=2, help="Number of photos over the same path; the preset's without.")
+    ] = None,
+    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
+    dictionary: Annotated[
+        str, typer.Option(help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), or circles.")
+    ] = "aicon-12",
+    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    blur_px: Annotated[
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+    ] = None,
+    jpeg_quality: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Photograph a parabolic trough with known slope errors and absorber, as a drone does."""
+    from data_synth.trough_dataset import TroughOptions, write_trough_dataset
+    from data_synth.trough_presets import TroughChoice, trough_scene
+    from heliogauge.terminal import terminal_progress
+
+    scene = trough_scene(preset, TroughChoice(seed, photos, dictionary)).scaled(scale)
+    scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    write_trough_dataset(out, scene, TroughOptions(seed, jpeg_quality, force), progress)
     print(out)

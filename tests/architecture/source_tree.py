@@ -24,6 +24,7 @@ _BORDER_MODULES = {
     "data_synth.dataset": "writes a measurement folder",
     "photogrammetry.target_sheets": "writes printable sheets",
     "data_synth.target_dataset": "writes a measurement folder",
+    "data_synth.trough_dataset": "writes a measurement folder",
 }
 
 

@@ -1,0 +1,373 @@
+"""Ready scenes of troughs: an LS-2 from a drone with slope errors, displaced or sagging absorber, clouds, ground."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_synth.markers import marker_print
+from data_synth.pinhole import PinholeCamera
+from data_synth.prints import DotPrint, Print, RingPrint
+from data_synth.sheets import Sheet
+from data_synth.surface_errors import Ripple, SurfaceErrors
+from data_synth.trough_mirror import PanelErrors, TroughMirror
+from data_synth.trough_paths import absorber_pair, several_passes, straight_pass, wobbling
+from data_synth.trough_receiver import Receiver, TubeAxis
+from data_synth.trough_scene import ListedTarget, Optics, TroughScene, TroughView, world_of
+from data_synth.trough_surroundings import Ground, Sky, Surroundings
+from heliogauge.errors import InputError
+from heliogauge.rigid import RigidTransform, rotation_from_vector
+from heliogauge.validate import FloatArray
+from observer.design import Collector, ls2
+from photogrammetry.coded_targets import ring_dictionary
+
+#: GE1910C: 1920 x 1080, pixel pitch over focal length 4.2e-4 (Owkes 2012, Table 7.2).
+VIDEO_CAMERA = PinholeCamera(1920, 1080, 1 / 4.2e-4, 1 / 4.2e-4, 959.5, 539.5)
+#: Nikon D300 with 20 mm: 4288 x 2848, 5.5 um (Owkes 2012, sec. 7.4).
+D300_CAMERA = PinholeCamera(4288, 2848, 20e-3 / 5.5e-6, 20e-3 / 5.5e-6, 2143.5, 1423.5)
+SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 239.5, 319.5)
+
+#: What the list of targets is good for [m].
+TARGET_SIGMA_M = 1e-3
+#: What a tape along the rim is good for (Owkes 2012, sec. 7.3) [m].
+DISTANCE_SIGMA_M = 3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class TroughChoice:
+    """What may be chosen of a preset.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Draws errors, targets and wind.
+    n_photos : int or None, optional
+        Number of photos; the preset's without.
+    dictionary : str, optional
+        Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or ``circles``.
+    """
+
+    seed: int = 0
+    n_photos: int | None = None
+    dictionary: str = "aicon-12"
+
+
+def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
+    """Return a ready scene.
+
+    Parameters
+    ----------
+    preset : str
+        A name of `TROUGH_PRESETS`.
+    choice : TroughChoice, optional
+        Seed, number of photos, targets.
+
+    Returns
+    -------
+    TroughScene
+        The scene.
+
+    Raises
+    ------
+    InputError
+        No such preset.
+    """
+    if preset not in _PRESETS:
+        raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
+    chosen = TroughChoice() if choice is None else choice
+    return _PRESETS[preset](chosen, np.random.default_rng([chosen.seed, 5]))
+
+
+def ls2_panelled() -> Collector:
+    """Return the LS-2 with 4 by 5 panels of equal arc, gaps of 10 mm and a support at both ends and in the middle."""
+    design = ls2()
+    half_y = design.length_m / 2
+    return replace(
+        design,
+        panel_edges_x_m=equal_arcs(design, 4),
+        panel_edges_y_m=np.linspace(-half_y, half_y, 6),
+        panel_gap_m=0.01,
+        support_y_m=np.array([-half_y, 0.0, half_y]),
+    )
+
+
+def equal_arcs(collector: Collector, n: int) -> FloatArray:
+    """Return edges of panels of equal arc length across the aperture, shape (n + 1,) [m]."""
+    half = collector.aperture_width_m / 2
+    x = np.linspace(-half, half, 20001)
+    slope = x / (2 * collector.focal_length_m)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(1, (slope[1:] + slope[:-1]) / 2) * np.diff(x))])
+    edges = np.interp(np.linspace(0, arc[-1], n + 1), arc, x)
+    edges[0], edges[-1] = -half, half
+    return np.asarray((edges - edges[::-1]) / 2)
+
+
+def rim_targets(
+    collector: Collector, dictionary: str, diameter_m: float, rng: np.random.Generator, *, n: int = 12
+) -> tuple[tuple[Sheet, ...], tuple[ListedTarget, ...]]:
+    """Put targets along both rims, facing up, about where the list says.
+
+    Parameters
+    ----------
+    collector : Collector
+        The collector.
+    dictionary : str
+        Kind of targets, as in `TroughChoice`.
+    diameter_m : float
+        Diameter of the dots; square markers are three times as wide [m].
+    rng : numpy.random.Generator
+        Draws how far each is from its listed place, its turn and tilt.
+    n : int, optional
+        Number of targets, even.
+
+    Returns
+    -------
+    tuple
+        The sheets and the list.
+    """
+    places = []
+    prints = target_prints(dictionary, diameter_m, n)
+    reach = max(figure.half_size_m[0] for _, figure in prints)
+    across = collector.aperture_width_m / 2 + reach + 0.03
+    along = collector.length_m / 2 - reach
+    for k in range(n):
+        y = -along + 2 * along * (k % (n // 2)) / (n // 2 - 1)
+        places.append(np.array([across if k >= n // 2 else -across, y, collector.rim_height_m]))
+    return placed_targets(prints, np.array(places), rng)
+
+
+def placed_targets(
+    prints: list[tuple[str, Print]],
+    stated_m: FloatArray,
+    rng: np.random.Generator,
+    *,
+    facing: FloatArray | None = None,
+    on_collector: bool = True,
+) -> tuple[tuple[Sheet, ...], tuple[ListedTarget, ...]]:
+    """Put targets within a millimetre of where the list says.
+
+    Parameters
+    ----------
+    prints : list of tuple
+        Name and figure of each.
+    stated_m : ndarray, shape (n, 3)
+        Places as listed [m].
+    rng : numpy.random.Generator
+        Draws the differences.
+    facing : ndarray, shape (3,), optional
+        Where they look; +z without.
+    on_collector : bool, optional
+        Whether the coordinates are listed; those of others are unknown.
+
+    Returns
+    -------
+    tuple
+        The sheets and the list.
+    """
+    upright = np.eye(3)
+    if facing is not None:
+        upright = np.stack([np.cross([0.0, 1.0, 0.0], facing), [0.0, 1.0, 0.0], facing], axis=1)
+    sheets, targets = [], []
+    for (name, figure), stated in zip(prints, stated_m, strict=True):
+        turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
+        tilt = rotation_from_vector(np.array([*rng.uniform(-0.05, 0.05, 2), 0.0]))
+        true = stated + TARGET_SIGMA_M * rng.standard_normal(3)
+        sheets.append(Sheet(name, figure, RigidTransform(upright @ tilt @ turn, true)))
+        sigma = np.full(3, TARGET_SIGMA_M if on_collector else np.nan)
+        targets.append(ListedTarget(name, stated, sigma, on_collector))
+    return tuple(sheets), tuple(targets)
+
+
+def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) -> list[tuple[str, Print]]:
+    """Return names and figures of targets.
+
+    Parameters
+    ----------
+    dictionary : str
+        Kind of targets, as in `TroughChoice`.
+    diameter_m : float
+        Diameter of the dots; square markers are three times as wide [m].
+    n : int
+        How many.
+    first : int, optional
+        Number of the first one.
+
+    Returns
+    -------
+    list of tuple
+        Name and figure of each.
+
+    Raises
+    ------
+    InputError
+        The dictionary has too few codes, or does not exist.
+    """
+    numbers = range(first, first + n)
+    if dictionary == "circles":
+        return [(f"dot{number + 1}", DotPrint(diameter_m)) for number in numbers]
+    if dictionary.startswith("DICT_"):
+        return [(str(number), marker_print(dictionary, number, 3 * diameter_m)) for number in numbers]
+    codes = ring_dictionary(dictionary).codes
+    if len(codes) < first + n:
+        raise InputError(f"dictionary {dictionary} has {len(codes)} codes, {first + n} targets need one each")
+    return [(code.name, RingPrint(code, diameter_m)) for code in codes[first : first + n]]
+
+
+def random_mirror(
+    collector: Collector, rng: np.random.Generator, *, transverse_rad: float = 3e-3, longitudinal_rad: float = 0.0
+) -> TroughMirror:
+    """Return a mirror with tilted and bent panels and waves over all of them.
+
+    Parameters
+    ----------
+    collector : Collector
+        The design.
+    rng : numpy.random.Generator
+        Draws the errors.
+    transverse_rad : float, optional
+        RMS of theta_r over the aperture [rad].
+    longitudinal_rad : float, optional
+        RMS of the longitudinal slope error [rad].
+
+    Returns
+    -------
+    TroughMirror
+        The mirror; its shape is the design's.
+    """
+    n = TroughMirror(collector).n_panels
+    across, along = _waves(rng, 7), _waves(rng, 7)
+    tilt_x, tilt_y, bend = rng.standard_normal((3, n)) * np.array([[1.0], [0.6], [1.3]])
+    x, y = np.meshgrid(
+        np.linspace(-0.5, 0.5, 301) * collector.aperture_width_m, np.linspace(-0.5, 0.5, 401) * collector.length_m
+    )
+    scale_x, scale_y = 1e-3 * transverse_rad / 3e-3, 1e-3 * (longitudinal_rad > 0)
+    mirror = TroughMirror(collector)
+    # theta_r is not quite linear in the slope; the third round changes nothing any more.
+    for _ in range(3):
+        focal = 1 / (1 / collector.focal_length_m + 2 * scale_x * bend)
+        mirror = TroughMirror(
+            collector,
+            transverse=_scaled(across, scale_x),
+            longitudinal=_scaled(along, scale_y),
+            panels=PanelErrors(scale_x * tilt_x, scale_y * tilt_y, focal),
+        )
+        scale_x *= transverse_rad / float(np.sqrt(np.nanmean(mirror.theta_r_rad(x, y) ** 2)))
+        if longitudinal_rad:
+            scale_y *= longitudinal_rad / float(np.sqrt(np.nanmean(mirror.deviation(x, y)[2] ** 2)))
+    return mirror
+
+
+def _waves(rng: np.random.Generator, n: int) -> tuple[Ripple, ...]:
+    """Draw waves of 0.5 to 3 m in all directions, of about slope 1 at 1 m and less where shorter."""
+    waves = []
+    for period in np.exp(rng.uniform(np.log(0.5), np.log(3.0), n)):
+        amplitude = float(rng.uniform(0.7, 1.3) * np.sqrt(period))
+        waves.append(Ripple(amplitude, float(period), float(rng.uniform(0, np.pi)), float(rng.uniform(0, 2 * np.pi))))
+    return tuple(waves)
+
+
+def _scaled(waves: tuple[Ripple, ...], factor: float) -> SurfaceErrors:
+    if not factor:
+        return SurfaceErrors()
+    return SurfaceErrors(tuple(replace(wave, slope_amplitude_rad=wave.slope_amplitude_rad * factor) for wave in waves))
+
+
+def _drone(choice: TroughChoice, rng: np.random.Generator, usual: int = 100) -> tuple[TroughView, ...]:
+    n = usual if choice.n_photos is None else choice.n_photos
+    return wobbling(straight_pass(VIDEO_CAMERA, n_photos=n), rng)
+
+
+def _scene(
+    name: str, mirror: TroughMirror, views: tuple[TroughView, ...], choice: TroughChoice, rng: np.random.Generator
+) -> TroughScene:
+    sheets, targets = rim_targets(mirror.collector, choice.dictionary, 0.06, rng)
+    return TroughScene(name, world_of(mirror), views, sheets, targets, dictionary=choice.dictionary)
+
+
+def _small(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw 24 photos of a short piece of an LS-2 with 2 by 4 panels, for quick tests."""
+    ends = np.array([-1.58, 0.0, 1.58])
+    collector = replace(ls2_panelled(), length_m=3.16, panel_edges_y_m=ends, support_y_m=ends[::2])
+    n = 24 if choice.n_photos is None else choice.n_photos
+    views = wobbling(straight_pass(SMALL_CAMERA, n_photos=n, height_m=12.0, reach_m=2.9), rng, position_m=0.05)
+    mirror = random_mirror(collector, rng)
+    sheets, targets = rim_targets(collector, choice.dictionary, 0.09, rng)
+    return TroughScene(
+        "short LS-2", world_of(mirror), views, sheets, targets, dictionary=choice.dictionary, target_diameter_m=0.09
+    )
+
+
+def _ls2(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw 100 photos from 15 m of an LS-2 with 3 mrad of transverse slope error and no longitudinal one."""
+    mirror = random_mirror(ls2_panelled(), rng)
+    return _scene("LS-2 from 15 m", mirror, _drone(choice, rng), choice, rng)
+
+
+def _ls2_long(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 with 1.8 mrad of longitudinal slope error in addition."""
+    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3)
+    return _scene("LS-2 with longitudinal errors", mirror, _drone(choice, rng), choice, rng)
+
+
+def _ls2_two_passes(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 with longitudinal slope errors in two passes at y = -2.5 m and +2.5 m."""
+    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3)
+    n = 200 if choice.n_photos is None else choice.n_photos
+    views = wobbling(several_passes(VIDEO_CAMERA, (-2.5, 2.5), n_photos=n), rng)
+    return _scene("LS-2 in two passes", mirror, views, choice, rng)
+
+
+def _displaced(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw a perfect LS-2 whose absorber is 3 mm to +x and 5 mm too near the vertex, the glass in its place."""
+    mirror = TroughMirror(ls2_panelled())
+    scene = _scene("perfect LS-2, displaced absorber", mirror, _drone(choice, rng), choice, rng)
+    receiver = Receiver(mirror.collector, TubeAxis.straight(3e-3, -5e-3), TubeAxis.straight())
+    return replace(scene, world=replace(scene.world, receiver=receiver))
+
+
+def _sag(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 with a receiver that sags by 6 mm between its supports, 2 mm to the side and tilted."""
+    mirror = random_mirror(ls2_panelled(), rng)
+    scene = _scene("LS-2 with sagging absorber", mirror, _drone(choice, rng), choice, rng)
+    axis = TubeAxis.straight(2e-3, 1e-3, 4e-4, -3e-4).sagging(mirror.collector.support_y_m, 0.0, -6e-3)
+    return replace(scene, world=replace(scene.world, receiver=Receiver(mirror.collector, axis)))
+
+
+def _clouds(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 under broken clouds, with glint of the sun and changing exposure."""
+    scene = _ls2(choice, rng)
+    sky = Sky(clouds=0.8, sun_elevation_deg=72.0, sun_azimuth_deg=35.0)
+    views = tuple(replace(view, exposure=float(np.exp(rng.normal(0, 0.08)))) for view in scene.views)
+    world = replace(scene.world, surroundings=Surroundings(sky, Ground(), seed=choice.seed))
+    return replace(scene, name="LS-2 under clouds", world=world, views=views)
+
+
+def _ground(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 turned to the horizon: ground, shadows and things that lie about in the reflection."""
+    scene = _ls2(choice, rng)
+    ground = Ground(contrast=0.25)
+    around = Surroundings(Sky(sun_elevation_deg=35.0, sun_azimuth_deg=110.0), ground, 60.0, seed=choice.seed)
+    return replace(scene, name="LS-2 with ground in it", world=replace(scene.world, surroundings=around))
+
+
+def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw two photos by a D300 from 7 m beside and 7 m above, for the absorber's position."""
+    scene = _scene("absorber of an LS-2", random_mirror(ls2_panelled(), rng), absorber_pair(D300_CAMERA), choice, rng)
+    axis = TubeAxis.straight(3e-3, -5e-3).sagging(scene.collector.support_y_m, 0.0, -4e-3)
+    return replace(scene, world=replace(scene.world, receiver=Receiver(scene.collector, axis)), optics=Optics(0.7))
+
+
+_PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] = {
+    "small": _small,
+    "ls2": _ls2,
+    "ls2-long": _ls2_long,
+    "ls2-two-passes": _ls2_two_passes,
+    "displaced": _displaced,
+    "sag": _sag,
+    "clouds": _clouds,
+    "ground": _ground,
+    "absorber": _absorber,
+}
+
+#: Names of the presets.
+TROUGH_PRESETS = tuple(_PRESETS)
