@@ -8,7 +8,7 @@ import numpy as np
 from data_synth.coverage import Footprint, disc_coverage, strip_coverage
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array, freeze, positive
-from photogrammetry.coded_targets import CODE_INNER_RADIUS, CODE_OUTER_RADIUS, QUIET_RADIUS, RingCode
+from photogrammetry.coded_targets import RingCode
 
 
 class Print(Protocol):
@@ -63,7 +63,7 @@ class RingPrint:
     @property
     def half_size_m(self) -> tuple[float, float]:
         """Half width and half height of the paper [m]."""
-        return (QUIET_RADIUS * self.diameter_m / 2,) * 2
+        return (self.code.radii.quiet * self.diameter_m / 2,) * 2
 
     @property
     def bends_m(self) -> float:
@@ -84,7 +84,7 @@ class RingPrint:
         radius = self.diameter_m / 2
         distance = np.hypot(x_m, y_m)
         share = disc_coverage(x_m, y_m, distance, radius, cell)
-        inner, outer = CODE_INNER_RADIUS * radius, CODE_OUTER_RADIUS * radius
+        inner, outer = self.code.radii.inner * radius, self.code.radii.outer * radius
         ring: BoolArray = (distance > inner - cell.reach_m) & (distance < outer + cell.reach_m)
         x, y, at = x_m[ring], y_m[ring], distance[ring]
         band = disc_coverage(x, y, at, outer, cell) - disc_coverage(x, y, at, inner, cell)

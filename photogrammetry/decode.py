@@ -14,7 +14,7 @@ import numpy.typing as npt
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.coded_targets import VENDOR_RADII, RingCode, RingDictionary, RingRadii
 from photogrammetry.ellipse import Ellipse
-from photogrammetry.pyramid import Pyramid, ellipse_frames, make_pyramid
+from photogrammetry.pyramid import Pyramid, make_pyramid
 
 __all__ = ["RingLimits", "RingReading", "read_ring", "read_rings", "ring_outline"]
 
@@ -230,10 +230,8 @@ def _ink(
     """Share of ink on rings round dots, shape (n, radii, angles), and how uneven their gaps are."""
     angles = np.arange(n_angles) * (2 * np.pi / n_angles)
     circle = np.stack([np.cos(angles), np.sin(angles)])
-    unit = (circle[:, None, :] * radii.all[:, None]).reshape(2, -1).astype(np.float32)
-    frames = ellipse_frames(shapes).astype(np.float32)
-    places = np.matmul(frames, unit) + centers.astype(np.float32)[:, :, None]
-    values = pyramid.sample(places[:, 0], places[:, 1], pyramid.level_for(shapes)).reshape(len(shapes), -1, n_angles)
+    unit = (circle[:, None, :] * radii.all[:, None]).reshape(2, -1)
+    values = pyramid.around(centers, shapes, unit).reshape(len(shapes), -1, n_angles)
     gap = values[:, radii.gap].mean(axis=1, dtype=np.float64)
     # The gap's level as a plane: its first harmonic round the dot. Levels of the ring follow the plane outwards.
     plane = np.stack([np.ones(n_angles), *circle], axis=1)

@@ -349,7 +349,7 @@ def _judged(
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Tell which ellipses are even inside and in a ring around, and differ from it; levels inside and outside."""
     radii = (*_INNER_RADII, *(1 + share * (asked.gap_radius - 1) for share in _OUTER_SHARES))
-    values = _on_rings(pyramid, spots.shapes, spots.centers, radii)
+    values = _on_rings(pyramid, spots, radii)
     inner, outer = values[:, : 2 * _RING_POINTS], values[:, 2 * _RING_POINTS :]
     inside = np.asarray(np.median(inner, axis=1), dtype=np.float64)
     outside = np.asarray(np.median(outer, axis=1), dtype=np.float64)
@@ -369,12 +369,11 @@ def _judged(
     return kept, inside, outside
 
 
-def _on_rings(pyramid: Pyramid, shapes: FloatArray, centers: FloatArray, radii: Sequence[float]) -> Float32Array:
+def _on_rings(pyramid: Pyramid, spots: _Spots, radii: Sequence[float]) -> Float32Array:
     """Grey values on rings, shape (n, points)."""
     angles = np.arange(_RING_POINTS) * (2 * np.pi / _RING_POINTS)
     circle = np.concatenate([radius * np.stack([np.cos(angles), np.sin(angles)]) for radius in radii], axis=1)
-    points = (np.matmul(ellipse_frames(shapes), circle) + centers[:, :, None]).astype(np.float32)
-    return pyramid.sample(points[:, 0], points[:, 1], pyramid.level_for(shapes))
+    return pyramid.around(spots.centers, spots.shapes, circle)
 
 
 def _apart(spots: list[Candidate]) -> tuple[Candidate, ...]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.pyramid import Pyramid, ellipse_frames
 
 __all__ = ["Outlines", "outlines_along_rays"]
@@ -68,7 +68,8 @@ def outlines_along_rays(
     for low, high, samples in _PASSES:
         frames = ellipse_frames(shapes)
         radii = np.linspace(low, high, samples)
-        values = _along_rays(pyramid, centers, shapes, frames, circle[:, :, None] * radii)
+        rays = (circle.T[:, :, None] * radii).reshape(2, -1)
+        values = pyramid.around(centers, shapes, rays).reshape(-1, _RAYS, samples)
         edges, seen = _first_crossing(values, middle_dn, radii)
         conic, ok = _fit(edges, seen, circle)
         off = np.abs(_distance(conic, edges, circle))
@@ -89,18 +90,7 @@ def outlines_along_rays(
     return Outlines(centers, shapes, rms, found)
 
 
-def _along_rays(
-    pyramid: Pyramid, centers: FloatArray, shapes: FloatArray, frames: FloatArray, rays: FloatArray
-) -> FloatArray:
-    """Grey values at all points of all rays, shape (n, rays, points); rays of the unit circle, (rays, 2, points)."""
-    count, _, points = rays.shape
-    unit = rays.transpose(1, 0, 2).reshape(2, -1)
-    place = (np.matmul(frames, unit) + centers[:, :, None]).astype(np.float32)
-    values = pyramid.sample(place[:, 0], place[:, 1], pyramid.level_for(shapes))
-    return values.reshape(-1, count, points).astype(np.float64)
-
-
-def _first_crossing(values: FloatArray, middle: FloatArray, radii: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _first_crossing(values: Float32Array, middle: FloatArray, radii: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Radius at which each ray first crosses the middle level on its way out, and whether it does."""
     above = values - middle[:, None, None]
     changes = (above[..., 1:] > 0) != (above[..., :-1] > 0)

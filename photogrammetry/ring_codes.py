@@ -12,8 +12,6 @@ from heliogauge.errors import InputError
 #: outer radius.
 CODE_INNER_RADIUS = 2.0
 CODE_OUTER_RADIUS = 3.0
-#: Quiet zone of the ground's colour around the code ring, in units of the dot's radius.
-QUIET_RADIUS = 4.0
 
 FEWEST_BITS = 8
 MOST_BITS = 20
@@ -61,6 +59,11 @@ class RingRadii:
                 "radii of the code ring, in radii of the dot: inner of at least 1.4 and outer of at least inner + 0.4, "
                 f"at most 8, are needed, not {self.inner:g} and {self.outer:g}"
             )
+
+    @property
+    def quiet(self) -> float:
+        """Radius of the quiet zone of the ground's colour, one radius of the dot wide."""
+        return self.outer + 1
 
 
 #: As all vendors print them.

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.validate import positive
-from photogrammetry.coded_targets import CODE_INNER_RADIUS, CODE_OUTER_RADIUS, QUIET_RADIUS, Polarity, RingCode
+from photogrammetry.coded_targets import Polarity, RingCode
 from photogrammetry.vector_page import Area, Label, Page, Path, disc, rectangle, ring_sector
 
 PAPERS_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
@@ -99,7 +99,7 @@ def ring_pages(
     InputError
         Not one target fits on the paper.
     """
-    side = QUIET_RADIUS * positive("dot_mm", dot_mm, "mm")
+    side = codes[0].radii.quiet * positive("dot_mm", dot_mm, "mm") if codes else 0.0
     dark = polarity is Polarity.WHITE_ON_BLACK
     pages = []
     for number, group in enumerate(_places(len(codes), side, paper), start=1):
@@ -134,7 +134,7 @@ def ring_paths(code: RingCode, center_mm: tuple[float, float], radius_mm: float)
     tuple of Path
         The dot and the arcs of the code ring.
     """
-    radii = (CODE_INNER_RADIUS * radius_mm, CODE_OUTER_RADIUS * radius_mm)
+    radii = (code.radii.inner * radius_mm, code.radii.outer * radius_mm)
     arcs = code.arcs_rad()
     if arcs == ((0.0, 2 * pi),):
         arcs = ((0.0, pi), (pi, 2 * pi))
