@@ -144,6 +144,7 @@ class PhotogrammetryMeasurement:
         named = [*(one.file for one in model.camera), model.image_points and model.image_points.file]
         named += [] if model.start is None else model.start.names
         named += model.files.names
+        named += [] if model.targets is None else model.targets.names
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
 
 

@@ -7,6 +7,7 @@ from pydantic import Discriminator, Field, model_validator
 
 from heliogauge.measurement_models import Number, PhotosSection, Positive, Section, Sigma3, Text, Vector3
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
+from heliogauge.measurement_targets import TargetsSection
 
 
 class ImagePointsSection(Section):
@@ -15,16 +16,6 @@ class ImagePointsSection(Section):
     file: Text = "image_points.csv"
     pixel_origin: Literal["center", "corner"] = "center"
     default_sigma_px: Positive = 0.1
-
-
-class TargetsSection(Section):
-    """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``) or square markers (``DICT_4X4_100``)."""
-
-    dictionary: Text
-    diameter_mm: Positive | None = None
-    polarity: Literal["black-on-white", "white-on-black", "both"] = "both"
-    smallest_px: Annotated[float, Field(strict=True, ge=3)] = 6.0
-    largest_px: Positive = 100.0
 
 
 class ScaleBarSection(Section):

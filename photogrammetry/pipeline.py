@@ -29,6 +29,7 @@ from photogrammetry.network_quality import bar_checks, doubts, headline, length_
 from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
 from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
+from photogrammetry.pipeline_uncoded import listed_targets, with_uncoded
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
 
@@ -159,6 +160,9 @@ def run(
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
     with progress.stage("adjust"):
         solved = solve_network(measured.points, measured.ellipses_px2, cameras, knowledge, how)
+    with progress.stage("match targets without a code"):
+        listed = listed_targets(model.targets, measurement.folder)
+        measured, solved = with_uncoded(measured, solved, listed, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
     sensors = sensors_of(measurement, cameras)

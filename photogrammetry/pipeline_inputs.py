@@ -13,8 +13,8 @@ from heliogauge.measurement_photogrammetry import (
     CoordinateSection,
     DistanceSection,
     PhotogrammetryModel,
-    TargetsSection,
 )
+from heliogauge.measurement_targets import TargetsSection
 from heliogauge.store import read_cameras_json, read_table_csv
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle import Datum, DatumKind
@@ -33,7 +33,7 @@ _DATUMS = {
 
 
 def build_search(section: TargetsSection) -> TargetSearch:
-    """Say what ring-coded targets are searched for.
+    """Say what circular targets are searched for.
 
     Parameters
     ----------
@@ -52,7 +52,9 @@ def build_search(section: TargetsSection) -> TargetSearch:
     """
     polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
     limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
-    return TargetSearch(dictionary=ring_dictionary(section.dictionary), limits=limits, with_uncoded=False)
+    # Square markers are read by others; only dots are searched for beside them.
+    dictionary = None if section.has_markers else ring_dictionary(section.dictionary)
+    return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots)
 
 
 def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:

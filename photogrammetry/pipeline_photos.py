@@ -3,14 +3,14 @@
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.images import read_image
-from heliogauge.measurement_photogrammetry import TargetsSection
+from heliogauge.images import Image, read_image
+from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import Progress
 from heliogauge.validate import FloatArray
 from photogrammetry.detections import Detections
@@ -18,6 +18,8 @@ from photogrammetry.markers import find_markers
 from photogrammetry.observations import ImagePoints, image_points
 from photogrammetry.photo_targets import measure_targets
 from photogrammetry.pipeline_inputs import build_search
+from photogrammetry.solve_uncoded import LooseDots
+from photogrammetry.uncertain_rays import Dots
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class MeasuredPhotos:
         What makes the result doubtful.
     sigma_assumed : bool
         Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
+    loose : LooseDots or None, optional
+        Dots without a code, to be matched when the photos' poses are known.
     """
 
     points: ImagePoints
@@ -62,6 +66,7 @@ class MeasuredPhotos:
     refused: tuple[Refused, ...]
     warnings: tuple[str, ...]
     sigma_assumed: bool
+    loose: LooseDots | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +75,8 @@ class _OnePhoto:
     ellipses_px2: FloatArray
     size_px: tuple[int, int]
     refused: tuple[Refused, ...]
+    dots: Detections
+    dot_ellipses_px2: FloatArray
 
 
 def measure_photos(
@@ -105,27 +112,26 @@ def measure_photos(
         raise InputError(
             f"images.photos: {len(twice)} names occur in two folders ({twice[0]}); give photos other names"
         )
-    search = None if section.dictionary.startswith("DICT_") else build_search(section)
+    search = build_search(section)
 
     def one(file: Path) -> _OnePhoto:
         image = read_image(file)
-        size = (int(image.shape[1]), int(image.shape[0]))
-        if search is None:
-            markers = find_markers(image, file.name, section.dictionary)
-            refused = [
-                Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {file.name}",
-                        bad.reason)
-                for bad in markers.rejected
-            ]  # fmt: skip
-            shapes = np.full((len(markers.detections), 2, 2), np.nan)
-            return _OnePhoto(markers.detections, shapes, size, tuple(refused))
+        found = _with_markers(image, file.name, section.dictionary) if section.has_markers else None
+        if found is not None and not search.with_uncoded:
+            return found
         rings = measure_targets(image, file.name, search)
         shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
+        count = len(rings.readings)
+        dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
+        if found is not None:
+            return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
         mirrored = [
             Refused(f"target {name} in {file.name}", "is a mirror image: print or photo is the wrong way round")
             for name in rings.mirrored
         ]
-        return _OnePhoto(rings.detections, shapes, size, tuple(mirrored))
+        coded = rings.detections.chosen(np.arange(count))
+        size = (int(image.shape[1]), int(image.shape[0]))
+        return _OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:])
 
     found: list[_OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -138,6 +144,31 @@ def measure_photos(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return _gathered(found)
+
+
+def _with_markers(image: Image, photo: str, dictionary: str) -> _OnePhoto:
+    markers = find_markers(image, photo, dictionary)
+    refused = [
+        Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
+        for bad in markers.rejected
+    ]
+    shapes = np.full((len(markers.detections), 2, 2), np.nan)
+    size = (int(image.shape[1]), int(image.shape[0]))
+    none = markers.detections.chosen(np.zeros(0, dtype=np.intp))
+    return _OnePhoto(markers.detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
+
+
+def _loose(found: Sequence[_OnePhoto]) -> LooseDots:
+    """Put together the dots of all photos."""
+    photo = np.repeat(np.arange(len(found)), [len(one.dots) for one in found])
+    covariance = np.concatenate([one.dots.covariance_px2 for one in found])
+    dots = Dots(
+        photo,
+        np.concatenate([one.dots.pixels_px for one in found]),
+        0.5 * (covariance + np.swapaxes(covariance, 1, 2)),
+        np.concatenate([one.dot_ellipses_px2 for one in found]),
+    )
+    return LooseDots(tuple(one.detections.photo for one in found), dots)
 
 
 def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
@@ -172,4 +203,4 @@ def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     sizes = {one.detections.photo: one.size_px for one in found}
     points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
-    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True)
+    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True, _loose(found))

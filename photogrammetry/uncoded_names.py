@@ -1,8 +1,7 @@
 """Names for points without a code, from a list of approximate coordinates."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -19,8 +18,8 @@ __all__ = ["ListedTargets", "NamedPoints", "list_frame", "name_points"]
 _SIGNIFICANCE = 1e-4
 #: A rival must fit worse by this chi-square, 1 to 3000 against it.
 _CLEARLY = 16.0
-#: Pairs of listed targets from which the frame is tried, the longest first.
-_PAIRS = 6
+#: Triples of listed targets from which the frame is tried.
+_BASES = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,8 +155,9 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
 
     Notes
     -----
-    Without common names, pairs of points as far apart as a pair of listed targets, with a third one, give frames; the
-    one that most listed targets find a point in is taken. Mirror images are never taken.
+    Without common names, triples of points with the three distances of listed targets give frames; the one in which
+    most listed targets find a point is taken. Mirror images are never taken. A rival is a frame with other names, as
+    many but one, and distances that the sigmas allow: the layout is symmetric within them.
     """
     common = [k for k, name in enumerate(listed.names) if name in known_m]
     if len(common) >= 3:
@@ -169,62 +169,90 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
             "frame; give control points, or list three coded targets too"
         )
     reach = 4 * float(np.sqrt((listed.sigma_m**2).sum(axis=1).mean()))
-    trials = _trials(points_m, listed, reach)
-    return _best(trials, points_m, listed, reach)
+    return _best(points_m, listed, reach)
 
 
-def _trials(points_m: FloatArray, listed: ListedTargets, reach: float) -> list[RigidTransform]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """A frame, the point of each listed target (-1 for none) and their squared distances in sigma."""
+
+    list_from_world: RigidTransform
+    point_of: IntArray
+    square: float
+
+    @property
+    def count(self) -> int:
+        """Number of listed targets that have a point."""
+        return int((self.point_of >= 0).sum())
+
+
+def _bases(listed: ListedTargets, reach: float) -> Iterator[tuple[int, int, int]]:
+    """Yield triples of listed targets, not nearly on a line, in a fixed random order: any of them may be missing."""
+    rng = np.random.default_rng(0)
+    for _ in range(_BASES):
+        a, b, c = rng.choice(len(listed), 3, replace=False).tolist()
+        one, two = listed.points_m[b] - listed.points_m[a], listed.points_m[c] - listed.points_m[a]
+        longest = float(np.linalg.norm(one))
+        if longest > 5 * reach and float(np.linalg.norm(np.cross(one, two))) > 5 * reach * longest:
+            yield a, b, c
+
+
+def _trials(points_m: FloatArray, listed: ListedTargets, base: tuple[int, int, int], reach: float) -> list[_Frame]:
     """Return frames from triples of points whose three distances are those of listed targets."""
+    a, b, c = base
     sides = np.linalg.norm(points_m[:, None] - points_m[None], axis=2)
-    known = np.linalg.norm(listed.points_m[:, None] - listed.points_m[None], axis=2)
-    pairs = sorted(combinations(range(len(listed)), 2), key=lambda pair: -known[pair])[:_PAIRS]
+    ab, ac, bc = (float(np.linalg.norm(listed.points_m[p] - listed.points_m[q])) for p, q in ((a, b), (a, c), (b, c)))
     found = []
-    for a, b in pairs:
-        # The third one far from the line of both makes the frame certain.
-        axis = (listed.points_m[b] - listed.points_m[a]) / max(known[a, b], 1e-300)
-        off = np.linalg.norm(np.cross(listed.points_m - listed.points_m[a], axis), axis=1)
-        c = int(np.argmax(off))
-        if off[c] < 3 * reach:
-            continue
-        for i, j in zip(*np.nonzero(np.abs(sides - known[a, b]) < reach), strict=True):
-            third = np.nonzero((np.abs(sides[i] - known[a, c]) < reach) & (np.abs(sides[j] - known[b, c]) < reach))[0]
-            found += [_fitted(points_m[[i, j, k]], listed.points_m[[a, b, c]]) for k in third.tolist()]
+    for i, j in zip(*np.nonzero(np.abs(sides - ab) < reach), strict=True):
+        third = np.nonzero((np.abs(sides[i] - ac) < reach) & (np.abs(sides[j] - bc) < reach))[0]
+        for k in third.tolist():
+            one = _settled(_fitted(points_m[[i, j, k]], listed.points_m[[a, b, c]]), points_m, listed, reach)
+            if one is not None:
+                found.append(one)
     return found
 
 
-def _best(
-    trials: Sequence[RigidTransform], points_m: FloatArray, listed: ListedTargets, reach: float
-) -> RigidTransform:
-    judged: list[tuple[int, float, RigidTransform, IntArray]] = []
-    for trial in trials:
-        frame = trial
-        for _ in range(2):
-            far = np.linalg.norm(frame.apply(points_m)[None] - listed.points_m[:, None], axis=2)
-            nearest = np.argmin(far, axis=1)
-            good = (far.min(axis=1) < 2 * reach) & (np.bincount(nearest, minlength=len(points_m))[nearest] == 1)
-            if good.sum() < 3:
-                break
-            frame = _fitted(points_m[nearest[good]], listed.points_m[good])
-        else:
-            far = np.linalg.norm(frame.apply(points_m)[None] - listed.points_m[:, None], axis=2)
-            good &= far[np.arange(len(listed)), nearest] < reach
-            place = np.where(good, nearest, -1)
-            error = float((np.minimum(far.min(axis=1), reach) ** 2).sum() / (reach / 4) ** 2)
-            judged.append((int(good.sum()), error, frame, place))
-    judged.sort(key=lambda one: (-one[0], one[1]))
-    if not judged or judged[0][0] < min(4, len(listed)):
+def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame | None:
+    """Fit a frame to all targets that find a point; None with fewer than three."""
+    sigma = np.sqrt((listed.sigma_m**2).mean(axis=1))
+    # A triple carries its errors outwards: twice the reach at first.
+    for limit in (2 * reach, reach, reach):
+        far = np.linalg.norm(frame.apply(points_m)[None] - listed.points_m[:, None], axis=2)
+        nearest = np.argmin(far, axis=1)
+        own = far[np.arange(len(listed)), nearest]
+        good = (own < limit) & (np.argmin(far, axis=0)[nearest] == np.arange(len(listed)))
+        if good.sum() < 3:
+            return None
+        frame = _fitted(points_m[nearest[good]], listed.points_m[good])
+    return _Frame(frame, np.where(good, nearest, -1), float(((own / sigma)[good] ** 2).sum()))
+
+
+def _best(points_m: FloatArray, listed: ListedTargets, reach: float) -> RigidTransform:
+    found: list[_Frame] = []
+    clear = 0
+    for base in _bases(listed, reach):
+        found += _trials(points_m, listed, base, reach)
+        # A few more after the first good one: a rival of a symmetric layout comes from the same triple.
+        clear += bool(found) and max(one.count for one in found) >= max(0.6 * len(listed), 4)
+        if clear > 3:
+            break
+    found.sort(key=lambda one: (-one.count, one.square))
+    if not found or found[0].count < 4:
         raise EstimationError(
-            f"listed targets: no frame puts {min(4, len(listed))} of the {len(listed)} near points; are coordinates, "
-            "sigmas and the scale of the network right?"
+            f"listed targets: no frame puts 4 of the {len(listed)} near points; are coordinates, sigmas and the scale "
+            "of the network right?"
         )
-    count, error, frame, place = judged[0]
-    rivals = [one for one in judged[1:] if not np.array_equal(one[3][place >= 0], place[place >= 0])]
-    if rivals and rivals[0][0] == count and rivals[0][1] < error + _CLEARLY:
-        raise EstimationError(
-            f"listed targets: two ways of naming fit {count} points equally well (a symmetric layout); give control "
-            "points, or list three coded targets too"
-        )
-    return frame
+    best = found[0]
+    for one in found[1:]:
+        both = (one.point_of >= 0) & (best.point_of >= 0)
+        differs = not both.any() or (one.point_of[both] != best.point_of[both]).any()
+        limit = max(chi_square_quantile(1 - _SIGNIFICANCE, max(3 * one.count - 6, 1)), 1.5 * best.square)
+        if differs and one.count >= best.count - 1 and one.square < limit:
+            raise EstimationError(
+                f"listed targets: two ways of naming fit {best.count} points equally well (a symmetric layout); give "
+                "control points, or list three coded targets too"
+            )
+    return best.list_from_world
 
 
 def _fitted(own_m: FloatArray, wanted_m: FloatArray) -> RigidTransform:
