@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
 
 app = make_app("Calibration of what measures: camera; response of camera and display.")
 
@@ -60,10 +60,11 @@ def camera_command(
     ] = True,
     jobs: Jobs = None,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Photos of a board -> cameras.json, points.csv (the board's shape), figures, summary.json in the folder OUT."""
+    """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
     from calibration.camera.pipeline import Options, run, write
     from calibration.camera.report_summary import headline_text
     from heliogauge.measurement import load_camera_calibration
@@ -76,6 +77,11 @@ def camera_command(
         result = run(load_camera_calibration(folder), options, progress)
         with progress.stage("write results"):
             write(result, working)
+        if not no_report:
+            from heliogauge.report import build_report
+
+            with progress.stage("report"):
+                build_report(working)
     for text in result.warnings:
         typer.echo(f"warning: {text}", err=True)
     if not quiet:

@@ -34,7 +34,12 @@ REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
 
 #: Package that holds the report notebook of each kind of measurement.
-NOTEBOOK_PACKAGES: dict[str, str] = {"deflectometry": "deflectometry", "photogrammetry": "photogrammetry"}
+NOTEBOOK_PACKAGES: dict[str, str] = {
+    "deflectometry": "deflectometry", "photogrammetry": "photogrammetry", "camera": "calibration.camera",
+    "photogrammetry-plan": "photogrammetry",
+}  # fmt: skip
+#: Notebooks that are called otherwise, where a package has several.
+OTHER_NOTEBOOKS: dict[str, str] = {"photogrammetry-plan": "report_plan.ipynb"}
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.
 _START_S = 120
@@ -77,7 +82,8 @@ def _notebook_of(summary: Summary, folder: Path) -> Any:
     if package is None:
         kinds = ", ".join(NOTEBOOK_PACKAGES)
         raise InputError(f"{folder / 'summary.json'}: no report for the kind {summary.kind!r} (there are: {kinds})")
-    text = resources.files(package).joinpath(REPORT_NOTEBOOK).read_text(encoding="utf-8")
+    name = OTHER_NOTEBOOKS.get(summary.kind, REPORT_NOTEBOOK)
+    text = resources.files(package).joinpath(name).read_text(encoding="utf-8")
     return nbformat.reads(text, as_version=4)
 
 

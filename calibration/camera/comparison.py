@@ -8,7 +8,7 @@ from calibration.camera.projection_sigma import covariance_root, map_nodes, with
 from heliogauge.camera import Camera
 from heliogauge.chi_square import chi_square_cdf
 from heliogauge.errors import InputError
-from heliogauge.rigid import RigidTransform, rotation_between
+from heliogauge.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 
 #: Combinations of intrinsics that move rays this much less than the most uncertain one are left out of the test: there
@@ -162,7 +162,9 @@ def _test(rays: FloatArray, remainder: FloatArray, moves: FloatArray) -> tuple[f
     if not moves.any():
         return float("nan"), 0
     # Two components across each ray: along it nothing moves.
-    across = np.array([rotation_between([0.0, 0.0, 1.0], ray)[:, :2] for ray in rays])
+    first = np.cross([0.0, 1.0, 0.0], rays)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    across = np.stack([first, np.cross(rays, first)], axis=2)
     design = np.einsum("nik,nij->nkj", across, moves).reshape(2 * len(rays), -1)
     right = np.einsum("nik,ni->nk", across, remainder).ravel()
     left, values, _ = np.linalg.svd(design, full_matrices=False)

@@ -14,6 +14,8 @@ _N_PARAMETERS = 9
 _MOST_STEPS = 25
 #: A ten-thousandth of a pixel is a hundredth of the noise of the best corner here.
 _ENOUGH_PX = 1e-4
+#: First the corner itself, so that few steps are made with all of its edges: 0.6 of the time.
+_FIRST_PX, _FIRST_ENOUGH_PX = 9.0, 1e-2
 #: Variance of a pixel's own square, which the blur of the model contains.
 _PIXEL_VARIANCE = 1 / 12
 #: Edges are used over this many pixels to each side at most: print and lens are straight so far, and time counts.
@@ -81,7 +83,7 @@ class CornerStart:
 
 
 def fit_corners(
-    image_dn: FloatArray, start: CornerStart, *, reach: float = 0.42, clear: float = np.inf
+    image_dn: FloatArray, start: CornerStart, *, reach: float = 0.42, clear: float = np.inf, rough: bool = False
 ) -> FittedCorners:
     """Fit corners where four squares meet.
 
@@ -95,6 +97,8 @@ def fit_corners(
         Half size of the piece of the image used, as a share of the squares' sides, but 20 px at most.
     clear : float, optional
         Pixels farther than this share of a side from both edges are left out: a ChArUco board has markers there.
+    rough : bool, optional
+        Use 9 px of the edges and stop at a hundredth of a pixel: a quarter of the time, to start a second fit from.
 
     Returns
     -------
@@ -116,7 +120,8 @@ def fit_corners(
     )
     height, width = image_dn.shape
     sides = np.stack([start.along_x, start.along_y], axis=1)
-    share = np.minimum(reach, _LONGEST_PX / np.maximum(np.linalg.norm(sides, axis=2), 1e-9))
+    longest_px, enough_px = (_FIRST_PX, _FIRST_ENOUGH_PX) if rough else (_LONGEST_PX, _ENOUGH_PX)
+    share = np.minimum(reach, longest_px / np.maximum(np.linalg.norm(sides, axis=2), 1e-9))
     half = np.ceil((share[:, :, None] * np.abs(sides)).sum(axis=1)).astype(int)
     middle = np.rint(start.pixels_px).astype(int)
     inside = (middle - half >= 0).all(axis=1) & (middle + half < [width, height]).all(axis=1)
@@ -126,7 +131,7 @@ def fit_corners(
     order = usable[np.argsort(half[usable].max(axis=1), kind="stable")]
     for first in range(0, order.size, _BLOCK):
         chosen = order[first : first + _BLOCK]
-        _fit_block(image_dn, start.chosen(chosen), (share[chosen], half[chosen], clear), chosen, found)
+        _fit_block(image_dn, start.chosen(chosen), (share[chosen], half[chosen], clear, enough_px), chosen, found)
     for array in (found.pixels_px, found.covariance_px2, found.blur_px, found.contrast_dn, found.residual_dn):
         freeze(array)
     return found
@@ -135,11 +140,11 @@ def fit_corners(
 def _fit_block(
     image_dn: FloatArray,
     start: CornerStart,
-    size: tuple[FloatArray, IntArray, float],
+    size: tuple[FloatArray, IntArray, float, float],
     chosen: IntArray,
     found: FittedCorners,
 ) -> None:
-    share, halves, clear = size
+    share, halves, clear, enough_px = size
     half, middle = int(halves.max()), np.rint(start.pixels_px).astype(int)
     v, u = (grid.ravel().astype(np.float64) for grid in np.mgrid[-half : half + 1, -half : half + 1])
     rows = np.clip(middle[:, 1:] + v.astype(int), 0, image_dn.shape[0] - 1)
@@ -156,10 +161,9 @@ def _fit_block(
     weights = np.clip(margin, 0.0, 1.0)
     pixels = (u, v, start.curvature_per_px)
     parameters = _start(values, weights, (off, start.along_x, start.along_y), pixels)
-    parameters, good = _adjust(values, weights, parameters, pixels)
-    model, jacobian = _model(parameters, *pixels)
+    parameters, good, residuals, jacobian = _adjust(values, weights, parameters, pixels, enough_px)
     used = weights.sum(axis=1)
-    variance = (weights * (values - model) ** 2).sum(axis=1) / np.maximum(used - _N_PARAMETERS, 1.0)
+    variance = (weights * residuals**2).sum(axis=1) / np.maximum(used - _N_PARAMETERS, 1.0)
     covariance = _corner_covariance(jacobian, weights, variance)
     contrast = parameters[:, 6]
     moved = np.abs(parameters[:, :2] - off).max(axis=1)
@@ -228,9 +232,9 @@ def _model(
 
 
 def _adjust(
-    values: FloatArray, weights: FloatArray, parameters: FloatArray, pixels: tuple[FloatArray, ...]
-) -> tuple[FloatArray, BoolArray]:
-    """Levenberg-Marquardt for all windows together, each with a damping of its own."""
+    values: FloatArray, weights: FloatArray, parameters: FloatArray, pixels: tuple[FloatArray, ...], enough_px: float
+) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
+    """Levenberg-Marquardt for all windows together, each with a damping; also residuals and derivatives at the end."""
     done = np.zeros(len(values), dtype=np.bool_)
     damping = np.full(len(values), 1e-6)
     parameters = parameters.copy()
@@ -258,8 +262,8 @@ def _adjust(
         parameters[moved], jacobian[moved] = trial[better], trial_jacobian[better]
         residuals[moved], cost[moved] = trial_residuals[better], trial_cost[better]
         damping[at] *= np.where(better, 0.1, 100.0)
-        done[at] = better & (np.abs(step[:, :2]).max(axis=1) < _ENOUGH_PX)
-    return parameters, done
+        done[at] = better & (np.abs(step[:, :2]).max(axis=1) < enough_px)
+    return parameters, done, residuals, jacobian
 
 
 def _corner_covariance(jacobian: FloatArray, weights: FloatArray, variance: FloatArray) -> FloatArray:

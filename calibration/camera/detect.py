@@ -231,7 +231,7 @@ def fitted(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *, c
     usable = np.nonzero(np.isfinite(np.hstack([flat, along_x, along_y])).all(axis=1))[0]
     values = np.asarray(image, dtype=np.float64)
     start = CornerStart(flat[usable], along_x[usable], along_y[usable], np.zeros((usable.size, 2)))
-    result = fit_corners(values, start, reach=REACH, clear=clear)
+    result = fit_corners(values, start, reach=REACH, clear=clear, rough=True)
     if np.count_nonzero(result.found) < LEAST_POINTS:
         raise EstimationError(
             f"{photo}: only {np.count_nonzero(result.found)} of {usable.size} corners are sharp enough to be measured"

@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.camera.result import Result
+from calibration.camera.result import PhotoResult, Result
+from heliogauge.camera import PARAMETER_NAMES
 from heliogauge.figures_canvas import (
     FAINT,
     INK,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Arrows of residuals are drawn so that the RMS one has this share of the image's diagonal.
-_ARROW_SHARE = 0.03
+_ARROW_SHARE = 0.02
 
 
 def all_figures(result: Result) -> "dict[str, Figure]":
@@ -95,21 +96,37 @@ def projection_figure(result: Result) -> "Figure":
     return _map(result, sigma.sigma_projection_px, "Uncertainty of projection", note, "px")
 
 
-def comparison_figure(result: Result) -> "Figure":
-    """Draw the angle between the lines of sight of both calibrations."""
-    if result.comparison is None:
-        return new_figure(1.0)
+def comparison_figure(result: Result, *, with_rotation: bool = False) -> "Figure":
+    """Draw the angle between the lines of sight of both calibrations, the best rotation taken out or not."""
     one = result.comparison
+    if one is None:
+        return new_figure(1.0)
+    if with_rotation:
+        note = (
+            f"with the rotation; RMS {1e3 * one.raw_rms_rad:.2g} mrad, expected {1e3 * one.raw_expected_rad:.2g} mrad"
+        )
+        return _map(result, 1e3 * one.raw_angle_rad, "Difference with rotation", note, "mrad")
     note = f"best rotation taken out; RMS {1e3 * one.rms_rad:.2g} mrad, expected {1e3 * one.expected_rad:.2g} mrad"
     return _map(result, 1e3 * one.angle_rad, "Difference from the other calibration", note, "mrad")
+
+
+def difference_sigma_figure(result: Result) -> "Figure":
+    """Draw the difference of both calibrations over its sigma, the best rotation taken out."""
+    one = result.comparison
+    if one is None or not np.any(one.sigma_rad):
+        return new_figure(1.0)
+    ratio = one.angle_rad / np.where(one.sigma_rad > 0, one.sigma_rad, np.nan)
+    note = "1 to 2 is chance; both components in squares, best rotation taken out"
+    return _map(result, ratio, "Difference over its sigma", note, "sigma")
 
 
 def profile_figure(result: Result) -> "Figure":
     """Draw the radial distortion with its band."""
     profile = result.profile
+    seen = float(np.interp(profile.seen_px, profile.radius_px, profile.sigma_px))
     figure, axes = chart_figure(
         "Radial distortion",
-        "band: 2 sigma; dashed: farthest measured point",
+        f"band: 2 sigma, {2 * seen:.2g} px at the farthest measured point (dashed)",
         "distance from the principal point [px]",
         "shift outwards [px]",
     )
@@ -132,18 +149,48 @@ def coverage_figure(result: Result) -> "Figure":
     return figure
 
 
-def residual_figure(result: Result) -> "Figure":
-    """Draw the residuals of all photos, enlarged."""
-    rms = result.quality.rms_px
+def residual_figure(result: Result, photo: PhotoResult | None = None) -> "Figure":
+    """Draw the residuals of all photos or of one, enlarged alike."""
     camera = result.camera
-    factor = _ARROW_SHARE * float(np.hypot(camera.width_px, camera.height_px)) / max(rms, 1e-12)
-    note = f"predicted minus measured, {factor:.0f} times enlarged; RMS {rms:.4f} px"
-    figure, axes, _ = _image_axes(result, "Residuals", note)
-    pixels = np.concatenate([photo.pixels_px[photo.used] for photo in result.photos])
-    residuals = np.concatenate([photo.residuals_px[photo.used] for photo in result.photos])
-    axes.quiver(
-        *pixels.T, *residuals.T, angles="xy", scale_units="xy", scale=1 / factor, width=0.0012, color=LINE_X, alpha=0.7
+    diagonal = float(np.hypot(camera.width_px, camera.height_px))
+    factor = _ARROW_SHARE * diagonal / max(result.quality.rms_px, 1e-12)
+    factor = float(f"{factor:.1g}")
+    rms = result.quality.rms_px if photo is None else photo.rms_px
+    title = "Residuals of all photos" if photo is None else photo.name
+    apart = (
+        "" if photo is None or not np.isfinite(photo.kept_apart_px) else f", kept apart {photo.kept_apart_px:.4f} px"
     )
+    note = f"predicted minus measured, {factor:.0f} times enlarged; RMS {rms:.4f} px{apart}"
+    figure, axes, _ = _image_axes(result, title, note)
+    shown = result.photos if photo is None else (photo,)
+    pixels = np.concatenate([one.pixels_px[one.used] for one in shown])
+    residuals = np.concatenate([one.residuals_px[one.used] for one in shown])
+    axes.quiver(
+        *pixels.T, *residuals.T, angles="xy", scale_units="xy", scale=1 / factor, width=0.0016, color=LINE_X, alpha=0.8
+    )
+    for one in shown:
+        axes.plot(*one.pixels_px[~one.used].T, linestyle="none", marker="x", markersize=4, color=LINE_Y)
+    return figure
+
+
+def correlation_figure(result: Result) -> "Figure":
+    """Draw the correlations of the estimated intrinsics."""
+    sigma = result.camera.sigma_parameters
+    free = np.nonzero(sigma > 0)[0]
+    names = [PARAMETER_NAMES[i].removesuffix("_px").replace("_", " ") for i in free]
+    matrix = result.camera.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    size = 0.36 * len(free)
+    figure = new_figure(size + 1.5)
+    axes = axes_in_inches(figure, 0.95, 0.75, size, size)
+    axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+    for row, column in np.ndindex(matrix.shape):
+        if row != column:
+            color = "white" if abs(matrix[row, column]) > 0.6 else INK
+            text = f"{matrix[row, column]:.2f}".replace("0.", ".")
+            axes.text(column, row, text, ha="center", va="center", fontsize=7, color=color)
+    axes.set_xticks(range(len(free)), names, rotation=40, ha="right", fontsize=8, color=INK)
+    axes.set_yticks(range(len(free)), names, fontsize=8, color=INK)
+    add_title(figure, "Correlation of the intrinsics", "beyond 0.95 two effects are hardly told apart")
     return figure
 
 
@@ -152,7 +199,7 @@ def board_figure(result: Result) -> "Figure":
     shape = result.shape
     unit, factor = ("mm", 1e3) if shape.board.is_metric else ("pitches", 1.0)
     places, departure = factor * shape.points_m, factor * shape.departure_m
-    width = WIDTH_IN - 1.6
+    width = WIDTH_IN - 1.75
     span = np.maximum(np.ptp(places[:, :2], axis=0), 1e-12)
     height = min(max(width * span[1] / span[0], 1.2), 4.5)
     figure = new_figure(height + 1.15)
@@ -169,7 +216,34 @@ def board_figure(result: Result) -> "Figure":
     axes.set_ylabel(f"y [{unit}]", fontsize=8.5, color=INK)
     note = f"rms x {rms[0]:.2g}, y {rms[1]:.2g}, z {rms[2]:.2g} {unit}; arrows {enlarge:.0f} times, colour z"
     add_title(figure, "The board's departure from its drawing", note)
+    for set_limits, middle, half in (
+        (axes.set_xlim, places[:, 0].mean(), 0.56 * span[0]),
+        (axes.set_ylim, places[:, 1].mean(), 0.56 * span[1]),
+    ):
+        set_limits(middle - half, middle + half)
     bar = figure.colorbar(dots, cax=axes_in_inches(figure, box[0] + box[2] + 0.12, box[1], 0.13, box[3]))
-    bar.ax.tick_params(labelsize=8, colors=INK)
-    bar.set_label(f"z [{unit}]", fontsize=8, color=INK)
+    bar.ax.tick_params(labelsize=7, colors=INK)
+    bar.set_label(f"z [{unit}]", fontsize=8, color=INK, labelpad=1)
+    return figure
+
+
+def board_sigma_figure(result: Result) -> "Figure":
+    """Draw how well each point of the board is known: position, rotation and scale of the whole taken out."""
+    shape = result.shape
+    unit = "mm" if shape.board.is_metric else "1/1000 pitch"
+    length = "mm" if shape.board.is_metric else "pitches"
+    places = (1e3 if shape.board.is_metric else 1.0) * shape.points_m
+    sigma = 1e3 * np.sqrt((shape.sigma_m**2).sum(axis=1))
+    note = f"1 sigma, x, y and z in squares [{unit}]; RMS {float(np.sqrt((sigma**2).mean())):.2g}"
+    width = WIDTH_IN - 1.6
+    span = np.maximum(np.ptp(places[:, :2], axis=0), 1e-12)
+    height = min(max(width * span[1] / span[0], 1.2), 4.5)
+    figure = new_figure(height + 1.15)
+    axes = axes_in_inches(figure, 0.72, 0.5, width, height)
+    dots = axes.scatter(places[:, 0], places[:, 1], c=sigma, s=14, cmap=SEQUENTIAL, linewidths=0)
+    axes.set_xlabel(f"x [{length}]", fontsize=8.5, color=INK)
+    axes.set_ylabel(f"y [{length}]", fontsize=8.5, color=INK)
+    add_title(figure, "Uncertainty of the board's shape", note)
+    bar = figure.colorbar(dots, cax=axes_in_inches(figure, 0.72 + width + 0.12, 0.5, 0.13, height))
+    bar.ax.tick_params(labelsize=7, colors=INK)
     return figure

@@ -189,9 +189,15 @@ def comparison_lines(one: Comparison) -> list[str]:
         f"(expected {1e3 * one.raw_expected_rad:.2g} rms) with it",
     ]
     if np.isfinite(one.chance):
-        verdict = "more than chance" if one.chance < _UNLIKELY else "no more than chance"
         lines.append(
-            f"                   chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom: {verdict} "
-            f"(probability {one.chance:.2g})"
+            f"                   chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom: "
+            f"{verdict_text(one)} (probability {one.chance:.2g})"
         )
     return lines
+
+
+def verdict_text(one: Comparison) -> str:
+    """Say whether two calibrations differ by more than chance."""
+    if not np.isfinite(one.chance):
+        return "whether the difference means something is not known: neither calibration has a covariance"
+    return "more than chance" if one.chance < _UNLIKELY else "no more than chance"
