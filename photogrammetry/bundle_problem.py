@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.least_squares import Prior
-from heliogauge.validate import FloatArray, covariance_matrix
+from heliogauge.validate import FloatArray, covariance_matrix, float_array
 from photogrammetry.bundle_state import INTRINSIC_NAMES, BundleState
 from photogrammetry.constraints import Constraint, constrained_targets
 from photogrammetry.datum import Datum
@@ -35,7 +35,10 @@ class CameraModel:
     priors : tuple of Prior, optional
         Values of free intrinsics known before, each with its sigma.
     prior_covariance : array_like, shape (10, 10), optional
-        Joint covariance of `INTRINSIC_NAMES` around the values of the start, from an earlier calibration.
+        Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
+    prior_values : array_like, shape (10,), optional
+        What that calibration found; the values of the start by default, which only then are right when nothing has
+        been adjusted before.
     residual : ResidualSpace, optional
         Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
         (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal length.
@@ -50,6 +53,7 @@ class CameraModel:
     free: tuple[str, ...] = ()
     priors: tuple[Prior, ...] = ()
     prior_covariance: FloatArray | None = None
+    prior_values: FloatArray | None = None
     residual: ResidualSpace = ResidualSpace.MEASURED
 
     def __post_init__(self) -> None:
@@ -67,6 +71,9 @@ class CameraModel:
         if self.prior_covariance is not None:
             covariance = covariance_matrix(f"camera {self.name}: prior_covariance", self.prior_covariance, 10)
             object.__setattr__(self, "prior_covariance", covariance)
+        if self.prior_values is not None:
+            values = float_array(f"camera {self.name}: prior_values", self.prior_values, (10,))
+            object.__setattr__(self, "prior_values", values)
 
     @property
     def columns(self) -> IntArray:

@@ -146,7 +146,8 @@ class BundleModel:
                 root = _inverse_root(model.prior_covariance[np.ix_(model.columns, model.columns)])
                 block[:, columns - first] = root
                 rows.extend(block)
-                values.extend(root @ intrinsics_of(camera)[model.columns])
+                known = intrinsics_of(camera) if model.prior_values is None else model.prior_values
+                values.extend(root @ known[model.columns])
         return np.array(rows).reshape(len(rows), width), np.array(values, dtype=np.float64)
 
     def retract(self, state: BundleState, step: FloatArray) -> BundleState:

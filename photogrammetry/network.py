@@ -140,10 +140,9 @@ def build_network(
     index = np.zeros(len(observations.photos), np.intp) if camera_of_photo is None else np.asarray(camera_of_photo)
     chosen = tuple(models) if models else tuple(CameraModel(f"camera {i + 1}") for i in range(len(cameras)))
     mean_sigma = float(np.sqrt(np.median(np.einsum("mii->m", observations.covariance_px2)) / 2))
-    guessed = any(model.free for model in chosen)
     # Lens included: image points may be off by so much before anything is adjusted.
-    noise_px = 0.002 * cameras[0].width_px if guessed else 1.0
-    noise = max(1.0, noise_px / mean_sigma)
+    noise_px = [0.002 * one.width_px if model.free else 1.0 for one, model in zip(cameras, chosen, strict=True)]
+    noise = np.maximum(1.0, np.array(noise_px) / mean_sigma)
     empty = Growth(observations, index, list(cameras), chosen, noise)
     placed = start is not None and sum(name in start.cam_from_world for name in observations.photos) >= 2
     grown = _resumed(empty, start) if start is not None and placed else _started(empty)
@@ -261,9 +260,17 @@ def _pairs(empty: Growth) -> list[tuple[int, int]]:
         parallax = parallax_rad(rays[:, usable])
         if parallax > 3 * float(np.median(shared.sigma_rad)):
             score = float(common[first[place], second[place]]) * min(parallax, 0.2)
-            scored.append((score, int(first[place]), int(second[place])))
+            trust = _trust(empty, int(first[place]), int(second[place]))
+            scored.append((trust * score, int(first[place]), int(second[place])))
     scored.sort(reverse=True)
     return [(a, b) for _, a, b in scored[:_MOST_PAIRS]]
+
+
+def _trust(empty: Growth, first: int, second: int) -> float:
+    """Prefer pairs of a camera that is known, then of one camera: two wrong focal lengths are worse than one."""
+    cameras = {int(empty.camera_of_photo[first]), int(empty.camera_of_photo[second])}
+    guesses = sum("focal_px" in empty.models[camera].free for camera in cameras)
+    return float(0.2**guesses)
 
 
 def _shared(grown: Growth, first: int, second: int) -> tuple[SharedTargets, IntArray]:
@@ -326,7 +333,7 @@ def _finished(grown: Growth) -> Network:
         _photos_left_out(grown, set(photos.tolist())),
         _targets_left_out(grown, set(targets.tolist())),
         tuple(suspicious),
-        grown.noise,
+        float(grown.noise.max()),
     )
 
 

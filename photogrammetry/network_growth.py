@@ -12,7 +12,7 @@ from heliogauge.rigid import RigidTransform
 from heliogauge.robust_loss import Cauchy
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle import BundleOptions, BundleProblem, BundleResult, CameraModel, adjust
-from photogrammetry.bundle_state import BundleState
+from photogrammetry.bundle_state import BundleState, camera_with_intrinsics, intrinsics_of
 from photogrammetry.observations import ImagePoints, IntArray
 from photogrammetry.resection import LEAST_TARGETS, Resection, resect
 from photogrammetry.triangulation import LEAST_ANGLE_RAD, intersect_lines, ray_sigma_rad
@@ -23,6 +23,10 @@ TOLERANCE = 5.0
 _GROWTH = 0.3
 # With fewer photos the focal length of a guessed camera follows the poses instead of the targets.
 _PHOTOS_FOR_FOCAL = 4
+# Targets of a resection: its start value needs no more.
+_RESECTED = 120
+# From a wide-angle lens to a telephoto, in steps of 15 %, from the guess.
+_FOCAL_FACTORS = 1.15 ** np.arange(-5, 11)
 
 
 @dataclass(eq=False)
@@ -39,14 +43,16 @@ class Growth:
         The cameras as known so far.
     models : tuple of CameraModel
         What of them is free once the network bears it.
-    noise : float
-        Size of the errors in units of the stated sigmas, lens included.
+    noise : ndarray, shape (c,)
+        Size of the errors of each camera in units of the stated sigmas, lens included.
     poses : dict of int to RigidTransform
         ``cam_from_world`` of the oriented photos.
     points : ndarray, shape (n, 3)
         Targets, NaN where not known.
     failures : dict of int to str
         Why photos are not in the network yet.
+    tried : set of int
+        Guessed cameras whose focal length a photo of known targets has told.
     misses : ndarray, shape (m,)
         Residual of each image point in sigma, infinite where it took no part.
     """
@@ -55,10 +61,11 @@ class Growth:
     camera_of_photo: IntArray
     cameras: list[Camera]
     models: tuple[CameraModel, ...]
-    noise: float
+    noise: FloatArray
     poses: dict[int, RigidTransform] = field(default_factory=dict)
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     failures: dict[int, str] = field(default_factory=dict)
+    tried: set[int] = field(default_factory=set)
     misses: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -79,7 +86,11 @@ class Growth:
 
     def covariance(self, rows: IntArray) -> FloatArray:
         """Return covariances widened by the present noise, shape (k, 2, 2) [px^2]."""
-        return np.asarray(self.table.covariance_px2[rows] * self.noise**2)
+        return np.asarray(self.table.covariance_px2[rows] * self.noise_of(rows)[:, None, None] ** 2)
+
+    def noise_of(self, rows: IntArray) -> FloatArray:
+        """Return the noise of image points, shape (k,)."""
+        return np.asarray(self.noise[self.camera_of_photo[self.table.photo_index[rows]]])
 
     def state(self, photos: IntArray, targets: IntArray) -> BundleState:
         """Return start values of some photos and targets."""
@@ -93,6 +104,7 @@ class Growth:
         """Return a network that can grow on its own."""
         other = replace(self, cameras=list(self.cameras), poses=dict(self.poses), failures=dict(self.failures))
         other.points, other.misses = self.points.copy(), self.misses.copy()
+        other.noise, other.tried = self.noise.copy(), set(self.tried)
         return other
 
 
@@ -156,12 +168,43 @@ def add_photos(grown: Growth, *, most: int) -> int:
     return len(sure[:most])
 
 
-def _resected(grown: Growth, photo: int) -> Resection:
+def _known_rows(grown: Growth, photo: int) -> IntArray:
+    """Rows of a photo whose targets have coordinates."""
     rows = grown.rows_of_photo[photo]
-    rows = rows[grown.known[grown.table.target_index[rows]]]
+    return rows[grown.known[grown.table.target_index[rows]]]
+
+
+def _resected(grown: Growth, photo: int) -> Resection:
+    rows = _known_rows(grown, photo)
+    if rows.size > _RESECTED:
+        # Of a thousand targets some tell the pose as well, in a fifth of the time; the next adjustment takes all.
+        rows = np.sort(np.random.default_rng(photo).choice(rows, _RESECTED, replace=False))
+    camera = int(grown.camera_of_photo[photo])
+    seen_before = any(grown.camera_of_photo[other] == camera for other in grown.poses)
+    if seen_before or camera in grown.tried or "focal_px" not in grown.models[camera].free:
+        return _resection(grown, grown.cameras[camera], rows)
+    # The first photo of a guessed camera among targets that are known: they tell its focal length too.
+    trials = []
+    for factor in _FOCAL_FACTORS:
+        values = intrinsics_of(grown.cameras[camera])
+        values[0] *= factor
+        trial = camera_with_intrinsics(grown.cameras[camera], values)
+        try:
+            one = _resection(grown, trial, rows)
+        except EstimationError:
+            continue
+        trials.append((float((np.minimum(one.misses, TOLERANCE) ** 2).sum()), trial, one))
+    if not trials:
+        return _resection(grown, grown.cameras[camera], rows)
+    _, grown.cameras[camera], found = min(trials, key=lambda trial: trial[0])
+    grown.tried.add(camera)
+    return found
+
+
+def _resection(grown: Growth, camera: Camera, rows: IntArray) -> Resection:
     # Targets from few photos are uncertain too: twice the noise.
     return resect(
-        grown.camera(photo),
+        camera,
         grown.points[grown.table.target_index[rows]],
         grown.table.pixels_px[rows],
         grown.covariance(rows) * 4,
@@ -171,8 +214,7 @@ def _resected(grown: Growth, photo: int) -> Resection:
 
 def _looseness(grown: Growth, photo: int, one: Resection) -> float:
     """Uncertainty of the position over the distance of the targets."""
-    rows = grown.rows_of_photo[photo]
-    rows = rows[grown.known[grown.table.target_index[rows]]]
+    rows = _known_rows(grown, photo)
     distance = float(
         np.median(np.linalg.norm(one.cam_from_world.apply(grown.points[grown.table.target_index[rows]]), axis=1))
     )
@@ -219,11 +261,13 @@ def adjust_growth(grown: Growth) -> None:
         misses = np.linalg.norm(result.whitened_residuals, axis=1)
         # Median of the length of two normal components: 1.18 sigma; few redundant ones make residuals too small.
         share = max(result.redundancy / (2 * rows.size), 0.05)
-        typical = float(np.median(misses)) / 1.18 / np.sqrt(share)
-        before, grown.noise = grown.noise, max(1.0, grown.noise * min(typical, 1.0))
+        before, cameras = grown.noise.copy(), grown.camera_of_photo[grown.table.photo_index[rows]]
+        for camera in np.unique(cameras).tolist():
+            typical = float(np.median(misses[cameras == camera])) / 1.18 / np.sqrt(share)
+            grown.noise[camera] = max(1.0, before[camera] * min(typical, 1.0))
         grown.misses = np.full(grown.table.n, np.inf)
-        grown.misses[rows] = misses * before / grown.noise
-        if before < 1.5 * grown.noise:
+        grown.misses[rows] = misses * (before / grown.noise)[cameras]
+        if (before < 1.5 * grown.noise).all():
             break
 
 
@@ -231,7 +275,7 @@ def _adjusted(grown: Growth, rows: IntArray) -> BundleResult:
     """Adjust some rows and take the estimates over."""
     table = grown.table.subset(rows).compacted()
     photos, targets = places_of(grown.table.photos, table.photos), places_of(grown.table.targets, table.targets)
-    scaled = replace(table, covariance_px2=table.covariance_px2 * grown.noise**2)
+    scaled = replace(table, covariance_px2=grown.covariance(rows))
     models = tuple(_bearable(model, grown, index, rows.size) for index, model in enumerate(grown.models))
     problem = BundleProblem(scaled, models, grown.camera_of_photo[photos])
     options = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, initial_damping=1e-4, max_iterations=30))

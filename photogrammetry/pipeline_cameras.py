@@ -268,7 +268,8 @@ def build_model(section: NetworkCameraSection, camera: Camera) -> CameraModel:
     start = dict(zip(INTRINSIC_NAMES, intrinsics_of(camera).tolist(), strict=True))
     priors = tuple(Prior(name, start[name], sigma) for name, sigma in section.sigma.items())
     covariance = _intrinsic_covariance(camera) if section.prior else None
-    return CameraModel(section.name, section.estimated, priors, covariance, _RESIDUALS[section.residuals])
+    values = intrinsics_of(camera) if section.prior else None
+    return CameraModel(section.name, section.estimated, priors, covariance, values, _RESIDUALS[section.residuals])
 
 
 def _intrinsic_covariance(camera: Camera) -> FloatArray:
