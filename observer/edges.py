@@ -15,6 +15,8 @@ _FILTER_SAMPLES = 1.2
 _NOISE_TIMES = 6.0
 #: An edge has at least this share of the contrast that most rows' strongest edges have.
 _LEAST_SHARE = 0.2
+#: So many samples beside an edge its blur has ended.
+_BESIDE_SAMPLES = 4
 #: What resampling and the grid of pixels leave of an edge's position, in samples.
 _FLOOR_SAMPLES = 0.02
 
@@ -33,12 +35,15 @@ class Edges:
         Standard deviation of the position [m].
     rise_dn : ndarray, shape (n,)
         Step of the brightness towards larger x, negative where it falls [DN].
+    contrast : ndarray, shape (n,)
+        The step over the brightness of the brighter side.
     """
 
     row: IntArray
     x_m: FloatArray
     sigma_x_m: FloatArray
     rise_dn: FloatArray
+    contrast: FloatArray
 
 
 def find_edges(strip: Strip) -> Edges:
@@ -88,8 +93,11 @@ def find_edges(strip: Strip) -> Edges:
     second = (place**2 / _FILTER_SAMPLES**4 - 1 / _FILTER_SAMPLES**2) * bell
     wander = noise_dn * np.sqrt((second**2).sum()) / (np.abs(height) * np.abs(bend))
     sigma = step * np.hypot(wander, _FLOOR_SAMPLES)
-    width = np.sqrt(-1 / bend)
-    return Edges(row, strip.x_m[column] + step * shift, sigma, height * width * np.sqrt(2 * np.pi))
+    rise = height * np.sqrt(-1 / bend) * np.sqrt(2 * np.pi)
+    last = strip.x_m.size - 1
+    sides = [strip.image_dn[row, np.clip(column + way * _BESIDE_SAMPLES, 0, last)] for way in (-1, 1)]
+    brighter = np.maximum(np.maximum(*sides), np.abs(rise)).astype(np.float64)
+    return Edges(row, strip.x_m[column] + step * shift, sigma, rise, rise / np.maximum(brighter, 1e-6))
 
 
 def _noise(strip: Strip) -> float:

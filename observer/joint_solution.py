@@ -131,7 +131,7 @@ def solve_jointly(
     random = np.empty((n_rows, 2 * n_blocks, 2, 2))
     random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
-    between = _between_rows(shared.variance, rows, grid.n_rows)
+    between = _between_rows(shared.variance(), rows, grid.n_rows)
     return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance)
 
 
@@ -167,8 +167,14 @@ class _Eliminated:
 
     step: FloatArray
     covariance: FloatArray
-    variance: FloatArray
+    carried: FloatArray
     evidence: float
+
+    def variance(self) -> FloatArray:
+        """Return the variance that the slopes have from the common unknowns, shape (r, nx, 2)."""
+        flat = self.carried.reshape(-1, len(self.covariance))
+        sums = np.einsum("kc,kc->k", flat @ self.covariance, flat)
+        return from_blocks(sums.reshape(self.carried.shape[:3]))
 
 
 def _eliminate(
@@ -182,7 +188,8 @@ def _eliminate(
     known = float((pull * system.factor.solve(pull)).sum())
     evidence = 0.5 * (system.log_determinant + known)
     if count == 0:
-        return _Eliminated(value, covariance, np.zeros((grid.n_rows, grid.x_m.size, 2)), evidence)
+        nothing = np.zeros((grid.x_m.size // 2, grid.n_rows, 4, 0))
+        return _Eliminated(value, covariance, nothing, evidence)
     coupling = _coupling(system, lines, grid, count)
     carried = system.factor.solve(coupling)
     normal = np.linalg.inv(covariance)
@@ -203,8 +210,7 @@ def _eliminate(
     step = -posterior @ gradient
     change = np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(covariance)[1]
     evidence += 0.5 * (change - float(gradient @ step))
-    variance = ((carried @ posterior) * carried).sum(axis=3)
-    return _Eliminated(step, posterior, from_blocks(variance), evidence)
+    return _Eliminated(step, posterior, carried, evidence)
 
 
 def _coupling(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> FloatArray:

@@ -137,3 +137,47 @@ def _passing_y(points_m: FloatArray, ray: FloatArray, absorber: AbsorberPath) ->
     upward = np.where(ray[:, 2] > 1e-6, ray[:, 2], np.nan)
     passing = np.asarray(points_m[:, 1] + (np.mean(absorber.z_m) - points_m[:, 2]) * ray[:, 1] / upward)
     return np.asarray(points_m[:, 1] + (absorber.at(passing)[1] - points_m[:, 2]) * ray[:, 1] / upward)
+
+
+def gradient_on_mirror(sights: Sights, found: Misfit, focal_length_m: float) -> FloatArray:
+    """Differentiate the misfit with respect to the mirror point, the camera held and the slopes following the design.
+
+    Parameters
+    ----------
+    sights : Sights
+        The lines.
+    found : Misfit
+        Their misfits and derivatives.
+    focal_length_m : float
+        Focal length of the mirror, whose curvature turns the normal along the way [m].
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Derivatives [rad/m]; movements must stay on the mirror.
+    """
+    gradient = -found.d_angle_d_eye
+    gradient[:, 0] += found.d_angle_d_slope_x / (2 * focal_length_m) - found.d_angle_d_absorber[:, 0]
+    gradient[:, 2] -= found.d_angle_d_absorber[:, 1]
+    return gradient
+
+
+def change_across(sights: Sights, found: Misfit, focal_length_m: float) -> FloatArray:
+    """Return by how much the misfit changes where the mirror point moves across the trough, shape (m,) [rad/m].
+
+    Parameters
+    ----------
+    sights : Sights
+        The lines.
+    found : Misfit
+        Their misfits and derivatives.
+    focal_length_m : float
+        Focal length of the mirror [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Total derivative along the design parabola [rad/m].
+    """
+    gradient = gradient_on_mirror(sights, found, focal_length_m)
+    return np.asarray(gradient[:, 0] + gradient[:, 2] * sights.points_m[:, 0] / (2 * focal_length_m))

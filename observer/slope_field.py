@@ -219,15 +219,17 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
             bands[reach, offset : offset + n - 2, 0] += part * other * stiffness
     wave = np.sqrt(3) / prior.along_length_m
     link = grid.joined / step**2
-    operator = np.diag(np.full(n, wave**2))
-    index = np.arange(n - 1)
-    operator[index, index] += link
-    operator[index + 1, index + 1] += link
-    operator[index, index + 1] -= link
-    operator[index + 1, index] -= link
-    precision = operator @ operator * step / (4 * wave**3 * prior.along_rad**2)
-    for reach in range(3):
-        bands[reach, : n - reach, 1] = np.diagonal(precision, reach)
+    # Three diagonals of the operator k^2 - d^2/dx^2, and from them those of its square.
+    main = np.full(n, wave**2)
+    main[:-1] += link
+    main[1:] += link
+    scale = step / (4 * wave**3 * prior.along_rad**2)
+    square = main**2
+    square[:-1] += link**2
+    square[1:] += link**2
+    bands[0, :, 1] = scale * square
+    bands[1, :-1, 1] = -scale * link * (main[:-1] + main[1:])
+    bands[2, :-2, 1] = scale * link[:-1] * link[1:]
     return bands
 
 

@@ -1,0 +1,130 @@
+"""What measurement.toml of ``kind = "observer"`` may say."""
+
+import datetime
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from heliogauge.measurement_models import ImageFiles, Number, Positive, Section, Sigma, Text
+from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
+from heliogauge.measurement_photogrammetry import DistanceSection, ScaleBarSection
+from heliogauge.measurement_targets import TargetsSection
+
+
+class TroughSection(Section):
+    """The collector module: lengths of mirror, absorber and glass; edges of the panels; receiver supports."""
+
+    aperture_width_m: Positive
+    length_m: Positive
+    focal_length_m: Positive
+    absorber_diameter_mm: Positive
+    glass_outer_diameter_mm: Positive | None = None
+    glass_inner_diameter_mm: Positive | None = None
+    glass_index: Annotated[float, Field(strict=True, ge=1, lt=3)] = 1.47
+    panel_edges_x_m: tuple[Number, ...] = ()
+    panel_edges_y_m: tuple[Number, ...] = ()
+    panel_gap_mm: Sigma = 0.0
+    support_y_m: tuple[Number, ...] = ()
+    support_width_m: Positive = 0.3
+    orientation_deg: Number = 0.0
+
+    @model_validator(mode="after")
+    def _whole_glass(self) -> Self:
+        if (self.glass_outer_diameter_mm is None) != (self.glass_inner_diameter_mm is None):
+            raise ValueError("glass_outer_diameter_mm and glass_inner_diameter_mm belong together")
+        return self
+
+
+class PassSection(Section):
+    """Photos of one or several passes, or a video; a text with ``*`` stands for all files that match."""
+
+    photos: ImageFiles | None = None
+    video: Text | None = None
+    every_nth: Annotated[int, Field(strict=True, ge=1)] = 1
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.photos is None) == (self.video is None):
+            raise ValueError("give photos or a video, one of both")
+        if self.video is None and self.every_nth != 1:
+            raise ValueError("every_nth belongs to a video")
+        return self
+
+
+class KnownTargetsSection(TargetsSection):
+    """Targets in the photos, and the table of their coordinates on the collector.
+
+    Columns of the file: target, x_m, y_m, z_m, and sigma_x_mm, sigma_y_mm, sigma_z_mm (one column sigma_mm for all
+    three will do; an empty cell means that the coordinate is not known).
+    """
+
+    file: Text = "targets.csv"
+
+
+class AbsorberSection(Section):
+    """How the absorber's position is found: from the same photos, from photos of its own, from a table, or assumed."""
+
+    source: Literal["photos", "file", "design"] = "photos"
+    photos: ImageFiles | None = None
+    file: Text | None = None
+    station_step_m: Positive = 0.25
+
+    @model_validator(mode="after")
+    def _fitting_source(self) -> Self:
+        if (self.file is not None) != (self.source == "file"):
+            raise ValueError('file belongs to source = "file" (columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m)')
+        if self.photos is not None and self.source != "photos":
+            raise ValueError('photos belongs to source = "photos"')
+        return self
+
+
+class SunSection(Section):
+    """Sun shape for the intercept factor."""
+
+    shape: Literal["gaussian", "pillbox", "buie", "table"] = "gaussian"
+    sigma_mrad: Positive = 2.73
+    half_angle_mrad: Positive = 4.65
+    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, lt=0.9)] = 0.05
+    file: Text | None = None
+
+    @model_validator(mode="after")
+    def _table_has_file(self) -> Self:
+        if (self.file is not None) != (self.shape == "table"):
+            raise ValueError('file belongs to shape = "table" (columns angle_mrad, radiance)')
+        return self
+
+
+class OpticsSection(Section):
+    """What else spreads the beam: specularity and tracking error, standard deviations of the reflected beam."""
+
+    specularity_mrad: Sigma = 0.0
+    tracking_error_mrad: Sigma = 0.0
+
+
+class ObserverEvaluationSection(Section):
+    """How the map is made."""
+
+    row_step_mm: Positive = 20.0
+    column_step_mm: Positive = 20.0
+    largest_slope_error_mrad: Positive = 12.0
+    longitudinal_slope_mrad: Positive = 2.0
+    iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 3
+
+
+class ObserverModel(Section):
+    """The whole measurement.toml of ``kind = "observer"``."""
+
+    kind: Literal["observer"]
+    name: Text
+    date: datetime.date | datetime.datetime | None = None
+    notes: str = ""
+    collector: TroughSection
+    camera: CameraSections = (NetworkCameraSection(),)
+    images: PassSection
+    targets: KnownTargetsSection
+    scale_bar: tuple[ScaleBarSection, ...] = ()
+    distance: tuple[DistanceSection, ...] = ()
+    absorber: AbsorberSection = AbsorberSection()
+    sun: SunSection = SunSection()
+    optics: OpticsSection = OpticsSection()
+    evaluation: ObserverEvaluationSection = ObserverEvaluationSection()

@@ -1,0 +1,120 @@
+"""What uncertain camera poses do to the touching lines of sight, in the few combinations that matter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.rigid import RigidTransform, skew
+from heliogauge.validate import FloatArray
+from observer.sight import Misfit, Sights, gradient_on_mirror
+from observer.slope_field import IntArray
+
+#: Combinations of a pose's six movements that are kept. The first is the camera's place across the trough with the
+#: mirror held in the image, the second its place in the image; the others move an edge by less than 1 % of these.
+MODES_PER_PHOTO = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModes:
+    """Unknowns of all photos that stand for their poses.
+
+    Parameters
+    ----------
+    index : ndarray of int, shape (m, MODES_PER_PHOTO)
+        Unknowns that move each line.
+    derivative : ndarray, shape (m, MODES_PER_PHOTO)
+        By how much [rad].
+    covariance : ndarray, shape (c, c)
+        Prior covariance of the unknowns; 1 on its diagonal.
+    steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
+        Step of each photo's pose (`RigidTransform.moved`) for one unit of its unknowns [rad, m].
+    """
+
+    index: IntArray
+    derivative: FloatArray
+    covariance: FloatArray
+    steps: FloatArray
+
+
+def pose_derivatives(
+    sights: Sights, found: Misfit, poses: Sequence[RigidTransform], photo: IntArray, focal_length_m: float
+) -> FloatArray:
+    """Differentiate the misfit of lines of sight with respect to their photo's pose, the pixel held.
+
+    Parameters
+    ----------
+    sights : Sights
+        The lines.
+    found : Misfit
+        Their misfits and derivatives.
+    poses : sequence of RigidTransform
+        ``cam_from_frame`` of each photo.
+    photo : ndarray of int, shape (m,)
+        Photo of each line.
+    focal_length_m : float
+        Focal length of the mirror, whose curvature turns the normal where the line moves along it [m].
+
+    Returns
+    -------
+    ndarray, shape (m, 6)
+        Derivatives with respect to the steps of `RigidTransform.moved` [rad/rad, rad/m].
+    """
+    rotations = np.array([pose.rotation for pose in poses])[photo]
+    shifts = np.array([pose.translation_m for pose in poses])[photo]
+    points = sights.points_m
+    inverse = np.swapaxes(rotations, 1, 2)
+    turned = np.einsum("mij,mj->mi", rotations, points)
+    eye, ray = np.empty((points.shape[0], 3, 6)), np.empty((points.shape[0], 3, 6))
+    eye[:, :, 3:] = ray[:, :, 3:] = -inverse
+    # w x t = -[t]x w; the columns of R^T [t]x are those of the step's rotation.
+    eye[:, :, :3] = -inverse @ skew(shifts)
+    ray[:, :, :3] = inverse @ skew(turned)
+    sight = sights.eyes_m - points
+    normal = np.stack([-points[:, 0] / (2 * focal_length_m), np.zeros(len(points)), np.ones(len(points))], axis=1)
+    along = np.einsum("mi,mic->mc", normal, ray) / np.einsum("mi,mi->m", normal, sight)[:, None]
+    point = ray - sight[:, :, None] * along[:, None, :]
+    gradient = gradient_on_mirror(sights, found, focal_length_m)
+    result = np.einsum("mi,mic->mc", found.d_angle_d_eye, eye) + np.einsum("mi,mic->mc", gradient, point)
+    return np.asarray(result)
+
+
+def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> CameraModes:
+    """Keep the combinations of pose movements that move the lines most, in units of their standard deviation.
+
+    Parameters
+    ----------
+    derivatives : ndarray, shape (m, 6)
+        From `pose_derivatives`.
+    photo : ndarray of int, shape (m,)
+        Photo of each line.
+    covariance : ndarray, shape (6 n, 6 n)
+        Joint covariance of the steps of all n poses.
+
+    Returns
+    -------
+    CameraModes
+        The unknowns.
+    """
+    count = len(covariance) // 6
+    index = MODES_PER_PHOTO * photo[:, None] + np.arange(MODES_PER_PHOTO)
+    derivative = np.zeros((photo.size, MODES_PER_PHOTO))
+    steps = np.zeros((count, 6, MODES_PER_PHOTO))
+    reading = np.zeros((MODES_PER_PHOTO * count, 6 * count))
+    order = np.argsort(photo, kind="stable")
+    first = np.searchsorted(photo[order], np.arange(count + 1))
+    for k in range(count):
+        rows = order[first[k] : first[k + 1]]
+        block = covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        scale = np.sqrt(np.maximum(np.diagonal(block), 1e-30))
+        values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
+        values = np.maximum(values, 1e-12 * values.max())
+        root = scale[:, None] * vectors * np.sqrt(values)
+        back = (vectors / np.sqrt(values)).T / scale
+        effect = derivatives[rows] @ root
+        strongest = np.linalg.eigh(effect.T @ effect)[1][:, ::-1][:, :MODES_PER_PHOTO]
+        steps[k] = root @ strongest
+        derivative[rows] = derivatives[rows] @ steps[k]
+        reading[MODES_PER_PHOTO * k : MODES_PER_PHOTO * (k + 1), 6 * k : 6 * k + 6] = strongest.T @ back
+    joint = reading @ covariance @ reading.T
+    return CameraModes(index, derivative, 0.5 * (joint + joint.T), steps)

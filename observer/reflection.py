@@ -1,0 +1,262 @@
+"""The absorber's reflection in one photo: where its two edges lie on the mirror, as far as geometry allows them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.camera import Camera
+from heliogauge.rigid import RigidTransform
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector
+from observer.edges import Edges, find_edges
+from observer.rectify import rectified_strip
+from observer.sight import Misfit, Sights, misfit
+from observer.slope_field import IntArray
+
+AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
+
+#: Samples across the trough for each pixel of the photo.
+_SAMPLES_PER_PIXEL = 1.0
+#: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
+_SPOILT_PX = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReflectionEdges:
+    """Edges that may be the tube's, of one or many photos.
+
+    Parameters
+    ----------
+    photo : ndarray of int, shape (m,)
+        Photo of each.
+    row : ndarray of int, shape (m,)
+        Row of the map.
+    side : ndarray, shape (m,)
+        +1 for the tube's edge at the larger camera angle, -1 for the other: the nearer one.
+    points_m : ndarray, shape (m, 3)
+        Where on the design surface [m].
+    sigma_x_m : ndarray, shape (m,)
+        Standard deviation of the position across the trough [m].
+    contrast : ndarray, shape (m,)
+        Step of the brightness towards larger x over that of the brighter side, so that exposure does not matter.
+    """
+
+    photo: IntArray
+    row: IntArray
+    side: FloatArray
+    points_m: FloatArray
+    sigma_x_m: FloatArray
+    contrast: FloatArray
+
+    def chosen(self, which: npt.NDArray[np.bool_] | IntArray) -> "ReflectionEdges":
+        """Return some of them."""
+        return ReflectionEdges(*(getattr(self, name)[which] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expectation:
+    """Where reflections are expected.
+
+    Parameters
+    ----------
+    collector : Collector
+        The design.
+    absorber : AbsorberPath
+        The tube's axis, as well as it is known.
+    y_m : ndarray, shape (r,)
+        Equally spaced rows of the map [m].
+    slope_error_rad : float, optional
+        Largest slope error of the mirror that is searched for [rad].
+    """
+
+    collector: Collector
+    absorber: AbsorberPath
+    y_m: FloatArray
+    slope_error_rad: float = 12e-3
+
+
+def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:
+    """Return the edges of many photos in one.
+
+    Parameters
+    ----------
+    parts : list of ReflectionEdges
+        At least one.
+
+    Returns
+    -------
+    ReflectionEdges
+        All of them, in order.
+    """
+    return ReflectionEdges(*(np.concatenate([getattr(one, name) for one in parts]) for name in parts[0].__slots__))
+
+
+def reflection_edges(
+    image: AnyImage,
+    photo: int,
+    view: tuple[Camera, RigidTransform],
+    expected: Expectation,
+) -> ReflectionEdges:
+    """Find the edges of the absorber's reflection in one photo.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    photo : int
+        Its number.
+    view : (Camera, RigidTransform)
+        Its camera and ``cam_from_frame``.
+    expected : Expectation
+        Collector, absorber and rows.
+
+    Returns
+    -------
+    ReflectionEdges
+        Edges within the predicted window that neither a panel's edge nor the tube itself spoils.
+    """
+    camera, pose = view
+    eye = pose.inverse().translation_m
+    window = _window(eye, expected)
+    if window is None:
+        return _nothing()
+    pixel_m = float(np.linalg.norm(eye)) / max(camera.focal_x_px, camera.focal_y_px)
+    step = pixel_m / _SAMPLES_PER_PIXEL
+    x = np.arange(window[0], window[1] + step, step)
+    if x.size < 24:
+        return _nothing()
+    y_m = expected.y_m
+    rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
+    strip = rectified_strip(image, view, expected.collector.surface, x, y_m, rows_each=rows_each)
+    return _plausible(find_edges(strip), photo, eye, expected, _SPOILT_PX * pixel_m)
+
+
+def _nothing() -> ReflectionEdges:
+    none, empty = np.zeros(0, dtype=np.intp), np.zeros(0)
+    return ReflectionEdges(none, none, empty, np.zeros((0, 3)), empty, empty)
+
+
+def design_misfit(
+    points_m: FloatArray, eyes_m: FloatArray, side: FloatArray, collector: Collector, absorber: AbsorberPath
+) -> Misfit:
+    """Evaluate lines of sight with the design's slopes.
+
+    Parameters
+    ----------
+    points_m, eyes_m : ndarray, shape (m, 3)
+        Mirror points and cameras [m].
+    side : ndarray, shape (m,)
+        Sides of the tube.
+    collector : Collector
+        The design.
+    absorber : AbsorberPath
+        The tube's axis.
+
+    Returns
+    -------
+    Misfit
+        As from `observer.sight.misfit`.
+    """
+    slope = points_m[:, 0] / (2 * collector.focal_length_m)
+    sights = Sights(points_m, eyes_m, side)
+    return misfit(sights, (slope, np.zeros_like(slope)), absorber, collector.absorber_diameter_m / 2)
+
+
+def _window(eye_m: FloatArray, expected: Expectation) -> tuple[float, float] | None:
+    """Return the part of the aperture in which the reflection can be."""
+    collector, absorber = expected.collector, expected.absorber
+    half = collector.aperture_width_m / 2
+    x = np.linspace(-half, half, 201)
+    points = np.stack([x, np.full_like(x, np.clip(eye_m[1], -1, 1)), x**2 / (4 * collector.focal_length_m)], axis=1)
+    found = design_misfit(points, np.tile(eye_m, (x.size, 1)), np.zeros_like(x), collector, absorber)
+    reach = collector.absorber_diameter_m / 2 * np.abs(_per_radius(points, absorber)) + 2 * expected.slope_error_rad
+    near = np.nonzero(np.abs(found.angle_rad) < reach)[0]
+    if near.size == 0:
+        return None
+    return float(x[max(near[0] - 1, 0)]), float(x[min(near[-1] + 1, x.size - 1)])
+
+
+def _per_radius(points_m: FloatArray, absorber: AbsorberPath) -> FloatArray:
+    """Return the reciprocal distance across the trough between mirror points and the tube's axis [1/m]."""
+    axis_x, axis_z = absorber.at(points_m[:, 1])
+    return np.asarray(1 / np.hypot(axis_x - points_m[:, 0], axis_z - points_m[:, 2]))
+
+
+def _plausible(found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, spoilt_m: float) -> ReflectionEdges:
+    """Keep edges that can be the tube's, and say which of its two edges each is."""
+    collector, absorber = expected.collector, expected.absorber
+    points = np.stack([found.x_m, expected.y_m[found.row], found.x_m**2 / (4 * collector.focal_length_m)], axis=1)
+    eyes = np.tile(eye_m, (len(points), 1))
+    both = [design_misfit(points, eyes, np.full(len(points), side), collector, absorber) for side in (1.0, -1.0)]
+    angles = np.array([one.angle_rad for one in both])
+    side = np.where(np.abs(angles[0]) < np.abs(angles[1]), 1.0, -1.0)
+    angle = np.where(side > 0, angles[0], angles[1])
+    keep = np.abs(angle) < 2 * expected.slope_error_rad
+    keep &= is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
+    keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
+    keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m)
+    edges = ReflectionEdges(
+        np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast
+    )
+    return edges.chosen(keep)
+
+
+def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_m: float) -> BoolArray:
+    """Return which points lie on a panel, further than a margin from its edges.
+
+    Parameters
+    ----------
+    collector : Collector
+        The panels.
+    x_m, y_m : ndarray, shape (m,)
+        Points of the aperture [m].
+    margin_m : float
+        Margin [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        Whether an edge there can be trusted.
+    """
+    margin = margin_m + collector.panel_gap_m / 2
+    inside = np.ones(x_m.shape, dtype=bool)
+    for edges, place in ((collector.panel_edges_x_m, x_m), (collector.panel_edges_y_m, y_m)):
+        inside &= np.abs(place[:, None] - edges).min(axis=1) > margin
+        inside &= (place > edges[0]) & (place < edges[-1])
+    return np.asarray(inside)
+
+
+def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) -> BoolArray:
+    """Return which reflected lines pass the tube itself, neither beyond its ends nor at a support.
+
+    Parameters
+    ----------
+    passing_y_m : ndarray, shape (m,)
+        Where the lines pass the tube [m].
+    collector : Collector
+        Its length and supports.
+    margin_m : float
+        Margin [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        Whether there is tube.
+    """
+    seen = np.abs(passing_y_m) < collector.length_m / 2 - margin_m
+    for support in collector.support_y_m:
+        seen &= np.abs(passing_y_m - support) > collector.support_width_m / 2 + margin_m
+    return np.asarray(seen)
+
+
+def _hidden(
+    points_m: FloatArray, eye_m: FloatArray, collector: Collector, absorber: AbsorberPath, margin_m: float
+) -> BoolArray:
+    """Return which mirror points the receiver hides from the camera, or nearly so."""
+    outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
+    axis_x, axis_z = absorber.at(points_m[:, 1])
+    way_x, way_z = eye_m[0] - points_m[:, 0], eye_m[2] - points_m[:, 2]
+    beside = (axis_x - points_m[:, 0]) * way_z - (axis_z - points_m[:, 2]) * way_x
+    return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) < outer / 2 + margin_m)

@@ -1,0 +1,262 @@
+"""From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray
+from observer.camera_modes import CameraModes, pose_derivatives, reduce_to_modes
+from observer.design import Collector
+from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
+from observer.reflection import Expectation, ReflectionEdges, design_misfit
+from observer.sight import Sights, change_across
+from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
+
+#: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out
+#: step by step, while those of a mirror that is bent more than expected stay.
+_ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
+#: Times the standard deviation beyond which an edge is not the tube's.
+_REJECT_TIMES = 4.0
+#: An edge of the tube has at least this share of the usual contrast.
+_LEAST_CONTRAST = 0.5
+#: An edge says something of the mirror up to this distance along its row [m].
+_REACH_M = 0.12
+
+
+class EdgeFate(IntEnum):
+    """What became of an edge."""
+
+    USED = 0
+    WRONG_STEP = 1
+    FAINT = 2
+    BESIDE = 3
+
+
+FATE_TEXTS = {
+    EdgeFate.USED: "used",
+    EdgeFate.WRONG_STEP: "brightness steps the other way than at the tube's edge",
+    EdgeFate.FAINT: "much less contrast than the tube's edges have",
+    EdgeFate.BESIDE: "does not agree with the edges around it",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photos:
+    """Poses of all photos.
+
+    Parameters
+    ----------
+    poses : tuple of RigidTransform
+        ``cam_from_frame`` of each.
+    covariance : ndarray, shape (6 n, 6 n)
+        Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
+    """
+
+    poses: tuple[RigidTransform, ...]
+    covariance: FloatArray
+
+    @property
+    def eyes_m(self) -> FloatArray:
+        """Centres of the cameras, shape (n, 3) [m]."""
+        return np.array([pose.inverse().translation_m for pose in self.poses])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflector:
+    """The mirror's slope errors.
+
+    Parameters
+    ----------
+    grid : RowGrid
+        Nodes across the trough.
+    y_m : ndarray, shape (r,)
+        Rows [m].
+    errors : SlopeErrors
+        Slope errors and their covariance at all nodes.
+    measured : ndarray of bool, shape (r, nx)
+        Nodes near enough to an edge.
+    fate : ndarray of int, shape (m,)
+        `EdgeFate` of each edge.
+    residuals_rad : ndarray, shape (m,)
+        What remains of each edge's angle [rad].
+    roughness : Roughness
+        Of the slopes along the rows.
+    noise_factor : float
+        By what the sigmas of the edges had to be multiplied.
+    modes : CameraModes
+        The unknowns that stand for the poses.
+    """
+
+    grid: RowGrid
+    y_m: FloatArray
+    errors: SlopeErrors
+    measured: BoolArray
+    fate: IntArray
+    residuals_rad: FloatArray
+    roughness: Roughness
+    noise_factor: float
+    modes: CameraModes
+
+
+def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
+    """Lay nodes across the aperture.
+
+    Parameters
+    ----------
+    collector : Collector
+        Its width and panels.
+    n_rows : int
+        Number of rows.
+    step_m : float
+        Wanted distance of the nodes [m].
+
+    Returns
+    -------
+    RowGrid
+        An even number of nodes in the middles of equal cells.
+    """
+    width = collector.aperture_width_m
+    count = max(4, 2 * round(width / step_m / 2))
+    x = np.asarray((np.arange(count) + 0.5) * (width / count) - width / 2, dtype=np.float64)
+    inner = collector.panel_edges_x_m[1:-1]
+    between = (x[:-1, None] < inner) & (inner <= x[1:, None])
+    return RowGrid(x, np.asarray(~between.any(axis=1)), n_rows)
+
+
+def solve_reflector(
+    edges: ReflectionEdges, photos: Photos, expected: Expectation, step_m: float, prior: Roughness
+) -> Reflector:
+    """Estimate the slope errors of the mirror.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        Candidates of all photos.
+    photos : Photos
+        Poses with their covariance.
+    expected : Expectation
+        Collector, absorber and rows.
+    step_m : float
+        Wanted distance of the nodes across the trough [m].
+    prior : Roughness
+        What is known of the slope along the trough.
+
+    Returns
+    -------
+    Reflector
+        Slope errors with covariance, and what became of each edge.
+
+    Raises
+    ------
+    EstimationError
+        Too few edges.
+    """
+    grid = row_grid(expected.collector, expected.y_m.size, step_m)
+    lines, modes = _linearised(edges, photos, expected)
+    fate = _first_fate(edges)
+    is_bold = fate != EdgeFate.FAINT
+    if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
+        raise EstimationError(
+            f"reflection: only {np.count_nonzero(fate == EdgeFate.USED)} edges of the absorber's reflection were found "
+            f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
+            "collector's dimensions and the targets right?"
+        )
+    free = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    nothing = (np.zeros(len(modes.covariance)), modes.covariance)
+    noise, roughness = 1.0, prior
+    for allowance in _ALLOWANCES_RAD:
+        keep = fate == EdgeFate.USED
+        sigma = np.hypot(noise * lines.sigma_rad, allowance)
+        used = _with_sigma(lines, sigma).chosen(keep)
+        roughness = find_roughness(used, grid, roughness, modes.covariance)
+        errors = solve_jointly(used, grid, roughness, free, nothing)
+        residuals, predicted = _residuals(lines, grid, errors)
+        if allowance == 0.0:
+            noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
+        beside = np.abs(residuals) > _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
+        fate[is_bold] = np.where(beside, int(EdgeFate.BESIDE), int(EdgeFate.USED))[is_bold]
+    keep = fate == EdgeFate.USED
+    used = _with_sigma(lines, noise * lines.sigma_rad).chosen(keep)
+    errors = solve_jointly(used, grid, roughness, free, nothing)
+    residuals, _ = _residuals(lines, grid, errors)
+    measured = _near_edges(used, grid, expected.collector)
+    return Reflector(grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes)
+
+
+def _linearised(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> tuple[TouchingLines, CameraModes]:
+    """Turn edges into observations of the slopes, with the design's slopes as the place of linearisation."""
+    eyes = photos.eyes_m[edges.photo]
+    found = design_misfit(edges.points_m, eyes, edges.side, expected.collector, expected.absorber)
+    sights = Sights(edges.points_m, eyes, edges.side)
+    focal = expected.collector.focal_length_m
+    sigma = np.abs(change_across(sights, found, focal)) * edges.sigma_x_m
+    derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal)
+    modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
+    lines = TouchingLines(
+        edges.row, edges.points_m[:, 0], found.angle_rad, found.d_angle_d_slope_x, found.d_angle_d_slope_y, sigma,
+        modes.index, modes.derivative,
+    )  # fmt: skip
+    return lines, modes
+
+
+def _with_sigma(lines: TouchingLines, sigma_rad: FloatArray) -> TouchingLines:
+    return TouchingLines(
+        lines.row, lines.x_m, lines.misfit_rad, lines.d_slope_x, lines.d_slope_y, sigma_rad, lines.common_index,
+        lines.d_common,
+    )  # fmt: skip
+
+
+def _first_fate(edges: ReflectionEdges) -> IntArray:
+    """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
+
+    Weak images in the glass, thin clouds and seams have little contrast; a step the wrong way is found again later if
+    the mirror folds the reflection there.
+    """
+    darker = edges.contrast * edges.side < 0
+    size = np.abs(edges.contrast)
+    is_dark = float(size[darker].sum()) > float(size[~darker].sum())
+    right = darker == is_dark
+    usual = float(np.median(size[right])) if right.any() else 0.0
+    fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
+    fate[size < _LEAST_CONTRAST * usual] = int(EdgeFate.FAINT)
+    return np.asarray(fate, dtype=np.intp)
+
+
+def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tuple[FloatArray, FloatArray]:
+    """Return what remains of all lines' misfits, and the variance that the solution itself has there."""
+    before, share = nodes_of(grid, lines.x_m)
+    nearest = before + (share > 0.5)
+    slopes = errors.slopes[lines.row, before] * (1 - share)[:, None]
+    slopes += errors.slopes[lines.row, before + 1] * share[:, None]
+    residuals = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
+    residuals += np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index])
+    gradient = np.stack([lines.d_slope_x, lines.d_slope_y], axis=1)
+    predicted = np.einsum("mi,mij,mj->m", gradient, errors.random[lines.row, nearest], gradient)
+    return residuals, predicted
+
+
+def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:
+    """Return the robust scatter of residuals over what their sigmas and the fit's freedom let expect."""
+    freedom = np.sqrt(np.clip(1 - leverage, 0.02, 1.0))
+    informative = leverage < 0.9
+    if np.count_nonzero(informative) < 100:
+        return 1.0
+    return float(1.4826 * np.median(np.abs(normalised[informative] / freedom[informative])))
+
+
+def _near_edges(used: TouchingLines, grid: RowGrid, collector: Collector) -> BoolArray:
+    """Return the nodes that have an edge of their own row and panel within reach."""
+    hit = np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
+    before, share = nodes_of(grid, used.x_m)
+    hit[used.row, before + (share > 0.5)] = True
+    reach = max(1, round(_REACH_M / grid.step_m))
+    near = hit.copy()
+    towards_right, towards_left = hit.copy(), hit.copy()
+    for _ in range(reach):
+        towards_right[:, 1:] |= towards_right[:, :-1] & grid.joined
+        towards_left[:, :-1] |= towards_left[:, 1:] & grid.joined
+    near |= towards_right | towards_left
+    return near
