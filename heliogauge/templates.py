@@ -230,6 +230,12 @@ dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20
 #: smallest_px = 6.0            # diameter of the dots in the photos
 #: largest_px = 100.0
 
+# Features of the surface itself, beside targets or instead of them; needs pip install heliogauge[natural].
+#: [natural]
+#: max_features = 4000          # of each photo
+#: min_photos = 3               # that must show a point
+#: max_points = 2000
+
 # ... or image points that another program measured (columns image, target, x_px, y_px, sigma_x_px, sigma_y_px).
 #: [image_points]
 #: file = "image_points.csv"
@@ -291,8 +297,60 @@ sigma_mm = 0.02
 #: sigmas = "from residuals"    # or "stated"; default: from residuals for photos, stated for image points with sigma
 """
 
+_PHOTOGRAMMETRY_PLAN = """\
+# Plan of a photogrammetric measurement: how many photos, from where, for a wanted sigma.
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+# `heliogauge photogrammetry plan FOLDER -o OUT` writes stations.csv, the sigmas to be expected, and a report.
+
+kind = "photogrammetry-plan"
+name = "collector 1"
+
+# A design surface with targets at equal spacing, z out of the mirror: plane | paraboloid | sphere | trough ...
+[object]
+design = "trough"
+focal_length_m = 1.71           # sphere: radius_m
+width_m = 4.0                   # along x, across the trough
+height_m = 2.0                  # along y
+spacing_m = 0.4
+#: center_m = [0.0, 0.0]        # the object's middle, for a panel beside the vertex
+diameter_mm = 20.0              # of the targets' dots; 0: their size in the image does not matter
+# ... or a list of targets: columns id, x_m, y_m, z_m and, for targets with one face, normal_x, normal_y, normal_z.
+#: targets = "targets.csv"
+
+[camera]
+width_px = 6000
+height_px = 4000
+focal_px = 6100.0               # focal length over pixel pitch
+#: file = "camera.json"         # instead of these three
+sigma_px = 0.04                 # standard deviation of an image coordinate
+#: free = ["focal_px", "center_x_px", "center_y_px", "k1", "k2"]   # estimated; [] for a camera that is known
+#: smallest_px = 6.0            # smallest diameter in the image
+
+# Cameras stand on rings round the object's normal, in pairs of rings or on one.
+[stations]
+#: distance_m = 6.0             # default: where the object fills the image
+#: rings_deg = [20.0, 35.0, 50.0]    # angles from the normal
+#: up = [0.0, 1.0, 0.0]         # the vertical in the object's frame: y for a mirror that looks at the horizon
+#: lowest_m = -1.0              # heights along it between which the camera can be
+#: highest_m = 3.0
+#: turned = true                # every other photo with the camera turned by 90 degrees
+#: largest_incidence_deg = 65.0 # between a target's normal and the ray
+
+# Scale bars with a target at either end.
+[[scale_bar]]
+from_m = [-1.0, -1.2, 0.3]
+to_m = [1.0, -1.2, 0.3]
+sigma_mm = 0.01
+
+[goal]
+sigma_mm = 0.03
+of = "rms"                      # of all coordinates' sigmas, or the "largest"
+#: most_photos = 80
+"""
+
 _TEMPLATES: dict[str, str] = {
     "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
+    "photogrammetry-plan": _PHOTOGRAMMETRY_PLAN,
 }  # fmt: skip
 
 

@@ -76,6 +76,37 @@ def export_colmap_command(
     typer.echo(f"COLMAP model: {out}")
 
 
+@app.command("plan")
+def plan_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    force: Force = False,
+    no_report: NoReport = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
+    from heliogauge.measurement import load_photogrammetry_plan
+    from heliogauge.store import ResultFolder
+    from heliogauge.terminal import terminal_progress
+    from photogrammetry.pipeline_plan import headline_text, run, summarise, write
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    with ResultFolder(out, force=force) as working:
+        result = run(load_photogrammetry_plan(folder), progress)
+        write(result, working)
+        if not no_report:
+            from heliogauge.report import build_report
+
+            with progress.stage("report"):
+                build_report(working)
+    for text in result.plan.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(summarise(result)))
+        typer.echo(f"results: {out}")
+
+
 @app.command()
 def sheets(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],

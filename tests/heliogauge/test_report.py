@@ -15,7 +15,7 @@ from heliogauge import report_page as page
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
-from heliogauge.report import NOTEBOOK_PACKAGES, build_report
+from heliogauge.report import NOTEBOOK_PACKAGES, OTHER_NOTEBOOKS, build_report
 from heliogauge.report_sections import _seen_part
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap, no_common_modes
@@ -181,9 +181,9 @@ def test_folders_without_a_report_are_refused(tmp_path: Path) -> None:
         build_report(tmp_path)
 
 
-@pytest.mark.parametrize("package", NOTEBOOK_PACKAGES.values())
-def test_the_notebook_in_the_package_is_clean_and_short(package: str) -> None:
-    text = resources.files(package).joinpath("report.ipynb").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("kind", "package"), NOTEBOOK_PACKAGES.items())
+def test_the_notebook_in_the_package_is_clean_and_short(kind: str, package: str) -> None:
+    text = resources.files(package).joinpath(OTHER_NOTEBOOKS.get(kind, "report.ipynb")).read_text(encoding="utf-8")
     notebook = nbformat.reads(text, as_version=4)
     nbformat.validate(notebook)
     for cell in notebook.cells:
