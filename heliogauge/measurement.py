@@ -18,17 +18,20 @@ from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
+from heliogauge.measurement_observer import ObserverModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
 from heliogauge.measurement_plan import PhotogrammetryPlanModel
 
 MEASUREMENT_FILE = "measurement.toml"
-Model = DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
+Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
+         | ObserverModel)  # fmt: skip
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
     "response": ResponseModel,
     "camera": CameraCalibrationModel,
     "photogrammetry": PhotogrammetryModel,
     "photogrammetry-plan": PhotogrammetryPlanModel,
+    "observer": ObserverModel,
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
@@ -37,6 +40,7 @@ COMMANDS = {
     "camera": "heliogauge calibrate camera",
     "photogrammetry": "heliogauge photogrammetry",
     "photogrammetry-plan": "heliogauge photogrammetry plan",
+    "observer": "heliogauge observer",
 }
 
 
@@ -145,6 +149,7 @@ class PhotogrammetryMeasurement:
         named += [] if model.start is None else model.start.names
         named += model.files.names
         named += [] if model.targets is None else model.targets.names
+        named += [] if model.surface is None else model.surface.names
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
 
 
@@ -168,6 +173,37 @@ class PhotogrammetryPlanMeasurement:
         """All files the plan consists of, measurement.toml first."""
         named = (self.model.object.targets, self.model.camera.file)
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverMeasurement:
+    """Checked photos of a trough: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : ObserverModel
+        What measurement.toml says.
+    photo_files : tuple of Path
+        The photos of the pass; none with a video.
+    absorber_files : tuple of Path
+        Photos that are taken for the absorber's position alone.
+    """
+
+    folder: Path
+    model: ObserverModel
+    photo_files: tuple[Path, ...]
+    absorber_files: tuple[Path, ...]
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        model = self.model
+        named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
+        named.append(model.images.video)
+        own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
+        return (*own, *self.photo_files, *self.absorber_files)
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -293,6 +329,39 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
         if not path.is_file():
             raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
     return replace(found, model=with_known_files(model, folder))
+
+
+def load_observer(folder: Path) -> ObserverMeasurement:
+    """Read and check a folder with photos of a trough.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    ObserverMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "observer"), file)
+    if not isinstance(model, ObserverModel):
+        raise _other_kind(file, model, "observer")
+    named = model.images.photos
+    photos = () if named is None else _image_files(folder, "images.photos", named)
+    own = model.absorber.photos
+    absorber = () if own is None else _image_files(folder, "absorber.photos", own)
+    found = ObserverMeasurement(folder, model, photos, absorber)
+    for path in found.input_files:
+        if not path.is_file():
+            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    return found
 
 
 def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:

@@ -1,0 +1,190 @@
+"""From what measurement.toml says to a collector, a list of targets and a start for the absorber."""
+
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.measurement import ObserverMeasurement, PhotogrammetryMeasurement
+from heliogauge.measurement_models import PhotosSection
+from heliogauge.measurement_observer import TroughSection
+from heliogauge.measurement_photogrammetry import (
+    CoordinateSection,
+    DatumSection,
+    PhotogrammetryModel,
+)
+from heliogauge.measurement_targets import TargetsSection
+from heliogauge.store_tables import read_table_csv
+from heliogauge.validate import FloatArray
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector, GlassTube
+
+_AXES = ("x", "y", "z")
+
+
+def build_collector(section: TroughSection) -> Collector:
+    """Return the collector that measurement.toml describes.
+
+    Parameters
+    ----------
+    section : TroughSection
+        Its ``[collector]``.
+
+    Returns
+    -------
+    Collector
+        The design.
+
+    Raises
+    ------
+    InputError
+        Dimensions that cannot be.
+    """
+    glass = None
+    if section.glass_outer_diameter_mm is not None and section.glass_inner_diameter_mm is not None:
+        glass = GlassTube(
+            1e-3 * section.glass_outer_diameter_mm, 1e-3 * section.glass_inner_diameter_mm, section.glass_index
+        )
+    return Collector(
+        section.aperture_width_m, section.length_m, section.focal_length_m, 1e-3 * section.absorber_diameter_mm, glass,
+        np.array(section.panel_edges_x_m), np.array(section.panel_edges_y_m), 1e-3 * section.panel_gap_mm,
+        np.array(section.support_y_m), section.support_width_m,
+    )  # fmt: skip
+
+
+def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
+    """Read the list of targets.
+
+    Parameters
+    ----------
+    path : Path
+        Table with the columns target, x_m, y_m, z_m and sigma_x_mm, sigma_y_mm, sigma_z_mm (or sigma_mm for all three);
+        an empty cell stands for a coordinate that is not known.
+
+    Returns
+    -------
+    tuple of CoordinateSection
+        One for each known coordinate.
+
+    Raises
+    ------
+    InputError
+        A missing column, a cell that is not a number, a target that is listed twice, or no known coordinate.
+    """
+    table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
+    one_for_all = "sigma_mm" in table
+    wanted = ["sigma_mm"] if one_for_all else [f"sigma_{axis}_mm" for axis in _AXES]
+    missing = [name for name in wanted if name not in table]
+    if missing:
+        raise InputError(f"{path}: there is no column {', '.join(missing)}; say how well the coordinates are known")
+    seen: dict[str, int] = {}
+    found = []
+    for line, target in enumerate(table["target"], start=2):
+        if target in seen:
+            raise InputError(f"{path}, line {line}: target {target} stands in line {seen[target]} already")
+        seen[target] = line
+        for axis in _AXES:
+            value = _number(path, line, f"{axis}_m", table[f"{axis}_m"][line - 2])
+            name = "sigma_mm" if one_for_all else f"sigma_{axis}_mm"
+            sigma = _number(path, line, name, table[name][line - 2])
+            if value is None or sigma is None:
+                continue
+            if sigma <= 0:
+                raise InputError(f"{path}, line {line}: {name} = {sigma:g}: a value above 0 is needed, in millimetres")
+            found.append(CoordinateSection(kind="coordinate", target=target, axis=axis, value_m=value, sigma_mm=sigma))
+    if not found:
+        raise InputError(f"{path}: no target has a coordinate with its sigma; at least seven coordinates are needed")
+    return tuple(found)
+
+
+def _number(path: Path, line: int, name: str, cell: str) -> float | None:
+    if cell == "":
+        return None
+    try:
+        value = float(cell)
+    except ValueError:
+        raise InputError(f"{path}, line {line}: {name} = {cell!r} is not a number; is the decimal sign a point?") from None
+    return value if np.isfinite(value) else None
+
+
+def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasurement:
+    """Return the photo network that tells where the cameras stood in the trough's frame.
+
+    Parameters
+    ----------
+    measurement : ObserverMeasurement
+        The checked measurement.
+
+    Returns
+    -------
+    PhotogrammetryMeasurement
+        The same photos, with the listed coordinates as weighted observations.
+
+    Raises
+    ------
+    InputError
+        A list of targets that cannot be used.
+    """
+    model = measurement.model
+    files = (*measurement.photo_files, *(file for file in measurement.absorber_files
+                                         if file not in measurement.photo_files))  # fmt: skip
+    targets = TargetsSection.model_validate(model.targets.model_dump(exclude={"file"}, exclude_unset=True))
+    network = PhotogrammetryModel(
+        kind="photogrammetry",
+        name=model.name,
+        camera=model.camera,
+        images=PhotosSection(photos=tuple(str(file.relative_to(measurement.folder)) for file in files)),
+        targets=targets,
+        scale_bar=model.scale_bar,
+        constraint=(*target_constraints(measurement.folder / model.targets.file), *model.distance),
+        datum=DatumSection(kind="inner"),
+    )
+    return PhotogrammetryMeasurement(measurement.folder, network, files)
+
+
+def absorber_start(collector: Collector) -> AbsorberPath:
+    """Return the absorber where the design has it.
+
+    Parameters
+    ----------
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    AbsorberPath
+        In the focal line, as long as the collector.
+    """
+    return AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
+
+
+def read_absorber(path: Path) -> AbsorberPath:
+    """Read where the absorber is.
+
+    Parameters
+    ----------
+    path : Path
+        Table with the columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m, such as the ``absorber.csv`` of a result.
+
+    Returns
+    -------
+    AbsorberPath
+        The axis; its stations are taken as independent of each other.
+
+    Raises
+    ------
+    InputError
+        Missing columns or cells that are not numbers.
+    """
+    names = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
+    table = read_table_csv(path, names)
+    rows: list[list[float]] = []
+    for line in range(2, len(table["y_m"]) + 2):
+        values = [_number(path, line, name, table[name][line - 2]) for name in names]
+        # A station that was not measured has empty cells.
+        if None not in values:
+            rows.append([float(value) for value in values if value is not None])
+    if not rows:
+        raise InputError(f"{path}: no row is complete; the columns {', '.join(names)} are needed")
+    columns: FloatArray = np.array(rows).T
+    return AbsorberPath(columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]]))))
