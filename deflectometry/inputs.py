@@ -13,9 +13,9 @@ from heliogauge.camera import Camera
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import InputError
 from heliogauge.measurement import MEASUREMENT_FILE, DeflectometryMeasurement
+from heliogauge.measurement_designs import build_design
 from heliogauge.measurement_models import (
     CameraParameters,
-    DesignKeys,
     FacetSection,
     MirrorSection,
     PoseSection,
@@ -24,17 +24,7 @@ from heliogauge.measurement_models import (
 )
 from heliogauge.rigid import RigidTransform
 from heliogauge.store_tables import read_camera_json, read_table_csv
-from heliogauge.surfaces import (
-    Facet,
-    Quadric,
-    facet_on_optic,
-    paraboloid,
-    paraboloid_xy,
-    plane,
-    quadric,
-    sphere,
-    trough,
-)
+from heliogauge.surfaces import Facet, Quadric
 from heliogauge.validate import FloatArray, float_array
 
 
@@ -182,40 +172,6 @@ def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScree
 def build_pose(section: PoseSection) -> KnownPose:
     """Build the mirror's pose from what was measured otherwise."""
     return _known_pose(section)
-
-
-def build_design(section: DesignKeys) -> Quadric:
-    """Build the design surface of a facet in the facet's own frame.
-
-    Parameters
-    ----------
-    section : DesignKeys
-        Shape, numbers, and where on its optic the facet sits.
-
-    Returns
-    -------
-    Quadric
-        The design, carried into the facet's frame.
-    """
-    optic = _optic(section)
-    if section.design_center_m == (0.0, 0.0):
-        return optic
-    place = facet_on_optic(optic, section.design_center_m, section.design_orientation)
-    return optic.transformed(place.inverse())
-
-
-def _optic(section: DesignKeys) -> Quadric:
-    if section.design == "paraboloid" and section.focal_length_m is not None:
-        return paraboloid(section.focal_length_m)
-    if section.design == "trough" and section.focal_length_m is not None:
-        return trough(section.focal_length_m)
-    if section.design == "sphere" and section.radius_m is not None:
-        return sphere(section.radius_m)
-    if section.design == "quadric" and section.coefficients is not None:
-        return quadric(section.coefficients)
-    if section.design == "paraboloid_xy" and section.focal_length_x_m and section.focal_length_y_m:
-        return paraboloid_xy(section.focal_length_x_m, section.focal_length_y_m)
-    return plane()
 
 
 def build_facets(section: MirrorSection, name: str) -> tuple[Facet, ...]:

@@ -15,7 +15,6 @@ from deflectometry.frame_checks import check_frames
 from deflectometry.headline import Numbers, canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
 from deflectometry.image_checks import check_noise, check_size, saturation_level, warn_of_compression
 from deflectometry.inputs import (
-    build_design,
     build_facets,
     build_knowledge,
     build_pattern,
@@ -33,6 +32,7 @@ from deflectometry.setup import Setup
 from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.images import read_frames
 from heliogauge.measurement import DeflectometryMeasurement
+from heliogauge.measurement_designs import build_design
 from heliogauge.measurement_models import Section
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import skew

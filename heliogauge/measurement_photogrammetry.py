@@ -7,6 +7,7 @@ from pydantic import Discriminator, Field, model_validator
 
 from heliogauge.measurement_models import Number, PhotosSection, Positive, Section, Sigma3, Text, Vector3
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
+from heliogauge.measurement_surface import SurfaceSection
 from heliogauge.measurement_targets import TargetsSection
 
 
@@ -186,6 +187,7 @@ class PhotogrammetryModel(Section):
     collector: CollectorSection | None = None
     datum: DatumSection = DatumSection()
     adjustment: AdjustmentSection = AdjustmentSection()
+    surface: SurfaceSection | None = None
 
     @model_validator(mode="after")
     def _photos_or_points(self) -> Self:

@@ -29,6 +29,8 @@ from photogrammetry.network_quality import bar_checks, doubts, headline, length_
 from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
 from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
+from photogrammetry.pipeline_surface import SurfaceResult, measure_surface
+from photogrammetry.pipeline_surface_files import surface_numbers, write_surface
 from photogrammetry.pipeline_uncoded import listed_targets, with_uncoded
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
@@ -71,6 +73,8 @@ class Result:
         Hash of each file read.
     sensors : dict of str to Sensor
         Of the cameras that were given in millimetres.
+    surface : SurfaceResult or None
+        The surface under the targets, where ``[surface]`` asks for it.
     """
 
     name: str
@@ -82,6 +86,7 @@ class Result:
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
+    surface: SurfaceResult | None = None
 
     @property
     def camera(self) -> Camera:
@@ -171,7 +176,13 @@ def run(
         permissible = None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
         lengths = state_length_errors(solved.bundle, checks, permissible)
         said = (*measured.warnings, *doubts(solved), *length_doubts(lengths))
-    return Result(model.name, measured, solved, checks, lengths, said, dict(progress.durations_s), hashes, sensors)
+    surface = None
+    if model.surface is not None:
+        with progress.stage("surface"):
+            surface = measure_surface(model.surface, measurement.folder, solved.bundle)
+            said = (*said, *surface.warnings)
+    times = dict(progress.durations_s)
+    return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
 
 
 def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
@@ -241,6 +252,8 @@ def write(result: Result, folder: Path) -> None:
     write_table_csv(folder / "intrinsics.csv", _intrinsic_columns(result))
     if result.sensors:
         write_table_csv(folder / "camera_millimetres.csv", _millimetre_columns(result))
+    if result.surface is not None:
+        write_surface(result.surface, folder, {"name": result.name, "input_sha256": result.input_sha256})
     write_summary(folder / "summary.json", summarise(result))
 
 
@@ -348,6 +361,9 @@ def summarise(result: Result) -> Summary:
         "rejected": f"{len(result.refused)} items, see rejected.csv",
         **quality_texts(result.lengths, float(numbers["extent_m"] or 0.0)),
     }
+    if result.surface is not None:
+        found, words, reasons = surface_numbers(result.surface)
+        numbers, texts, missing = numbers | found, texts | words, missing | reasons
     return Summary(
         kind="photogrammetry",
         name=result.name,

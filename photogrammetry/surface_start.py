@@ -62,6 +62,7 @@ def find_start(points_m: FloatArray, reference: Reference, viewer_m: FloatArray)
     """
     if len(points_m) < 4:
         raise EstimationError(f"surface: {len(points_m)} points do not show where the surface is; 4 or more are needed")
+    middle = points_m.mean(axis=0)
     sampled = points_m[:: max(1, len(points_m) // _SAMPLED)]
     own = RigidTransform.identity()
     trials = [(quick_fit(sampled, reference, start), start is own) for start in (own, *_attitudes(sampled, viewer_m))]
@@ -77,7 +78,8 @@ def find_start(points_m: FloatArray, reference: Reference, viewer_m: FloatArray)
     own_fits = [fit for fit, kept in good if kept]
     if own_fits:
         return Start(own_fits[0].pose, "the frame of the network, moved as little as the fit needs")
-    best = min((fit for fit, _ in good), key=lambda fit: fit.rms_m)
+    # Of equal fits the one that puts the middle of the points nearest to the origin: along a trough any place fits.
+    best = min((fit for fit, _ in good), key=lambda fit: round(float(np.linalg.norm(fit.pose.apply(middle)[:2])), 6))
     others = [fit for fit, _ in good if _turn(fit.pose, best.pose) > _TURN_RAD]
     words = ""
     if others or reference.symmetries().shape[1]:
