@@ -16,11 +16,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from calibration.camera.boards import Chessboard
+from calibration.camera.detect import BoardPoints, find_chessboard
 from calibration.camera.pipeline import Options, run
 from data_synth.board_scene import board_scene, board_table
+from data_synth.markers import chessboard_print
+from data_synth.photo import View
+from data_synth.sheets import Sheet
 from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
+from data_synth.target_presets import LARGE_CAMERA, look_at
+from data_synth.target_scene import Conditions, TargetScene, render_photo
 from heliogauge.camera import PARAMETER_NAMES
 from heliogauge.measurement import load_camera_calibration
+from heliogauge.rigid import RigidTransform
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL = {
@@ -30,20 +38,33 @@ REAL = {
 FREE = [0, 1, 2, 3, 5, 6, 7, 8, 9]
 
 
-def opencv(files: list[Path], columns: int, rows: int) -> tuple[float, float]:
-    """RMS and CPU time of OpenCV's usual recipe."""
+def opencv(files: list[Path], columns: int, rows: int, window: int = 11) -> tuple[float, float, float]:
+    """RMS, focal length and CPU time of OpenCV's usual recipe."""
     begin = time.process_time()
-    grid = np.zeros((columns * rows, 3), np.float32)
-    grid[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
     corners = []
     for file in files:
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         found, points = cv2.findChessboardCorners(image, (columns, rows))
         if found:
             stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
-            corners.append(cv2.cornerSubPix(image, points, (11, 11), (-1, -1), stop))
-    rms = cv2.calibrateCamera([grid] * len(corners), corners, image.shape[::-1], None, None)[0]
-    return rms, time.process_time() - begin
+            corners.append(cv2.cornerSubPix(image, points, (window, window), (-1, -1), stop))
+    rms, focal = opencv_adjustment(corners, columns, rows, image.shape[::-1])
+    return rms, focal, time.process_time() - begin
+
+
+def opencv_adjustment(corners: list[np.ndarray], columns: int, rows: int, size: tuple[int, int]) -> tuple[float, float]:
+    """RMS and focal length of OpenCV's adjustment, whose board is flat and square."""
+    grid = np.zeros((columns * rows, 3), np.float32)
+    grid[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
+    rms, matrix, *_ = cv2.calibrateCamera([grid] * len(corners), corners, size, None, None)
+    return rms, float(matrix[0, 0])
+
+
+def corners_of(points: BoardPoints, board: Chessboard) -> np.ndarray | None:
+    """Our corners as OpenCV wants them, None where one is missing."""
+    if points.n != board.columns * board.rows:
+        return None
+    return points.pixels_px.astype(np.float32)[:, None]
 
 
 def real(folder: Path) -> None:
@@ -63,18 +84,31 @@ def real(folder: Path) -> None:
         begin = time.process_time()
         result = run(load_camera_calibration(own), Options(jobs=1))
         own_s = time.process_time() - begin
-        rms, cv_s = opencv(files, columns, rows)
+        rms, focal, cv_s = opencv(files, columns, rows)
+        board = Chessboard(columns, rows)
+        images = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files]
+        ours = [corners_of(find_chessboard(file.name, image, board), board)
+                for file, image in zip(files, images, strict=True)]  # fmt: skip
+        whole = [one for one in ours if one is not None]
+        own_rms, own_focal = opencv_adjustment(whole, columns, rows, images[0].shape[::-1])
         quality = result.quality
         print(f"{name}: {len(result.photos)} photos, {len(quality.rejected)} points rejected")
         print(f"  RMS, board estimated             {quality.rms_px:.4f} px")
-        print(f"  RMS, board as drawn              {quality.rms_as_drawn_px:.4f} px (OpenCV {rms:.4f})")
+        print(f"  RMS, board as drawn              {quality.rms_as_drawn_px:.4f} px")
+        print(f"  focal length                     {result.camera.focal_x_px:.3f} px, sigma "
+              f"{result.camera.sigma_parameters[0]:.3f}")  # fmt: skip
+        print(f"  OpenCV's corners and adjustment  {rms:.5f} px, focal length {focal:.3f} px")
+        narrow = opencv(files, columns, rows, 5)
+        print(f"  the same, windows of 5           {narrow[0]:.5f} px, focal length {narrow[1]:.3f} px")
+        print(f"  our corners, OpenCV's adjustment {own_rms:.5f} px, focal length {own_focal:.3f} px "
+              f"({len(whole)} photos without a missing corner)")  # fmt: skip
         print(f"  photos kept apart, pose fitted   {result.kept_apart_px:.4f} px")
         print("    each " + " ".join(f"{photo.kept_apart_px:.4f}" for photo in result.photos))
         print(f"  CPU {own_s:.1f} s with the photos kept apart (OpenCV {cv_s:.1f} s)")
 
 
 def drawn(folder: Path, seeds: int) -> None:
-    for kind in ("chessboard", "charuco", "circles-asymmetric"):
+    for kind in ("chessboard", "charuco", "circles-asymmetric", "targets"):
         shares, rms = [], []
         for seed in range(seeds):
             own = folder / f"{kind}{seed}"
@@ -94,12 +128,39 @@ def drawn(folder: Path, seeds: int) -> None:
         )
 
 
+def large(folder: Path) -> None:
+    """CPU time for one photo of 24 megapixel beside decoding it."""
+    pose = look_at(np.array([0.15, 0.2, 0.75]), np.zeros(3), 0.1)
+    view = View("photo_001", LARGE_CAMERA, pose)
+    for columns, rows, side in ((9, 6, 0.06), (20, 19, 0.028)):
+        sheet = Sheet("", chessboard_print(columns + 1, rows + 1, side), RigidTransform.identity())
+        scene = TargetScene("one photo", (sheet,), (view,), Conditions(blur_sigma_px=0.8))
+        file = folder / f"large{columns}.jpg"
+        cv2.imwrite(str(file), render_photo(scene, view, np.random.default_rng(0)), [cv2.IMWRITE_JPEG_QUALITY, 92])
+        decode, find, ours = [], [], []
+        for _ in range(3):
+            begin = time.process_time()
+            image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+            decode.append(time.process_time() - begin)
+            begin = time.process_time()
+            cv2.findChessboardCorners(image, (columns, rows))
+            find.append(time.process_time() - begin)
+            begin = time.process_time()
+            find_chessboard(file.name, image, Chessboard(columns, rows))
+            ours.append(time.process_time() - begin)
+        print(
+            f"{image.shape[1]} x {image.shape[0]} px, {columns} x {rows} corners: decode {min(decode):.2f} s, OpenCV "
+            f"finds in {min(find):.2f} s, found and fitted in {min(ours):.2f} s = {min(ours) / min(decode):.1f} decodes"
+        )
+
+
 def main() -> None:
     if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
         print("(OPENBLAS_NUM_THREADS=1 is not set: CPU times hold the waiting of idle threads)")
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
         real(Path(folder))
+        large(Path(folder))
         drawn(Path(folder), int(sys.argv[1]) if len(sys.argv) > 1 else 5)
 
 

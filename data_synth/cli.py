@@ -130,7 +130,7 @@ def targets(
 def board(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
     preset: Annotated[
-        str, typer.Option(help="Board: chessboard, charuco, circles, circles-asymmetric.")
+        str, typer.Option(help="Board: chessboard, charuco, circles, circles-asymmetric, targets.")
     ] = "chessboard",
     photos: Annotated[int, typer.Option(min=1, help="Number of photos.")] = 12,
     flat: Annotated[bool, typer.Option("--flat", help="A flat and square print; real ones are neither.")] = False,
@@ -168,7 +168,8 @@ def trough(
         str,
         typer.Option(
             help="Scene: small (24 photos of a short piece), ls2 (100 photos of 2 megapixel), ls2-long (longitudinal "
-            "errors too), ls2-two-passes, displaced, sag, clouds, ground, absorber (two photos from the sides)."
+            "errors too), ls2-two-passes, displaced, sag, clouds, ground, mast, turning (before a fixed camera), "
+            "absorber (two photos from the sides)."
         ),
     ] = "small",
     seed: Annotated[
@@ -181,6 +182,16 @@ def trough(
     dictionary: Annotated[
         str, typer.Option(help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), or circles.")
     ] = "aicon-12",
+    orientation_deg: Annotated[
+        float | None,
+        typer.Option(help="Turn of the collector from zenith, right-handed about +y; the preset's without."),
+    ] = None,
+    slopes: Annotated[
+        Path | None, typer.Option(help="Slope map (NetCDF) whose errors the mirror gets instead of the preset's.")
+    ] = None,
+    rolling_shutter_ms: Annotated[
+        float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
+    ] = 0.0,
     noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
     blur_px: Annotated[
         float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
@@ -193,12 +204,16 @@ def trough(
     verbose: Verbose = False,
 ) -> None:
     """Photograph a parabolic trough with known slope errors and absorber, as a drone does."""
-    from data_synth.trough_dataset import TroughOptions, write_trough_dataset
+    from data_synth.trough_dataset import TroughOptions, read_slope_errors, write_trough_dataset
     from data_synth.trough_presets import TroughChoice, trough_scene
     from heliogauge.terminal import terminal_progress
 
-    scene = trough_scene(preset, TroughChoice(seed, photos, dictionary)).scaled(scale)
+    scene = trough_scene(preset, TroughChoice(seed, photos, dictionary, orientation_deg)).scaled(scale)
     scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
+    if slopes is not None:
+        scene = scene.with_slopes(read_slope_errors(slopes))
+    if rolling_shutter_ms:
+        scene = scene.with_rolling_shutter(1e-3 * rolling_shutter_ms)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     write_trough_dataset(out, scene, TroughOptions(seed, jpeg_quality, force), progress)
     print(out)
