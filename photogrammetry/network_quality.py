@@ -1,5 +1,6 @@
 """What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ Numbers = dict[str, float | int | None]
 
 #: A known value this many of its sigmas off is doubtful: 1 in 370 would be by chance.
 _DOUBTFUL = 3.0
+#: So many rejected image points of one target, a quarter of them all, are no accident.
+_DOUBLED_RAYS = 2
 #: Intersections below this many degrees say little of the depth.
 _LEAST_ROLL_RAD = 0.5
 
@@ -254,6 +257,7 @@ def doubts(solved: Solved) -> tuple[str, ...]:
     if bundle.system.movements.count == 7 and not scaled:
         said.append("there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]")
     said += _contradictions(bundle)
+    said += _doubled_codes(solved)
     low, high = bundle.variance_factor_interval(0.999)
     if solved.image_sigma_factor == 1.0 and not low <= bundle.variance_factor <= high:
         said.append(
@@ -273,6 +277,23 @@ def doubts(solved: Solved) -> tuple[str, ...]:
         listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
         said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
     return tuple(said)
+
+
+def _doubled_codes(solved: Solved) -> list[str]:
+    """Name targets of which several image points were rejected: one code at two places shows like this."""
+    table = solved.bundle.problem.observations
+    rejected = [*(one.label for one in solved.rejected), *(one.name for one in solved.network.suspicious)]
+    counts = Counter(label.removeprefix("target ").partition(" in photo ")[0] for label in rejected)
+    rays = dict(zip(table.targets, table.n_rays.tolist(), strict=True))
+    texts = []
+    for name, count in counts.most_common(8):
+        total = count + rays.get(name, 0)
+        if count >= _DOUBLED_RAYS and count >= 0.25 * total:
+            texts.append(
+                f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, "
+                "or did the target move?"
+            )
+    return texts
 
 
 def _contradictions(bundle: BundleResult) -> list[str]:
