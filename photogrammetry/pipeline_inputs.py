@@ -53,7 +53,7 @@ def build_search(section: TargetsSection) -> TargetSearch:
     polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
     limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
     # Square markers are read by others; only dots are searched for beside them.
-    dictionary = None if section.has_markers else ring_dictionary(section.dictionary)
+    dictionary = None if section.dictionary is None or section.has_markers else ring_dictionary(section.dictionary)
     return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots)
 
 

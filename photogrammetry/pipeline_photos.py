@@ -70,7 +70,25 @@ class MeasuredPhotos:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _OnePhoto:
+class OnePhoto:
+    """What one photo shows.
+
+    Parameters
+    ----------
+    detections : Detections
+        Targets with a name.
+    ellipses_px2 : ndarray, shape (n, 2, 2)
+        Shape of each target's ellipse; NaN for corners [px^2].
+    size_px : (int, int)
+        Width and height [px].
+    refused : tuple of Refused
+        What was not used.
+    dots : Detections
+        Dots without a code.
+    dot_ellipses_px2 : ndarray, shape (k, 2, 2)
+        Their ellipses [px^2].
+    """
+
     detections: Detections
     ellipses_px2: FloatArray
     size_px: tuple[int, int]
@@ -79,9 +97,9 @@ class _OnePhoto:
     dot_ellipses_px2: FloatArray
 
 
-def measure_photos(
+def measure_each(
     files: Sequence[Path], section: TargetsSection, *, jobs: int | None, progress: Progress
-) -> MeasuredPhotos:
+) -> list[OnePhoto]:
     """Find and measure the targets of all photos.
 
     Parameters
@@ -97,15 +115,13 @@ def measure_photos(
 
     Returns
     -------
-    MeasuredPhotos
-        Image points with covariances, and what was refused.
+    list of OnePhoto
+        Each photo's targets and dots, in the order of the files.
 
     Raises
     ------
     InputError
         A photo cannot be read, two have the same name, or the dictionary is unknown.
-    EstimationError
-        No photo shows a target.
     """
     twice = [name for name, count in Counter(file.name for file in files).items() if count > 1]
     if twice:
@@ -114,9 +130,9 @@ def measure_photos(
         )
     search = build_search(section)
 
-    def one(file: Path) -> _OnePhoto:
+    def one(file: Path) -> OnePhoto:
         image = read_image(file)
-        found = _with_markers(image, file.name, section.dictionary) if section.has_markers else None
+        found = _with_markers(image, file.name, section.dictionary or "") if section.has_markers else None
         if found is not None and not search.with_uncoded:
             return found
         rings = measure_targets(image, file.name, search)
@@ -131,9 +147,9 @@ def measure_photos(
         ]
         coded = rings.detections.chosen(np.arange(count))
         size = (int(image.shape[1]), int(image.shape[0]))
-        return _OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:])
+        return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:])
 
-    found: list[_OnePhoto] = []
+    found: list[OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(one, file) for file in files]
         try:
@@ -143,10 +159,10 @@ def measure_photos(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return _gathered(found)
+    return found
 
 
-def _with_markers(image: Image, photo: str, dictionary: str) -> _OnePhoto:
+def _with_markers(image: Image, photo: str, dictionary: str) -> OnePhoto:
     markers = find_markers(image, photo, dictionary)
     refused = [
         Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
@@ -155,10 +171,10 @@ def _with_markers(image: Image, photo: str, dictionary: str) -> _OnePhoto:
     shapes = np.full((len(markers.detections), 2, 2), np.nan)
     size = (int(image.shape[1]), int(image.shape[0]))
     none = markers.detections.chosen(np.zeros(0, dtype=np.intp))
-    return _OnePhoto(markers.detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
+    return OnePhoto(markers.detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
 
 
-def _loose(found: Sequence[_OnePhoto]) -> LooseDots:
+def _loose(found: Sequence[OnePhoto]) -> LooseDots:
     """Put together the dots of all photos."""
     photo = np.repeat(np.arange(len(found)), [len(one.dots) for one in found])
     covariance = np.concatenate([one.dots.covariance_px2 for one in found])
@@ -171,7 +187,24 @@ def _loose(found: Sequence[_OnePhoto]) -> LooseDots:
     return LooseDots(tuple(one.detections.photo for one in found), dots)
 
 
-def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
+def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
+    """Put the targets of all photos together; those that are twice in a photo are not used there.
+
+    Parameters
+    ----------
+    found : sequence of OnePhoto
+        What each photo shows.
+
+    Returns
+    -------
+    MeasuredPhotos
+        Image points with covariances, and what was refused.
+
+    Raises
+    ------
+    EstimationError
+        No photo shows a target.
+    """
     photos, names, parts, shapes = [], [], [], []
     refused = [bad for one in found for bad in one.refused]
     doubled: Counter[str] = Counter()
@@ -191,8 +224,8 @@ def _gathered(found: Sequence[_OnePhoto]) -> MeasuredPhotos:
         shapes.append(one.ellipses_px2[keep])
     if not names:
         raise EstimationError(
-            f"images.photos: none of {len(found)} photos shows a target of the dictionary; is it the right one, and "
-            "are the targets large enough ([targets] smallest_px, largest_px)?"
+            f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; is it the "
+            "right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
         )
     said = []
     if doubled:

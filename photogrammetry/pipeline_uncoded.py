@@ -8,6 +8,7 @@ import numpy as np
 from heliogauge.errors import InputError
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.store import read_table_csv
+from photogrammetry.network import StartValues
 from photogrammetry.pipeline_photos import MeasuredPhotos, Refused
 from photogrammetry.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions
 from photogrammetry.solve_uncoded import add_dots
@@ -66,6 +67,29 @@ def with_uncoded(
         warnings=(*measured.warnings, *found.warnings),
     )
     return extended, found.solved
+
+
+def start_with_list(start: StartValues, section: TargetsSection | None, listed: ListedTargets | None) -> StartValues:
+    """Take listed places as start values where the list alone tells the targets: its frame and scale become those.
+
+    Parameters
+    ----------
+    start : StartValues
+        What measurement.toml gives to start from.
+    section : TargetsSection or None
+        What it says of the targets.
+    listed : ListedTargets or None
+        Names and rough places.
+
+    Returns
+    -------
+    StartValues
+        With the listed places; those that were given win.
+    """
+    if listed is None or section is None or section.dictionary is not None:
+        return start
+    places = dict(zip(listed.names, listed.points_m, strict=True))
+    return StartValues(start.cam_from_world, {**places, **start.points_m})
 
 
 def listed_targets(section: TargetsSection | None, folder: Path) -> ListedTargets | None:

@@ -203,7 +203,7 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
     On a coarse image each target is found with its surroundings by normalised correlation within the search radius; the
     others' common motion (an affine map, robust) replaces what contradicts it. There the nearest round spot of the same
     polarity and of about the same size is measured by the centre estimator, if no other target is as near and no other
-    spot is in reach.
+    spot is in reach. Targets lost so far are looked for once more where the motion of those found puts them.
     """
     if image_dn.shape != track.image_dn.shape:
         raise InputError(
@@ -231,7 +231,35 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
             else:
                 other = track.names[own[0][1] if place else own[1][1]]
                 found.reasons[k] = f"it and {other} lead to the same target"
+    predicted = _second_look(track, image_dn, (spots, set(claims)), predicted, found)
     return _after(track, image_dn, predicted, found), _tracked(track, photo, found)
+
+
+def _second_look(
+    track: Track,
+    image_dn: npt.NDArray[np.generic],
+    spots: tuple[tuple[Candidate, ...], set[int]],
+    predicted: FloatArray,
+    found: _Found,
+) -> FloatArray:
+    """Look for lost targets where the motion of the found ones puts them; return the better predictions."""
+    own, lost = sorted(found.centers), sorted(found.reasons)
+    if len(own) < _LEAST_COMMON or not lost:
+        return predicted
+    moved = predicted.copy()
+    moved[own] = [found.centers[k].center_px for k in own]
+    good = np.zeros(len(track.names), dtype=np.bool_)
+    good[own] = True
+    common, _ = _common_motion(track.places_px, moved, good)
+    slack = 3 * float(np.sqrt(np.mean((moved - common)[own] ** 2))) + 2
+    better = np.where(good[:, None], predicted, common)
+    free = tuple(spot for k, spot in enumerate(spots[0]) if k not in spots[1])
+    for k in lost:
+        spot, _ = _fitting(track, k, free, better[k], slack)
+        if not isinstance(spot, str):
+            found.reasons.pop(k)
+            _measure(found, k, image_dn, free[spot], track.search)
+    return better
 
 
 def _under(spots: tuple[Candidate, ...], place: FloatArray) -> int | None:
