@@ -12,6 +12,7 @@ from data_synth.prints import DotPrint, RingPrint
 from data_synth.sensor import Sensor
 from data_synth.sheets import Sheet
 from data_synth.target_scene import Conditions, Cover, Glare, KnownLength, TargetScene
+from data_synth.texture import random_texture
 from heliogauge.errors import InputError
 from heliogauge.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
@@ -50,7 +51,7 @@ def target_scene(preset: str, seed: int = 0, prints: PrintChoice | None = None) 
     Parameters
     ----------
     preset : str
-        ``small``, ``panel``, ``single``, ``retro``, ``markers`` or ``busy``.
+        ``small``, ``panel``, ``single``, ``retro``, ``markers``, ``busy`` or ``natural``.
     seed : int, optional
         Places, tilts and poses are drawn with it.
     prints : PrintChoice, optional
@@ -254,6 +255,24 @@ def _markers(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
     return replace(scene, lengths=tuple(lengths), dictionary=prints.dictionary or "DICT_4X4_100")
 
 
+def _natural(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
+    """Draw 8 photos of 12 textured tiles at different heights, with 6 coded targets in the gaps between them."""
+    name = prints.dictionary or "aicon-12"
+    sheets = []
+    for k in range(12):
+        row, column = divmod(k, 4)
+        place = np.array([(column - 1.5) * 0.5, (row - 1) * 0.5, rng.uniform(-0.08, 0.08)])
+        tilt = rotation_from_vector(np.array([*rng.uniform(-0.15, 0.15, 2), 0.0]))
+        figure = random_texture((0.36, 0.36), 0.003, rng)
+        sheets.append(Sheet(f"tile{k + 1}", figure, RigidTransform(tilt, place)))
+    for k, code in enumerate(ring_dictionary(name).codes[:6]):
+        row, column = divmod(k, 3)
+        place = np.array([(column - 1) * 0.5, (row - 0.5) * 0.5, rng.uniform(-0.02, 0.02)])
+        sheets.append(_ring_sheet(code, 0.028, RigidTransform(np.eye(3), place), prints))
+    views = dome_views(SMALL_CAMERA.scaled(0.5), 2.3, 8, (24.0, 36.0), rng)
+    return _with_bars(TargetScene("textured tiles", tuple(sheets), views, dictionary=name), ((12, 17), (14, 15)), rng)
+
+
 _PRESETS: dict[str, Callable[[np.random.Generator, PrintChoice], TargetScene]] = {
     "small": _small,
     "panel": _panel,
@@ -261,4 +280,5 @@ _PRESETS: dict[str, Callable[[np.random.Generator, PrintChoice], TargetScene]] =
     "retro": _retro,
     "busy": _busy,
     "markers": _markers,
+    "natural": _natural,
 }

@@ -253,7 +253,7 @@ def sheet_points(sheet: Sheet) -> dict[str, FloatArray]:
         Name to coordinates, shape (3,).
     """
     places = sheet.figure.points_m
-    points = sheet.world_from_sheet.apply(sheet.shape.points_m(np.array(list(places.values()))))
+    points = sheet.world_from_sheet.apply(sheet.shape.points_m(np.array(list(places.values())).reshape(-1, 2)))
     return {sheet.name + suffix: point for suffix, point in zip(places, points, strict=True)}
 
 
@@ -277,7 +277,7 @@ def image_truth(scene: TargetScene, view: View) -> ImageTruth:
     rows: list[tuple[float, ...]] = []
     for sheet in scene.sheets:
         tilt = view.tilt_rad(sheet.world_from_sheet)
-        if tilt > STEEPEST_RAD:
+        if tilt > STEEPEST_RAD or not sheet.figure.points_m:
             continue
         points = sheet_points(sheet)
         pixels = view.project(np.array(list(points.values())))

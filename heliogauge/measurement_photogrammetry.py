@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, model_validator
 
 from heliogauge.measurement_models import Number, PhotosSection, Positive, Section, Sigma3, Text, Vector3
+from heliogauge.measurement_natural import NaturalSection
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
 from heliogauge.measurement_surface import SurfaceSection
 from heliogauge.measurement_targets import TargetsSection
@@ -178,6 +179,7 @@ class PhotogrammetryModel(Section):
     images: PhotosSection | None = None
     image_points: ImagePointsSection | None = None
     targets: TargetsSection | None = None
+    natural: NaturalSection | None = None
     scale_bar: tuple[ScaleBarSection, ...] = ()
     permissible_length_error: PermissibleLengthErrorSection | None = None
     control_point: tuple[ControlPointSection, ...] = ()
@@ -193,8 +195,15 @@ class PhotogrammetryModel(Section):
     def _photos_or_points(self) -> Self:
         if (self.images is None) == (self.image_points is None):
             raise ValueError("give [images] with photos, or [image_points] with a file, one of both")
-        if self.images is not None and self.targets is None:
-            raise ValueError("[targets] is missing: say which dictionary the targets in the photos are from")
+        if self.images is not None and self.targets is None and self.natural is None:
+            raise ValueError(
+                "[targets] is missing: say which dictionary the targets in the photos are from; or [natural] for "
+                "photos without targets"
+            )
+        if self.natural is not None and self.images is None:
+            raise ValueError("[natural] is for photos; image points are measured already")
+        if self.natural is not None and self.adjustment.sigmas == "stated":
+            raise ValueError('adjustment.sigmas = "stated": natural features have none; leave it out')
         unsized = [one.name for one in self.camera if not one.has_size]
         if self.image_points is not None and unsized:
             raise ValueError(f"{', '.join(unsized)}: width_px and height_px (or a file) are needed with image points")

@@ -236,6 +236,12 @@ dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20
 #: min_photos = 3               # that must show a point
 #: max_points = 2000
 
+# Features of the surface itself, beside targets or instead of them; needs pip install heliogauge[natural].
+#: [natural]
+#: max_features = 4000          # of each photo
+#: min_photos = 3               # that must show a point
+#: max_points = 2000
+
 # ... or image points that another program measured (columns image, target, x_px, y_px, sigma_x_px, sigma_y_px).
 #: [image_points]
 #: file = "image_points.csv"

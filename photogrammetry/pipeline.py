@@ -1,6 +1,6 @@
 """Photos of targets, or image points, to coordinates with standard deviations: read, measure, solve, write."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +24,18 @@ from heliogauge.store import (
 )
 from photogrammetry.bundle_statistics import examine_image_points, examine_intrinsics
 from photogrammetry.constraints import Distance
+from photogrammetry.group_sigmas import solve_weighed
 from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
+from photogrammetry.observations import IntArray
 from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
-from photogrammetry.pipeline_dots import measure_targets_of
 from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
-from photogrammetry.pipeline_photos import MeasuredPhotos, Refused
+from photogrammetry.pipeline_natural import add_features
+from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
 from photogrammetry.pipeline_surface import SurfaceResult, measure_surface
 from photogrammetry.pipeline_surface_files import surface_numbers, write_surface
-from photogrammetry.pipeline_uncoded import listed_targets, start_with_list, with_uncoded
-from photogrammetry.solve_network import Knowledge, Solved, SolveOptions, solve_network
+from photogrammetry.pipeline_uncoded import listed_targets, with_uncoded
+from photogrammetry.solve_network import Knowledge, Solved, SolveOptions
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
 
 
@@ -157,18 +159,18 @@ def run(
     model = measurement.model
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
-    measured = read_points(measurement, options, progress)
+    measured, kinds = _read_kinds(measurement, options, progress)
     cameras = build_cameras(measurement, measured.points.photos, measured.sizes_px)
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
-    listed = listed_targets(model.targets, measurement.folder)
-    start = start_with_list(build_start(measurement), model.targets, listed)
-    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), start)
+    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), build_start(measurement))
     sigmas = model.adjustment.sigmas
     rescale = measured.sigma_assumed if sigmas is None else sigmas == "from residuals"
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
     with progress.stage("adjust"):
-        solved = solve_network(measured.points, measured.ellipses_px2, cameras, knowledge, how)
+        weighed = solve_weighed(measured.points, measured.ellipses_px2, kinds, cameras, knowledge, how)
+        measured, solved = replace(measured, points=weighed.points), weighed.solved
     with progress.stage("match targets without a code"):
+        listed = listed_targets(model.targets, measurement.folder)
         measured, solved = with_uncoded(measured, solved, listed, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
@@ -185,6 +187,18 @@ def run(
             said = (*said, *surface.warnings)
     times = dict(progress.durations_s)
     return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
+
+
+def _read_kinds(
+    measurement: PhotogrammetryMeasurement, options: Options, progress: Progress
+) -> tuple[MeasuredPhotos, IntArray]:
+    """Return image points and their kinds, of which each gets its sigmas from its own residuals."""
+    model = measurement.model
+    if model.natural is None:
+        measured = read_points(measurement, options, progress)
+        return measured, np.zeros(measured.points.n, dtype=np.intp)
+    coded = None if model.targets is None else read_points(measurement, options, progress)
+    return add_features(measurement, coded, jobs=options.jobs, progress=progress)
 
 
 def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
@@ -213,7 +227,7 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
     """
     model = measurement.model
     if model.targets is not None and measurement.photo_files:
-        return measure_targets_of(measurement, model.targets, jobs=options.jobs, progress=progress)
+        return measure_photos(measurement.photo_files, model.targets, jobs=options.jobs, progress=progress)
     section = model.image_points or ImagePointsSection()
     with progress.stage("read image points"):
         found = read_image_points_csv(
