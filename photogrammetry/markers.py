@@ -5,7 +5,7 @@ its corners are whole pixels. Here every bit must be what the dictionary says, w
 edge; what fails is named with the reason.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.detections import Detections
-from photogrammetry.square_edges import SquareCorners, square_corners
+from photogrammetry.square_edges import SquareCorners, square_corners, with_correlated_errors
 
 __all__ = ["MarkerLimits", "PhotoMarkers", "RejectedMarker", "find_markers"]
 
@@ -122,20 +122,23 @@ def find_markers(
     allowed = limits or MarkerLimits()
     found, numbers_found, _ = cv2.aruco.ArucoDetector(table).detectMarkers(_bytes(image_dn))
     numbers: Any = numbers_found  # an array, or None: the declaration knows the array only
-    kept: list[tuple[int, SquareCorners]] = []
+    measured: list[tuple[int, SquareCorners]] = []
     rejected = []
     # OpenCV 4 gives numbers as a column, OpenCV 5 as a row, both None without a marker.
-    for number, start in zip(np.ravel(numbers if numbers is not None else []), found, strict=True):
+    for number, start in zip(np.ravel(numbers if numbers is not None else []).tolist(), found, strict=True):
         corners = np.asarray(start, dtype=np.float64).reshape(4, 2)
         try:
-            square = _measure(image_dn, corners, table.markerSize + 2)
-            reason = _fault(image_dn, square, _cells(table, int(number)), allowed)
+            measured.append((number, _measure(image_dn, corners, _cells(table, number))))
         except EstimationError as error:
-            reason = str(error)
+            rejected.append(RejectedMarker(number, freeze(corners.mean(axis=0)), str(error)))
+    kept = []
+    honest = with_correlated_errors([square for _, square in measured])
+    for (number, _), square in zip(measured, honest, strict=True):
+        reason = _fault(image_dn, square, _cells(table, number), allowed)
         if reason:
-            rejected.append(RejectedMarker(int(number), freeze(corners.mean(axis=0)), reason))
+            rejected.append(RejectedMarker(number, freeze(square.corners_px.mean(axis=0)), reason))
         else:
-            kept.append((int(number), square))
+            kept.append((number, square))
     kept.sort(key=lambda item: item[0])
     every = [number for number, _ in kept]
     return PhotoMarkers(
@@ -160,18 +163,12 @@ def _to_bytes(image_dn: npt.NDArray[np.generic]) -> float:
     return 1 / 257 if deep else 1.0
 
 
-def _measure(image_dn: npt.NDArray[np.generic], corners: FloatArray, cells: int) -> SquareCorners:
+def _measure(image_dn: npt.NDArray[np.generic], corners: FloatArray, white: BoolArray) -> SquareCorners:
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 7, 0)
     high = np.ceil(corners.max(axis=0)).astype(int) + 8
     window = np.asarray(image_dn[low[1] : high[1], low[0] : high[0]], dtype=np.float64)
-    square = square_corners(window, corners - low, cells)
-    return SquareCorners(
-        freeze(square.corners_px + low),
-        square.covariance_px2,
-        square.straightness_px,
-        square.contrast_dn,
-        square.blur_px,
-    )
+    square = square_corners(window, corners - low, white)
+    return replace(square, corners_px=freeze(square.corners_px + low))
 
 
 def _cells(table: cv2.aruco.Dictionary, number: int) -> BoolArray:

@@ -90,4 +90,29 @@ def test_real_photo(shared_data) -> None:  # type: ignore[no-untyped-def]
     found = find_markers(image, "DSC03660", "DICT_4X4_1000")
     assert len(found.numbers) >= 10
     assert np.median([square.straightness_px for square in found.squares]) < 0.04
-    assert np.median(found.detections.sigma_px) < 0.05
+    assert np.median(found.detections.sigma_px) < 0.09
+
+
+@pytest.mark.parametrize(("smooth_px", "low", "high"), [(0.0, 0.8, 1.4), (1.2, 2.0, 8.0)])
+def test_neighbours_that_err_alike_are_noticed(smooth_px: float, low: float, high: float) -> None:
+    """Sections of the sides scatter as independent pixels make them, or more: then the covariance grows."""
+    excess, squares = [], []
+    for seed in range(16):
+        noise = np.random.default_rng(seed).normal(0, 3.0, (100, 120))
+        if smooth_px:
+            noise = cv2.GaussianBlur(noise, (0, 0), smooth_px) * (2 * np.sqrt(np.pi) * smooth_px)
+        found = find_markers(drawn(7, SQUARE, noise_dn=0.0) + noise, "a", DICTIONARY)
+        error = found.detections.pixels_px - SQUARE
+        excess.append(found.squares[0].section_excess)
+        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.detections.covariance_px2), error))
+    assert low < np.median(excess) < high
+    # Chi-squares of two degrees of freedom: errors of whole sides, which this noise has not, are allowed for.
+    assert 0.1 < np.mean(squares) / 2 < 1.5
+
+
+def test_white_cells_behind_the_border_do_not_enlarge_small_markers() -> None:
+    small = SQUARE.mean(axis=0) + 0.42 * (SQUARE - SQUARE.mean(axis=0))
+    # All sides of number 17 border on white cells; the side is 16 px, a cell 2.7 px.
+    found = find_markers(drawn(17, small, noise_dn=0.3), "a", DICTIONARY).detections
+    outward = (small - small.mean(axis=0)) / np.linalg.norm(small - small.mean(axis=0), axis=1)[:, None]
+    assert abs(np.mean(np.sum((found.pixels_px - small) * outward, axis=1))) < 0.05
