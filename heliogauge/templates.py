@@ -217,10 +217,30 @@ name = "collector 1"
 #: name = "camera"              # its name in cameras.json
 #: file = "camera.json"         # from `heliogauge calibrate camera`
 #: prior = true                 # with a file and free: its covariance holds them
+#: width_px = 6000              # needed with image points, where no file says it
+#: height_px = 4000
 #: focal_length_35mm = 24.0     # a start, as on the lens for a 36 mm x 24 mm film, where 28 mm is far off
-#: free = ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"]
+#: free = ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"]    # or "skew"; [] for none
+#: residuals = "measured"       # or "corrected": formed in an image without lens, as DBAT's backward models have it
+#: [camera.sigma]               # single values known before, of those in free
+#: focal_px = 2.0
+# A camera as photogrammetric programs print it, instead of the file. Corrections of measured coordinates, unless
+# distortion_direction = "ideal_to_measured"; the results come in the same form too (camera_millimetres.csv).
+#: [camera.millimetres]
+#: form = "brown"               # K1-K3, P1, P2, aspect, shear (DBAT, PhotoModeler); "aicon": A1-A3, B1, B2, C1, C2
+#: pixel_mm = 0.0032            # height of a pixel
+#: focal_mm = 7.5
+#: principal_mm = [0.1, -0.05]  # default: the middle
+#: principal_origin = "center"  # or "corner", of the first pixel, to the right and down
+#: y_axis = "up"                # of the lens
+#: radial = [4.6e-3, -4.5e-5, 0.0]
+#: tangential = [-6.1e-5, -4.4e-5]
+#: affine = [0.0, 0.0]
+#: zero_radius_mm = 0.0         # r0, with form = "aicon"
+# Several cameras, or positions of a zoom: [[camera]] instead of [camera] for each, with its name and, but for one that
+# takes the rest, photos = ["A_*.jpg"].
 
-# Photos, all of one size ...
+# Photos, each camera's of one size ...
 [images]
 photos = "photo_*.jpg"          # a text with * (natural order), or a list
 
@@ -229,12 +249,6 @@ dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20
 #: polarity = "both"            # black-on-white | white-on-black | both
 #: smallest_px = 6.0            # diameter of the dots in the photos
 #: largest_px = 100.0
-
-# Features of the surface itself, beside targets or instead of them; needs pip install heliogauge[natural].
-#: [natural]
-#: max_features = 4000          # of each photo
-#: min_photos = 3               # that must show a point
-#: max_points = 2000
 
 # Features of the surface itself, beside targets or instead of them; needs pip install heliogauge[natural].
 #: [natural]
@@ -285,14 +299,34 @@ sigma_mm = 0.02
 #: targets = ["1", "2", "3", "4", "5"]
 #: sigma_mm = 0.05
 
+# The same as tables: control_points with columns target, x_m, y_m, z_m (sigma_x_mm, sigma_y_mm, sigma_z_mm);
+# scale_bars with a, b, length_m, sigma_mm (check_only: 0 or 1); coordinates with target, axis, value_m, sigma_mm.
+#: [files]
+#: control_points = "control.csv"
+#: scale_bars = "scale_bars.csv"
+#: coordinates = "coordinates.csv"
+
+# Targets on the rim of a parabolic trough, y along it: x = -w/2 or w/2, z = w^2 / (16 f); y = 0 at one end.
+#: [collector]
+#: width_m = 5.76
+#: focal_length_m = 1.71
+#: left = ["11", "12", "13"]
+#: right = ["21", "22", "23"]
+#: end = ["11", "21"]
+#: along = [["11", "13"], ["21", "23"]]
+#: length_m = 11.9
+#: sigma_mm = 1.0
+#: length_sigma_mm = 2.0
+
 # Start values, from an earlier result for example; without them the network starts from the image points alone. Where
 # nothing below or above says otherwise, position, rotation and scale are theirs.
 #: [start]
 #: cameras = "start/cameras.json"
 #: points = "start/points.csv"
 
-# Position, rotation and scale as far as the above leaves them open: inner constraints over all or some targets, or
-# "minimal" (3-2-1) with three targets.
+# Position, rotation and scale as far as the above leaves them open: "inner" constraints over all or some targets;
+# "minimal" (3-2-1) with three targets; "photos" with photos = ["a.jpg"] that stay (two without scale); "control":
+# nothing may be left open.
 #: [datum]
 #: kind = "inner"
 #: targets = ["1", "2", "3", "4"]

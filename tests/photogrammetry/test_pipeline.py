@@ -17,6 +17,8 @@ from heliogauge.measurement_writer import dump_toml
 from heliogauge.report import build_report
 from heliogauge.store import read_cameras_json, read_points_csv, read_summary, read_table_csv
 from heliogauge.templates import write_template
+from photogrammetry.bundle_statistics import Rejected
+from photogrammetry.network_quality import doubts
 from photogrammetry.pipeline import Result, run, summarise, write
 
 
@@ -183,6 +185,15 @@ def test_false_image_point_is_rejected_by_name(points_folder: Path, tmp_path: Pa
     assert [one.name for one in refused] == [f"target {cells[1]} in photo {cells[0]}"]
 
 
+def test_a_network_that_lost_many_image_points_says_so(points_folder: Path) -> None:
+    solved = run(load_photogrammetry(points_folder)).solved
+    total = solved.bundle.problem.observations.n
+    few, many = (replace(solved, rejected=(Rejected(0, "target 1 in photo a", 1.0, "far off"),) * n)
+                 for n in (total // 20, total // 5))  # fmt: skip
+    assert any("too many for chance: a camera that started far off" in text for text in doubts(many))
+    assert not any("too many for chance" in text for text in doubts(few))
+
+
 def test_photos_of_another_size_are_refused(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
     camera = (measurement.model.camera[0].model_copy(update={"width_px": 1601}),)
@@ -228,7 +239,11 @@ def test_mistakes_in_the_file(change, message: str) -> None:
 def test_every_key_of_the_template_is_a_real_key(tmp_path: Path) -> None:
     text = write_template("photogrammetry", tmp_path).read_text(encoding="utf-8")
     parse_measurement(tomllib.loads(text), Path("plain"))
-    full = text.replace("#: focal_length_35mm", "# ").replace("#: ", "")
+    rivals = ("focal_length_35mm", 'file = "camera.json"', "prior")
+    full = text
+    for rival in rivals:
+        full = full.replace(f"#: {rival}", "# ")
+    full = full.replace("#: ", "")
     head, points = full.split("[images]")[0], full.split("[image_points]")[1]
     model = parse_measurement(tomllib.loads(head + "[image_points]" + points), Path("full"))
     assert [one.kind for one in model.constraint] == ["coordinate", "distance", "plane"]
