@@ -19,6 +19,8 @@ _DOUBTFUL = 3.0
 _DOUBLED_RAYS = 2
 #: Intersections below this many degrees say little of the depth.
 _LEAST_ROLL_RAD = 0.5
+#: Good measurements lose a few image points in a hundred; a wrong start loses every fifth.
+_MANY_REJECTED = 0.08
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +259,7 @@ def doubts(solved: Solved) -> tuple[str, ...]:
     if bundle.system.movements.count == 7 and not scaled:
         said.append("there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]")
     said += _contradictions(bundle)
+    said += _many_rejected(solved)
     said += _doubled_codes(solved)
     low, high = bundle.variance_factor_interval(0.999)
     if solved.image_sigma_factor == 1.0 and not low <= bundle.variance_factor <= high:
@@ -277,6 +280,18 @@ def doubts(solved: Solved) -> tuple[str, ...]:
         listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
         said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
     return tuple(said)
+
+
+def _many_rejected(solved: Solved) -> list[str]:
+    """Say so where more image points were left out than chance and false codes explain."""
+    lost = len(solved.rejected) + len(solved.network.suspicious)
+    total = lost + solved.bundle.problem.observations.n
+    if lost <= _MANY_REJECTED * total:
+        return []
+    return [
+        f"{lost} of {total} image points contradict the rest and were left out, too many for chance: a camera that "
+        "started far off (give focal_length_35mm or focal_px), an object that moved, or one code at several places"
+    ]
 
 
 def _doubled_codes(solved: Solved) -> list[str]:
