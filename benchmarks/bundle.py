@@ -10,6 +10,7 @@ import resource
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,26 +83,20 @@ def own(start: BundleState, points: ImagePoints) -> tuple[BundleResult, list[flo
     return result, np.diff(clock).tolist()
 
 
-def ceres(start: BundleState, points: ImagePoints) -> tuple[float, float, float]:
-    """Adjust with pycolmap; return CPU times of adjustment and of its covariance, and the RMS of the residuals."""
+def ceres_scene(start: BundleState, points: ImagePoints) -> Any:
+    """Return the network as pycolmap has it; image i + 1 is photo i, point j + 1 is target j."""
     import pycolmap
 
     scene, camera = pycolmap.Reconstruction(), start.cameras[0]
     lens = camera.distortion
-    numbers = [camera.focal_x_px, camera.focal_y_px, camera.center_x_px, camera.center_y_px]
-    scene.add_camera_with_trivial_rig(
-        pycolmap.Camera(
-            model="OPENCV",
-            width=WIDTH,
-            height=HEIGHT,
-            params=[*numbers, lens.k1, lens.k2, lens.p1, lens.p2],
-            camera_id=1,
-        )
-    )
+    numbers = [camera.focal_x_px, camera.focal_y_px, camera.center_x_px + 0.5, camera.center_y_px + 0.5]
+    numbers += [lens.k1, lens.k2, lens.p1, lens.p2]
+    own = pycolmap.Camera(model="OPENCV", width=WIDTH, height=HEIGHT, params=numbers, camera_id=1)
+    scene.add_camera_with_trivial_rig(own)
     tracks: list[list[tuple[int, int]]] = [[] for _ in points.targets]
     for i in range(len(points.photos)):
         rows = np.nonzero(points.photo_index == i)[0]
-        keypoints = points.pixels_px[rows]
+        keypoints = points.pixels_px[rows] + 0.5
         image = pycolmap.Image(name=str(i), keypoints=keypoints, camera_id=1, image_id=i + 1)
         pose = np.column_stack([start.rotations[i], start.translations_m[i]])
         scene.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
@@ -110,16 +105,33 @@ def ceres(start: BundleState, points: ImagePoints) -> tuple[float, float, float]
     for xyz, track in zip(start.points_m, tracks, strict=True):
         elements = [pycolmap.TrackElement(image, place) for image, place in track]
         scene.add_point3D(xyz, pycolmap.Track(elements=elements))
+    return scene
+
+
+def ceres_adjuster(scene: Any, gradient_tolerance: float | None = None) -> Any:
+    """Return an adjuster of the scene with two cameras held, to be solved; iterates longer where asked."""
+    import pycolmap
+
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_principal_point = True
     options.print_summary = False
     options.ceres.solver_options.num_threads = 1
+    if gradient_tolerance is not None:
+        options.ceres.solver_options.gradient_tolerance = gradient_tolerance
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in scene.images:
         config.add_image(image_id)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    return pycolmap.create_default_ceres_bundle_adjuster(options, config, scene)
+
+
+def ceres(start: BundleState, points: ImagePoints) -> tuple[float, float, float]:
+    """Adjust with pycolmap; return CPU times of adjustment and of its covariance, and the RMS of the residuals."""
+    import pycolmap
+
+    scene = ceres_scene(start, points)
     begin = time.process_time()
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, scene)
+    adjuster = ceres_adjuster(scene)
     adjuster.solve()
     middle = time.process_time()
     pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), scene, adjuster)
