@@ -16,7 +16,7 @@ from data_synth.mirror import transform_to_json
 from data_synth.sensor import UnsignedArray
 from data_synth.surface_errors import SurfaceErrors
 from data_synth.target_dataset import TRUE_POINTS_FILE
-from data_synth.trough_mirror import TroughMirror
+from data_synth.trough_mirror import SlopeGrid, TroughMirror
 from data_synth.trough_photo import Photographer, PhotoPoints
 from data_synth.trough_presets import DISTANCE_SIGMA_M
 from data_synth.trough_receiver import TubeAxis
@@ -29,6 +29,7 @@ from heliogauge.measurement import MEASUREMENT_FILE
 from heliogauge.measurement_writer import dump_toml, write_text
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.store_json import read_json, write_json
+from heliogauge.store_slope_map import read_slope_map
 from heliogauge.store_tables import write_table_csv
 from heliogauge.validate import FloatArray
 
@@ -139,6 +140,29 @@ def write_trough_dataset(
         with told.stage("write truth"):
             _write_knowledge(working, scene, suffix, chosen.seed)
             _write_truth(working, scene, photographer, suffix, chosen.seed)
+
+
+def read_slope_errors(path: Path) -> SlopeGrid:
+    """Read the slope errors of a measured or synthetic map: measured minus design, 0 where nothing was measured.
+
+    Parameters
+    ----------
+    path : Path
+        A NetCDF file as heliogauge writes slope maps, in the trough's frame.
+
+    Returns
+    -------
+    SlopeGrid
+        The errors.
+
+    Raises
+    ------
+    InputError
+        No such file, or not a slope map.
+    """
+    slopes = read_slope_map(path)
+    errors = (slopes.slope_x - slopes.design_slope_x, slopes.slope_y - slopes.design_slope_y)
+    return SlopeGrid(slopes.x_m, slopes.y_m, *(np.nan_to_num(error) for error in errors))
 
 
 def read_trough_truth(folder: Path) -> TroughTruth:

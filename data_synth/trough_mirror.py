@@ -68,8 +68,11 @@ class SlopeGrid:
     y_m: FloatArray
     slope_x: FloatArray
     slope_y: FloatArray
+    _splines: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from scipy.interpolate import RectBivariateSpline
+
         for name in ("x_m", "y_m"):
             object.__setattr__(self, name, float_array(f"slope_grid {name}", getattr(self, name), (None,)))
             if getattr(self, name).size < 4 or np.any(np.diff(getattr(self, name)) <= 0):
@@ -77,13 +80,12 @@ class SlopeGrid:
         for name in ("slope_x", "slope_y"):
             shape = (self.y_m.size, self.x_m.size)
             object.__setattr__(self, name, float_array(f"slope_grid {name}", getattr(self, name), shape))
+        grids = (self.slope_x, self.slope_y)
+        object.__setattr__(self, "_splines", tuple(RectBivariateSpline(self.y_m, self.x_m, grid) for grid in grids))
 
     def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return height (0: only the normal is turned) [m], slope_x and slope_y [rad] at points (x, y) [m]."""
-        from scipy.interpolate import RectBivariateSpline
-
-        slopes = (RectBivariateSpline(self.y_m, self.x_m, grid).ev(y_m, x_m) for grid in (self.slope_x, self.slope_y))
-        slope_x, slope_y = slopes
+        slope_x, slope_y = (spline.ev(y_m, x_m) for spline in self._splines)
         return np.zeros(np.shape(x_m)), slope_x, slope_y
 
 

@@ -1,6 +1,6 @@
 """Photographs of a trough, integrated over each pixel's area: few rays where it is even, many where edges cross."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 import cv2
@@ -67,11 +67,10 @@ class Photographer:
         lattice = np.stack([(np.arange(n) + 0.5) / n, np.arange(n) * step / n % 1.0])
         self._lattice: RayArray = lattice.astype(dtype)
         self._corners = _corner_directions(scene.camera, dtype)
-        turns = {view.orientation_deg for view in scene.views}
-        worlds = {turn: next(view for view in scene.views if view.orientation_deg == turn) for turn in turns}
+        tracer = Tracer(scene.world, dtype)
         self._tracers = {
-            turn: Tracer(replace(scene.world, surroundings=scene.surroundings_of(view)), dtype)
-            for turn, view in worlds.items()
+            view.orientation_deg: tracer.turned(scene.surroundings_of(view))
+            for view in {view.orientation_deg: view for view in scene.views}.values()
         }
 
     def take(self, view: TroughView, rng: np.random.Generator) -> UnsignedArray:

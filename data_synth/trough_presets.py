@@ -11,7 +11,7 @@ from data_synth.prints import DotPrint, Print, RingPrint
 from data_synth.sheets import Sheet
 from data_synth.surface_errors import Ripple, SurfaceErrors
 from data_synth.trough_mirror import PanelErrors, TroughMirror
-from data_synth.trough_paths import absorber_pair, several_passes, straight_pass, wobbling
+from data_synth.trough_paths import absorber_pair, mast_pass, several_passes, straight_pass, turning_collector, wobbling
 from data_synth.trough_receiver import Receiver, TubeAxis
 from data_synth.trough_scene import ListedTarget, Optics, TroughScene, TroughView, world_of
 from data_synth.trough_surroundings import Ground, Sky, Surroundings
@@ -25,7 +25,7 @@ from photogrammetry.coded_targets import ring_dictionary
 VIDEO_CAMERA = PinholeCamera(1920, 1080, 1 / 4.2e-4, 1 / 4.2e-4, 959.5, 539.5)
 #: Nikon D300 with 20 mm: 4288 x 2848, 5.5 um (Owkes 2012, sec. 7.4).
 D300_CAMERA = PinholeCamera(4288, 2848, 20e-3 / 5.5e-6, 20e-3 / 5.5e-6, 2143.5, 1423.5)
-SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 239.5, 319.5)
+SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 241.0, 318.0, -0.06, 0.03)
 
 #: What the list of targets is good for [m].
 TARGET_SIGMA_M = 1e-3
@@ -45,11 +45,14 @@ class TroughChoice:
         Number of photos; the preset's without.
     dictionary : str, optional
         Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or ``circles``.
+    orientation_deg : float or None, optional
+        Turn of the collector from zenith, by the right hand about +y; the preset's without [deg].
     """
 
     seed: int = 0
     n_photos: int | None = None
     dictionary: str = "aicon-12"
+    orientation_deg: float | None = None
 
 
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
@@ -70,12 +73,18 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
     Raises
     ------
     InputError
-        No such preset.
+        No such preset, or an orientation for a collector that turns.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
     chosen = TroughChoice() if choice is None else choice
-    return _PRESETS[preset](chosen, np.random.default_rng([chosen.seed, 5]))
+    scene = _PRESETS[preset](chosen, np.random.default_rng([chosen.seed, 5]))
+    if chosen.orientation_deg is None:
+        return scene
+    if any(view.orientation_deg is not None for view in scene.views):
+        raise InputError(f"preset {preset!r}: its collector turns from photo to photo; leave the orientation out")
+    around = scene.world.surroundings.turned(chosen.orientation_deg)
+    return replace(scene, world=replace(scene.world, surroundings=around))
 
 
 def ls2_panelled() -> Collector:
@@ -329,7 +338,9 @@ def _sag(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 with a receiver that sags by 6 mm between its supports, 2 mm to the side and tilted."""
     mirror = random_mirror(ls2_panelled(), rng)
     scene = _scene("LS-2 with sagging absorber", mirror, _drone(choice, rng), choice, rng)
-    axis = TubeAxis.straight(2e-3, 1e-3, 4e-4, -3e-4).sagging(mirror.collector.support_y_m, 0.0, -6e-3)
+    turn = np.radians(choice.orientation_deg or 0.0)
+    axis = TubeAxis.straight(2e-3, 1e-3, 4e-4, -3e-4)
+    axis = axis.sagging(mirror.collector.support_y_m, 6e-3 * float(np.sin(turn)), -6e-3 * float(np.cos(turn)))
     return replace(scene, world=replace(scene.world, receiver=Receiver(mirror.collector, axis)))
 
 
@@ -346,8 +357,25 @@ def _ground(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 turned to the horizon: ground, shadows and things that lie about in the reflection."""
     scene = _ls2(choice, rng)
     ground = Ground(contrast=0.25)
-    around = Surroundings(Sky(sun_elevation_deg=35.0, sun_azimuth_deg=110.0), ground, 60.0, seed=choice.seed)
+    around = Surroundings(Sky(sun_elevation_deg=38.0, sun_azimuth_deg=160.0), ground, 60.0, seed=choice.seed)
     return replace(scene, name="LS-2 with ground in it", world=replace(scene.world, surroundings=around))
+
+
+def _mast(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 turned to the horizon, photographed from a mast that is raised 12 m before it."""
+    n = 100 if choice.n_photos is None else choice.n_photos
+    scene = _scene(
+        "LS-2 from a mast", random_mirror(ls2_panelled(), rng), mast_pass(VIDEO_CAMERA, rng, n_photos=n), choice, rng
+    )
+    around = Surroundings(Sky(sun_elevation_deg=50.0, sun_azimuth_deg=60.0), Ground(), 90.0, seed=choice.seed)
+    return replace(scene, world=replace(scene.world, surroundings=around))
+
+
+def _turning(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 turning before a fixed camera 20 m away on the ground (the geometry of TARMES)."""
+    n = 100 if choice.n_photos is None else choice.n_photos
+    views = turning_collector(VIDEO_CAMERA, np.array([20.0, 0.0, 0.3]), np.linspace(80.5, 99.5, n))
+    return _scene("LS-2 turning before a camera", random_mirror(ls2_panelled(), rng), views, choice, rng)
 
 
 def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
@@ -366,6 +394,8 @@ _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] 
     "sag": _sag,
     "clouds": _clouds,
     "ground": _ground,
+    "mast": _mast,
+    "turning": _turning,
     "absorber": _absorber,
 }
 

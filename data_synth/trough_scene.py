@@ -8,8 +8,9 @@ from data_synth.photo import View
 from data_synth.pinhole import PinholeCamera
 from data_synth.sensor import Sensor
 from data_synth.sheets import Sheet
+from data_synth.surface_errors import SurfaceErrors
 from data_synth.target_scene import sheet_points
-from data_synth.trough_mirror import TroughMirror
+from data_synth.trough_mirror import SlopeGrid, TroughMirror
 from data_synth.trough_receiver import Receiver
 from data_synth.trough_surroundings import Surroundings
 from data_synth.trough_trace import Finish, TroughWorld
@@ -276,6 +277,47 @@ class TroughScene:
         if blur_sigma_px is not None:
             optics = replace(optics, blur_sigma_px=blur_sigma_px)
         return replace(self, optics=optics)
+
+    def with_rolling_shutter(self, readout_s: float, speed_m_s: float = 2.0) -> "TroughScene":
+        """Return the scene taken with a rolling shutter while flying from each photo's place to the next one's.
+
+        Parameters
+        ----------
+        readout_s : float
+            From the first row to the last [s].
+        speed_m_s : float, optional
+            Speed of flight [m/s].
+
+        Returns
+        -------
+        TroughScene
+            The scene; the gimbal holds the camera's directions.
+        """
+        places = np.array([view.position_m for view in self.views])
+        step = np.gradient(places, axis=0) if len(places) > 1 else np.array([[1.0, 0.0, 0.0]])
+        velocities = speed_m_s * step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+        views = tuple(
+            replace(view, shutter=RollingShutter(readout_s, velocity))
+            for view, velocity in zip(self.views, velocities, strict=True)
+        )
+        return replace(self, views=views)
+
+    def with_slopes(self, slopes: SlopeGrid) -> "TroughScene":
+        """Return the scene with a mirror that has just these errors.
+
+        Parameters
+        ----------
+        slopes : SlopeGrid
+            Slope errors over the aperture.
+
+        Returns
+        -------
+        TroughScene
+            The scene.
+        """
+        return replace(
+            self, world=replace(self.world, mirror=TroughMirror(self.collector, errors=SurfaceErrors((slopes,))))
+        )
 
     def points_m(self) -> dict[str, FloatArray]:
         """Return the true places of all targets, by name, in the trough's frame [m]."""

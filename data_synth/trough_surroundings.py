@@ -1,5 +1,6 @@
 """What is around a trough: sky with clouds and sun, and ground with the collector's shadow."""
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -27,6 +28,8 @@ class Sky:
     ----------
     zenith, horizon : float, optional
         Brightness of a clear sky; paper has about 0.85.
+    aureole : float, optional
+        Brightness that the clear sky has more around the sun.
     clouds : float, optional
         Share of the cloud's contrast: 0 clear, 1 broken bright clouds.
     cloud_size_m : float, optional
@@ -37,6 +40,7 @@ class Sky:
 
     zenith: float = 0.60
     horizon: float = 0.88
+    aureole: float = 0.25
     clouds: float = 0.0
     cloud_size_m: float = 4000.0
     sun_elevation_deg: float = 48.0
@@ -138,13 +142,27 @@ class SurroundingsTable:
         self._dtype = dtype
         self._mirror = mirror
         self._sky, self._ground = surroundings.sky, surroundings.ground
-        self._up, self._across, self._sun = (
-            tuple(dtype(part) for part in vector)
-            for vector in (surroundings.up, surroundings.horizontal, surroundings.sun)
-        )
+        self._up, self._across, self._sun = _directions(surroundings, dtype)
         cloud_rng, ground_rng = np.random.default_rng([surroundings.seed, 11]).spawn(2)
         self._clouds = _fractal(cloud_rng, 1.7) if self._sky.clouds else None
         self._pattern = _ground_pattern(ground_rng, self._ground)
+
+    def turned(self, surroundings: Surroundings) -> "SurroundingsTable":
+        """Return the same sky and ground around a collector that is turned otherwise.
+
+        Parameters
+        ----------
+        surroundings : Surroundings
+            The same surroundings but for the orientation.
+
+        Returns
+        -------
+        SurroundingsTable
+            It shares the patterns.
+        """
+        table = copy(self)
+        table._up, table._across, table._sun = _directions(surroundings, self._dtype)
+        return table
 
     def light(self, rays: Rays) -> tuple[Float32Array, npt.NDArray[np.int32]]:
         """Return what rays that meet nothing see.
@@ -182,7 +200,7 @@ class SurroundingsTable:
         cosine = (rays.dx * self._sun[0] + rays.dy * self._sun[1] + rays.dz * self._sun[2]) / size
         square = np.maximum(2 - 2 * cosine, 0)
         # The aureole of a clear day, wide and faint.
-        light = light + self._dtype(0.25) / (1 + square * self._dtype(1 / 0.12**2))
+        light = light + self._dtype(sky.aureole) / (1 + square * self._dtype(1 / 0.12**2))
         light = light + self._dtype(_SUN_LIGHT) * (square < self._dtype(SUN_RADIUS_RAD**2))
         return light, np.where(square < self._dtype(_SUN_REACH_RAD**2), -1, 0)
 
@@ -214,6 +232,11 @@ class SurroundingsTable:
 
     def _leftwards(self, rays: Rays) -> RayArray:
         return np.asarray(rays.dx * self._across[0] + rays.dz * self._across[2])
+
+
+def _directions(surroundings: Surroundings, dtype: type[np.float32] | type[np.float64]) -> tuple[RayArray, ...]:
+    """Return the unit vectors upwards, across and to the sun."""
+    return tuple(vector.astype(dtype) for vector in (surroundings.up, surroundings.horizontal, surroundings.sun))
 
 
 def _look_at_tile(tile: Float32Array, x: RayArray, y: RayArray) -> Float32Array:

@@ -1,5 +1,6 @@
 """What rays from a camera at a trough see: directly, through the glass, in the mirror."""
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -94,6 +95,23 @@ class Tracer:
         self.mirror = MirrorTable(world.mirror, dtype)
         self.receiver = ReceiverTable(world.receiver, dtype)
         self.surroundings = SurroundingsTable(world.surroundings, self.mirror, dtype)
+
+    def turned(self, surroundings: Surroundings) -> "Tracer":
+        """Return the same trough, turned otherwise in the same surroundings.
+
+        Parameters
+        ----------
+        surroundings : Surroundings
+            The same surroundings but for the orientation.
+
+        Returns
+        -------
+        Tracer
+            It shares all tables.
+        """
+        tracer = copy(self)
+        tracer.surroundings = self.surroundings.turned(surroundings)
+        return tracer
 
     def look(self, rays: Rays) -> Seen:
         """Follow rays from the camera.
