@@ -252,7 +252,7 @@ def _assembled(problem: BundleProblem, found: Descent[BundleState, BundleRows], 
     rows = found.evaluation
     expected = normal_moments(options.loss, 2) if not rows.model.plain else None
     root = None if expected is None else np.full(rows.model.photo.size, np.sqrt(expected.slope))
-    system = rows.weighted(root)
+    system = rows.final_system(root)
     rank = system.rank
     redundancy = rows.n_residuals - rank
     known = rows.extra.all_residuals

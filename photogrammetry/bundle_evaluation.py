@@ -1,6 +1,6 @@
 """A bundle adjustment evaluated at one state: its cost, and its normal equations where the descent goes on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ class BundleRows:
     state: BundleState
     rows: tuple[CameraRows, ...]
     extra: ExtraRows
+    _linearised: list[SchurSystem] = field(default_factory=list, init=False, repr=False)
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -50,7 +51,18 @@ class BundleRows:
 
     def system(self, scale_floor: FloatArray | None) -> SchurSystem:
         """Linearise here."""
-        return self.weighted(self.root, scale_floor)
+        self._linearised[:] = [self.weighted(self.root, scale_floor)]
+        return self._linearised[0]
+
+    def final_system(self, root: FloatArray | None) -> SchurSystem:
+        """Linearise for the covariance, with the factors that the descent ended with where they serve.
+
+        With 1000 photos of 2000 targets each elimination takes ten seconds. Column scales never shrink during the
+        descent; larger ones than the own norms make directions look lost, so only those within a factor of two serve.
+        """
+        if root is None and self.root is None and self._linearised and self._linearised[0].largest_scale_ratio < 2:
+            return self._linearised[0]
+        return self.weighted(root)
 
     def weighted(self, root: FloatArray | None, scale_floor: FloatArray | None = None) -> SchurSystem:
         """Linearise here with other roots of weights, shape (m,)."""

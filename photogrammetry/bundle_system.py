@@ -266,6 +266,8 @@ class SchurSystem:
         norms = np.sqrt(np.concatenate(diagonals))
         scale = norms if scale_floor is None else np.maximum(norms, scale_floor)
         self.scale: FloatArray = np.where(scale > 0, scale, 1.0)
+        #: Largest scale over the column's own norm; above 1 where the norm was larger earlier in the descent.
+        self.largest_scale_ratio = float((scale[norms > 0] / norms[norms > 0]).max(initial=1.0))
         self.rounding: float = EPSILON * float(np.linalg.norm(self.scale * model.values(state)))
         known = list(zip(self.extra.jacobians, self.extra.targets, strict=True))
         fixed = model.problem.target_indices(model.problem.fixed)
