@@ -36,12 +36,13 @@ MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
     "calibrate": Mounted("calibration.cli", "Calibrate what measures: camera; response of camera and display."),
     "photogrammetry": Mounted("photogrammetry.cli", "Photos of coded targets -> coordinates (and sheets to print)."),
+    "observer": Mounted("observer.cli", "Photos of a trough's absorber reflection -> slope errors, absorber."),
     "deflectometry": Mounted(
         "deflectometry.cli", "Fringe images of a mirror -> slope map (and patterns, import-opencsp)."
     ),
 }
 
-ORDER = ("demo", "init", "synth", "calibrate", "photogrammetry", "deflectometry", "report")
+ORDER = ("demo", "init", "synth", "calibrate", "photogrammetry", "deflectometry", "observer", "report")
 
 
 class LazyGroup(TyperGroup):

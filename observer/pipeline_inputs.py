@@ -1,6 +1,7 @@
 """From what measurement.toml says to a collector, a list of targets and a start for the absorber."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube
 
-_AXES = ("x", "y", "z")
+_AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
 
 
 def build_collector(section: TroughSection) -> Collector:
@@ -103,7 +104,9 @@ def _number(path: Path, line: int, name: str, cell: str) -> float | None:
     try:
         value = float(cell)
     except ValueError:
-        raise InputError(f"{path}, line {line}: {name} = {cell!r} is not a number; is the decimal sign a point?") from None
+        raise InputError(
+            f"{path}, line {line}: {name} = {cell!r} is not a number; is the decimal sign a point?"
+        ) from None
     return value if np.isfinite(value) else None
 
 
@@ -187,4 +190,6 @@ def read_absorber(path: Path) -> AbsorberPath:
     if not rows:
         raise InputError(f"{path}: no row is complete; the columns {', '.join(names)} are needed")
     columns: FloatArray = np.array(rows).T
-    return AbsorberPath(columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]]))))
+    return AbsorberPath(
+        columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]])))
+    )

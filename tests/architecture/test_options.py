@@ -16,6 +16,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 PIPELINES = {
     "deflectometry.pipeline": ("deflectometry.cli", "run"),
     "photogrammetry.pipeline": ("photogrammetry.cli", "run"),
+    "observer.pipeline": ("observer.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),
     "calibration.camera.pipeline": ("calibration.cli", "camera"),
 }

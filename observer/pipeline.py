@@ -1,0 +1,251 @@
+"""Photos of a trough to slope errors, absorber position and what they cost: read, measure, solve, write."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.camera import Camera
+from heliogauge.flags import SampleFlag
+from heliogauge.measurement import ObserverMeasurement
+from heliogauge.progress import Progress, SilentProgress
+from heliogauge.rigid import RigidTransform
+from heliogauge.slope_map import SlopeMap
+from heliogauge.store import Summary, hash_files, write_points_csv, write_summary, write_table_csv
+from heliogauge.store_slope_map import write_slope_map
+from observer.absorber import AbsorberSolution, solve_absorber
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector
+from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
+from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, read_absorber
+from observer.pipeline_photos import SeenInPhotos, look_at_photos
+from observer.reflection import Expectation
+from observer.reflector import FATE_TEXTS, EdgeFate, Photos, Reflector, solve_reflector
+from observer.slope_field import Roughness
+from observer.slope_product import AngleMaps, angle_maps, slope_map_of
+from photogrammetry import pipeline as photogrammetry_pipeline
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of the evaluation.
+
+    Parameters
+    ----------
+    jobs : int or None
+        Photos that are measured side by side; None for all processors.
+    """
+
+    jobs: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Everything a measurement gave, ready to be written.
+
+    Parameters
+    ----------
+    name : str
+        Name of what was measured.
+    collector : Collector
+        The design.
+    network : photogrammetry.pipeline.Result
+        Cameras and targets.
+    seen : SeenInPhotos
+        Edges and bearings.
+    absorber : AbsorberPath
+        The tube's axis that the slopes were solved with.
+    absorber_solution : AbsorberSolution or None
+        Its measurement; None where it was given.
+    reflector : Reflector
+        The mirror's slope errors.
+    slope_map : SlopeMap
+        The same in the common form.
+    angles : AngleMaps
+        The same as angles, with the absorber's share.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    collector: Collector
+    network: photogrammetry_pipeline.Result
+    seen: SeenInPhotos
+    absorber: AbsorberPath
+    absorber_solution: AbsorberSolution | None
+    reflector: Reflector
+    slope_map: SlopeMap
+    angles: AngleMaps
+    warnings: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
+    """Evaluate a measurement.
+
+    Parameters
+    ----------
+    measurement : ObserverMeasurement
+        From `heliogauge.measurement.load_observer`.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Slope errors, absorber and cameras with their uncertainty, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        Photos, targets or camera that cannot be used.
+    EstimationError
+        The photos do not hang together, or too little of the reflection is seen.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    model = measurement.model
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    collector = build_collector(model.collector)
+    network = photogrammetry_pipeline.run(
+        as_photogrammetry(measurement), photogrammetry_pipeline.Options(jobs=options.jobs), progress
+    )
+    photos, views, files = _photos(measurement, network)
+    start = absorber_start(collector)
+    step = 1e-3 * model.evaluation.row_step_mm
+    rows = max(2, round(collector.length_m / step))
+    y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
+    expected = Expectation(collector, start, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
+    seen = look_at_photos(files, views, expected, jobs=options.jobs, progress=progress)
+    absorber, solution = start, None
+    with progress.stage("absorber"):
+        if model.absorber.file is not None:
+            absorber = read_absorber(measurement.folder / model.absorber.file)
+        elif model.absorber.source == "photos":
+            count = max(2, round(collector.length_m / model.absorber.station_step_m))
+            stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
+            solution = solve_absorber(seen.bearings, photos, start, stations)
+            absorber = solution.path
+    prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
+    with progress.stage("slopes"):
+        expected = Expectation(collector, absorber, y, expected.slope_error_rad)
+        reflector = solve_reflector(seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior)
+        slope_map = slope_map_of(reflector, collector, prior.along_rad)
+        angles = angle_maps(slope_map, absorber, collector)
+    return Result(
+        model.name, collector, network, seen, absorber, solution, reflector, slope_map, angles, network.warnings,
+        dict(progress.durations_s), hashes,
+    )  # fmt: skip
+
+
+def _photos(
+    measurement: ObserverMeasurement, network: photogrammetry_pipeline.Result
+) -> tuple[Photos, list[tuple[Camera, RigidTransform]], list[Path]]:
+    """Return the poses of the photos in the network with their joint covariance, their views and files."""
+    bundle = network.solved.bundle
+    table = bundle.problem.observations
+    files = {file.name: file for file in (*measurement.photo_files, *measurement.absorber_files)}
+    poses = tuple(bundle.cam_from_world)
+    covariance = bundle.covariance.joint((), np.arange(len(poses)))
+    views = [(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True)]
+    return Photos(poses, covariance), views, [files[name] for name in table.photos]
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the files of a result into an existing folder.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to; usually the folder that `heliogauge.store.ResultFolder` gives.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_slope_map(folder / "slope_map.nc", {"": result.slope_map}, {"input_sha256": result.input_sha256})
+    write_table_csv(folder / "absorber.csv", _absorber_columns(result))
+    write_points_csv(folder / "points.csv", result.network.points)
+    write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))
+    refused = result.network.refused
+    write_table_csv(
+        folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
+    )
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def _absorber_columns(result: Result) -> dict[str, Any]:
+    path, solution = result.absorber, result.absorber_solution
+    sigma_x, sigma_z = path.sigma_at(path.y_m)
+    photos = np.zeros(path.n, dtype=np.intp) if solution is None else solution.n_photos
+    unseen = (photos < 2) & (solution is not None)
+    return {
+        "y_m": path.y_m,
+        "x_a_m": np.where(unseen, np.nan, path.x_m),
+        "z_a_m": np.where(unseen, np.nan, path.z_m),
+        "sigma_x_a_m": np.where(unseen, np.nan, sigma_x),
+        "sigma_z_a_m": np.where(unseen, np.nan, sigma_z),
+        "n_photos": photos,
+        "flag": np.where(unseen, int(SampleFlag.NOT_SEEN), 0),
+    }
+
+
+def _edge_columns(result: Result) -> dict[str, Any]:
+    edges, reflector = result.seen.edges, result.reflector
+    names = np.array(result.network.solved.bundle.problem.observations.photos)
+    texts = np.array([FATE_TEXTS[fate] for fate in EdgeFate])
+    return {
+        "image": names[edges.photo],
+        "x_m": edges.points_m[:, 0],
+        "y_m": edges.points_m[:, 1],
+        "side": edges.side.astype(int),
+        "sigma_x_m": edges.sigma_x_m,
+        "residual_rad": reflector.residuals_rad,
+        "fate": texts[reflector.fate],
+    }
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+
+    Returns
+    -------
+    Summary
+        What ``summary.json`` holds.
+    """
+    bundle = result.network.solved.bundle
+    numbers = {
+        **slope_numbers(result.slope_map, result.angles),
+        **absorber_numbers(result.absorber, result.collector, result.absorber_solution),
+        **edge_numbers(result.reflector),
+        "photos_count": len(bundle.problem.observations.photos),
+        "image_residual_rms_px": float(np.sqrt((bundle.residuals_px**2).sum(axis=1).mean())),
+    }
+    texts = {
+        "design": result.slope_map.design,
+        "removed": result.slope_map.removed,
+        "frame": result.slope_map.frame,
+        "datum": bundle.datum,
+        "sign": "slope_x = dz/dx; theta_r = -(its angle error), positive where the normal is turned towards +x",
+        "rejected": f"{len(result.network.refused)} image points and photos, see rejected.csv",
+    }
+    return Summary(
+        kind="observer", name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
+        durations_s=result.durations_s, input_sha256=result.input_sha256,
+    )  # fmt: skip

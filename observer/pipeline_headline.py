@@ -1,0 +1,149 @@
+"""The numbers of a trough measurement: for summary.json and for the terminal."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from heliogauge.notation import number_text
+from heliogauge.slope_map import SlopeMap
+from heliogauge.slope_removal import Removal
+from heliogauge.slope_statistics import statistics
+from heliogauge.store import Summary
+from heliogauge.validate import FloatArray
+from observer.absorber import AbsorberSolution
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector
+from observer.reflector import EdgeFate, Reflector
+from observer.slope_product import AngleMaps
+
+Numbers = dict[str, float | int | None]
+
+
+def slope_numbers(slope_map: SlopeMap, angles: AngleMaps) -> Numbers:
+    """Return the numbers of the mirror.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    angles : AngleMaps
+        The same as angles.
+
+    Returns
+    -------
+    dict
+        Numbers with units in their names.
+    """
+    across = _across_only(slope_map)
+    whole = statistics(across)
+    untilted = statistics(across, removed=Removal.TILT)
+    sigma = slope_map.sigma_slope()[0][slope_map.valid]
+    theta_ra, theta_r = (part[slope_map.valid] for part in (angles.theta_ra_rad, angles.theta_r_rad))
+    return {
+        "sdx_rad": whole.sdx_rad,
+        "sigma_sdx_rad": whole.sigma_sdx_rad,
+        "sdx_tilt_removed_rad": untilted.sdx_rad,
+        "sigma_sdx_tilt_removed_rad": untilted.sigma_sdx_rad,
+        "mean_theta_r_rad": float(theta_r.mean()),
+        "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
+        "median_sigma_slope_x_rad": float(np.median(sigma)),
+        "measured_share": slope_map.measured_share,
+    }
+
+
+def _across_only(slope_map: SlopeMap) -> SlopeMap:
+    """Return the map with the design's slope along the trough, for statistics of the one across it."""
+    zero = np.zeros(slope_map.shape)
+    return replace(slope_map, slope_y=slope_map.design_slope_y, sigma_random_y=zero)
+
+
+def absorber_numbers(absorber: AbsorberPath, collector: Collector, solution: AbsorberSolution | None) -> Numbers:
+    """Return the numbers of the absorber.
+
+    Parameters
+    ----------
+    absorber : AbsorberPath
+        Its axis.
+    collector : Collector
+        The design.
+    solution : AbsorberSolution or None
+        Its measurement.
+
+    Returns
+    -------
+    dict
+        Numbers with units in their names.
+    """
+    seen = np.ones(absorber.n, dtype=bool) if solution is None else solution.n_photos >= 2
+    n = absorber.n
+    mean_x, sigma_x = _mean(absorber.x_m, absorber.covariance_m2[:n, :n], seen)
+    mean_z, sigma_z = _mean(absorber.z_m - collector.focal_length_m, absorber.covariance_m2[n:, n:], seen)
+    return {
+        "absorber_mean_x_m": mean_x,
+        "sigma_absorber_mean_x_m": sigma_x,
+        "absorber_mean_z_offset_m": mean_z,
+        "sigma_absorber_mean_z_offset_m": sigma_z,
+        "absorber_range_x_m": float(np.ptp(absorber.x_m[seen])),
+        "absorber_range_z_m": float(np.ptp(absorber.z_m[seen])),
+    }
+
+
+def _mean(values: FloatArray, covariance: FloatArray, seen: np.ndarray) -> tuple[float, float]:
+    weights = seen / seen.sum()
+    return float(weights @ values), float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+
+
+def edge_numbers(reflector: Reflector) -> Numbers:
+    """Return how many edges were used.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    dict
+        Counts.
+    """
+    used = reflector.fate == EdgeFate.USED
+    return {
+        "edges_used_count": int(used.sum()),
+        "edges_rejected_count": int((~used).sum()),
+        "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
+        "edge_noise_factor": reflector.noise_factor,
+    }
+
+
+def headline_text(summary: Summary) -> str:
+    """Say the most important numbers in a few lines for the terminal.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        Lines with values and what they refer to.
+    """
+    numbers = summary.numbers
+
+    def said(key: str) -> str:
+        value = numbers[key]
+        if value is None:
+            return summary.not_determined[key]
+        sigma = numbers.get(f"sigma_{key}")
+        unit = "rad" if key.endswith("_rad") else "m" if key.endswith("_m") else ""
+        return number_text(value, None if sigma is None else float(sigma), unit, key)
+
+    return "\n".join([
+        f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
+        f"  slope error SDx  {said('sdx_rad')}; without mean tilt {said('sdx_tilt_removed_rad')}",
+        f"  sigma of a point {said('median_sigma_slope_x_rad')} (median)",
+        f"  theta_ra         {said('rms_theta_ra_rad')} RMS",
+        f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
+        f"  measured         {said('measured_share')} of the mirror",
+        f"  design           {summary.texts['design']}",
+    ])  # fmt: skip
