@@ -18,16 +18,22 @@ class UncodedSection(Section):
 class TargetsSection(Section):
     """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``), square markers (``DICT_4X4_100``), dots.
 
+    A dictionary that ends in .csv or .toml is a file with ring codes of one's own. ``sense`` and the ring's radii, in
+    radii of the dot, say how the codes are printed where that is not as the dictionary has it.
+
     Dots without a code are matched through the poses that coded targets give; ``uncoded`` or ``uncoded_file`` names
     them. Without a dictionary they are told by that list alone, with a known camera, or followed from marks set by hand
     (``tracked_from``).
     """
 
     dictionary: Text | None = None
+    sense: Literal["clockwise", "counterclockwise"] | None = None
+    ring_inner_radius: Positive | None = None
+    ring_outer_radius: Positive | None = None
     diameter_mm: Positive | None = None
     polarity: Literal["black-on-white", "white-on-black", "both"] = "both"
     smallest_px: Annotated[float, Field(strict=True, ge=3)] = 6.0
-    largest_px: Positive = 100.0
+    largest_px: Positive = 300.0
     find_uncoded: bool | None = None
     uncoded: tuple[UncodedSection, ...] = ()
     uncoded_file: Text | None = None
@@ -57,6 +63,12 @@ class TargetsSection(Section):
         return self.dictionary is not None and self.dictionary.startswith("DICT_")
 
     @property
+    def dictionary_file(self) -> str | None:
+        """The file with a user's own ring codes, if the dictionary is one."""
+        is_file = self.dictionary is not None and self.dictionary.lower().endswith((".csv", ".toml"))
+        return self.dictionary if is_file else None
+
+    @property
     def is_listed(self) -> bool:
         """Whether targets without a code are listed with rough places."""
         return bool(self.uncoded or self.uncoded_file)
@@ -71,4 +83,4 @@ class TargetsSection(Section):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the files that are named."""
-        return tuple(name for name in (self.uncoded_file, self.tracked_from) if name is not None)
+        return tuple(name for name in (self.dictionary_file, self.uncoded_file, self.tracked_from) if name is not None)

@@ -111,7 +111,11 @@ def plan_command(
 def sheets(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
     dictionary: Annotated[
-        str, typer.Option(help="Ring codes aicon-N or metashape-N (N bits), or OpenCV's marker dictionary DICT_...")
+        str,
+        typer.Option(
+            help="Ring codes aicon-N or metashape-N (N bits), a file with your own (CSV, TOML), or OpenCV's marker "
+            "dictionary DICT_..."
+        ),
     ] = "aicon-12",
     first: Annotated[int, typer.Option(min=0, help="Number of the first target.")] = 1,
     last: Annotated[int | None, typer.Option(min=0, help="Number of the last one; default: 40 targets.")] = None,
@@ -130,8 +134,9 @@ def sheets(
     force: Force = False,
 ) -> None:
     """Write sheets of coded targets or a calibration board, in true scale with rulers to check the printer."""
-    from photogrammetry.coded_targets import Polarity, RingCode, ring_dictionary
+    from photogrammetry.coded_targets import Polarity, RingCode
     from photogrammetry.sheet_layout import Paper, board_page, marker_pages, ring_pages
+    from photogrammetry.store_ring_codes import load_dictionary
     from photogrammetry.target_sheets import write_sheets
 
     sheet = Paper(paper, landscape)
@@ -143,8 +148,10 @@ def sheets(
     elif dictionary.startswith("DICT_"):
         pages = marker_pages(dictionary, numbers, 5 * dot_mm, sheet)
     else:
-        known = ring_dictionary(dictionary)
-        codes = [known.code(number) for number in numbers]
+        known = load_dictionary(dictionary, Path())
+        # Codes of one's own have any names: they are counted in the file's order.
+        listed = known.codes[max(first - 1, 0) : last] if Path(dictionary).suffix else None
+        codes = [known.code(number) for number in numbers] if listed is None else list(listed)
         polarity = Polarity.WHITE_ON_BLACK if light_on_dark else Polarity.BLACK_ON_WHITE
         pages = ring_pages(codes, dot_mm, sheet, title=known.name, polarity=polarity)
     write_sheets(out, pages, codes, svg=not no_svg, force=force)

@@ -56,7 +56,8 @@ def measure_targets_of(
         No photo shows a target that can be told.
     """
     files = measurement.photo_files
-    found = measure_each(files, section, jobs=jobs, progress=progress)
+    search = build_search(section, measurement.folder)
+    found = measure_each(files, section, search, jobs=jobs, progress=progress)
     if section.tracked_from is not None:
         tracked = _tracked(files, section, measurement.folder / section.tracked_from, progress)
         found = [_joined(one, *own) for one, own in zip(found, tracked, strict=True)]
@@ -74,7 +75,8 @@ def _tracked(
 ) -> list[tuple[Detections, FloatArray, tuple[Refused, ...]]]:
     """Follow marks forwards from the first photo that has some, and backwards from there."""
     marks = _read_marks(path, [file.name for file in files])
-    search = replace(build_search(section), dictionary=None, with_uncoded=True)
+    no_codes = section.model_copy(update={"dictionary": None})
+    search = replace(build_search(no_codes, path.parent), with_uncoded=True)
     limits = TrackLimits(search_radius_px=section.search_radius_px)
     first = min(k for k, file in enumerate(files) if file.name in marks)
     seen: dict[int, TrackedPhoto] = {}

@@ -18,11 +18,12 @@ from heliogauge.measurement_targets import TargetsSection
 from heliogauge.store import read_cameras_json, read_table_csv
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle import Datum, DatumKind
-from photogrammetry.coded_targets import Polarity, ring_dictionary
+from photogrammetry.coded_targets import Polarity, Sense
 from photogrammetry.constraints import CommonPlane, Constraint, ControlPoint, Coordinate, Distance, KnownPlane
 from photogrammetry.detect import SearchLimits
 from photogrammetry.network import StartValues
 from photogrammetry.photo_targets import TargetSearch
+from photogrammetry.store_ring_codes import CodePrint, load_dictionary
 
 _DATUMS = {
     "inner": DatumKind.INNER,
@@ -32,13 +33,15 @@ _DATUMS = {
 }
 
 
-def build_search(section: TargetsSection) -> TargetSearch:
+def build_search(section: TargetsSection, folder: Path) -> TargetSearch:
     """Say what circular targets are searched for.
 
     Parameters
     ----------
     section : TargetsSection
         What measurement.toml says.
+    folder : Path
+        Where a file with ring codes of one's own is.
 
     Returns
     -------
@@ -48,12 +51,16 @@ def build_search(section: TargetsSection) -> TargetSearch:
     Raises
     ------
     InputError
-        No such dictionary, or impossible sizes.
+        No such dictionary, a file of ring codes with faults, or impossible sizes.
     """
     polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
     limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
     # Square markers are read by others; only dots are searched for beside them.
-    dictionary = None if section.dictionary is None or section.has_markers else ring_dictionary(section.dictionary)
+    dictionary = None
+    if section.dictionary is not None and not section.has_markers:
+        sense = None if section.sense is None else Sense(section.sense)
+        printed = CodePrint(sense, section.ring_inner_radius, section.ring_outer_radius)
+        dictionary = load_dictionary(section.dictionary, folder, printed)
     return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots)
 
 

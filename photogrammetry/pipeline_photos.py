@@ -13,11 +13,11 @@ from heliogauge.images import Image, read_image
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import Progress
 from heliogauge.validate import FloatArray
+from photogrammetry.coded_targets import Sense
 from photogrammetry.detections import Detections
 from photogrammetry.markers import find_markers
 from photogrammetry.observations import ImagePoints, image_points
-from photogrammetry.photo_targets import measure_targets
-from photogrammetry.pipeline_inputs import build_search
+from photogrammetry.photo_targets import TargetSearch, measure_targets
 from photogrammetry.solve_uncoded import LooseDots
 from photogrammetry.uncertain_rays import Dots
 
@@ -95,10 +95,30 @@ class OnePhoto:
     refused: tuple[Refused, ...]
     dots: Detections
     dot_ellipses_px2: FloatArray
+    unread: "UnreadRings | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadRings:
+    """Code rings of a photo that are not in the dictionary as they are seen.
+
+    Parameters
+    ----------
+    mirrored : int
+        Rings whose mirror image is in it.
+    unknown : tuple of str
+        Bits of the others, clockwise.
+    other_sense : str
+        Sense in which the dictionary does not count.
+    """
+
+    mirrored: int
+    unknown: tuple[str, ...]
+    other_sense: str
 
 
 def measure_each(
-    files: Sequence[Path], section: TargetsSection, *, jobs: int | None, progress: Progress
+    files: Sequence[Path], section: TargetsSection, search: TargetSearch, *, jobs: int | None, progress: Progress
 ) -> list[OnePhoto]:
     """Find and measure the targets of all photos.
 
@@ -108,6 +128,8 @@ def measure_each(
         The photos.
     section : TargetsSection
         What targets they show.
+    search : TargetSearch
+        How circular ones are searched for.
     jobs : int or None
         Photos measured side by side.
     progress : Progress
@@ -121,14 +143,13 @@ def measure_each(
     Raises
     ------
     InputError
-        A photo cannot be read, two have the same name, or the dictionary is unknown.
+        A photo cannot be read, or two have the same name.
     """
     twice = [name for name, count in Counter(file.name for file in files).items() if count > 1]
     if twice:
         raise InputError(
             f"images.photos: {len(twice)} names occur in two folders ({twice[0]}); give photos other names"
         )
-    search = build_search(section)
 
     def one(file: Path) -> OnePhoto:
         image = read_image(file)
@@ -142,12 +163,15 @@ def measure_each(
         if found is not None:
             return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
         mirrored = [
-            Refused(f"target {name} in {file.name}", "is a mirror image: print or photo is the wrong way round")
+            Refused(f"target {name} in {file.name}", "is in the dictionary only as a mirror image")
             for name in rings.mirrored
         ]
         coded = rings.detections.chosen(np.arange(count))
         size = (int(image.shape[1]), int(image.shape[0]))
-        return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:])
+        counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
+        other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
+        unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
+        return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
 
     found: list[OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -222,12 +246,13 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
         names += [one.detections.names[k] for k in keep]
         parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))
         shapes.append(one.ellipses_px2[keep])
+    said = _unread_texts(found, len(names))
     if not names:
         raise EstimationError(
-            f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; is it the "
-            "right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
-        )
-    said = []
+            f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; "
+            + (said[0] if said else "is it the right one, and are the targets large enough ([targets] smallest_px, "
+               "largest_px)?")
+        )  # fmt: skip
     if doubled:
         listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
         said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")
@@ -237,3 +262,22 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     sizes = {one.detections.photo: one.size_px for one in found}
     points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
     return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True, _loose(found))
+
+
+def _unread_texts(found: Sequence[OnePhoto], read: int) -> list[str]:
+    """Say what many rings that are not in the dictionary tell of it, most telling first."""
+    rings = [one.unread for one in found if one.unread is not None]
+    mirrored, unknown = sum(one.mirrored for one in rings), [word for one in rings for word in one.unknown]
+    texts = []
+    if mirrored > read:
+        texts.append(
+            f"{mirrored} of {mirrored + read + len(unknown)} code rings are in the dictionary only as mirror images. "
+            "If the prints are the right way round, the dictionary counts the bits in the other sense: set "
+            f'sense = "{rings[0].other_sense}" in [targets]; else prints or photos are mirrored'
+        )
+    if len(unknown) > max(read, 3):
+        texts.append(
+            f"{len(unknown)} code rings are not in the dictionary, bits clockwise {', '.join(unknown[:3])}...: is it "
+            "another one, or one of your own ([targets] dictionary = a file)?"
+        )
+    return texts
