@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -67,18 +68,17 @@ def import_colmap(model_folder: Path, folder: Path) -> tuple[str, ...]:
     start at the model's values, and those are free that its camera model has; poses and points are start values.
     """
     model = read_colmap(model_folder)
-    if len(model.cameras) > 1:
-        model = _without_unused_cameras(model)
     names_of_points = _point_names(model_folder, model)
     columns, doubled = _image_points(model, names_of_points)
     if not columns["image"]:
         raise InputError(f"{model_folder}: no keypoint shows a point; nothing ties the images together")
     names = {number: f"camera {number}" for number in model.cameras}
     poses = {image.name: PhotoPose(names[image.camera], image.cam_from_world) for image in model.images}
+    sections = _camera_sections(model)
     content: dict[str, Any] = {
         "kind": "photogrammetry",
         "name": model_folder.resolve().name,
-        "camera": _camera_section(model),
+        "camera": sections if len(sections) > 1 else sections[0],
         "image_points": {"file": "image_points.csv", "pixel_origin": "corner"},
         "start": {"cameras": "cameras.json", "points": "points.csv"},
     }
@@ -88,23 +88,32 @@ def import_colmap(model_folder: Path, folder: Path) -> tuple[str, ...]:
         write_points_csv(working / "points.csv", _point_table(model, names_of_points, columns["target"]))
         write_measurement(working, content, comment=_COMMENT)
     said = [f"{len(model.images)} images, {len(model.points_m)} points, {len(columns['image'])} image points"]
+    lonely = [one["name"] for one in sections if len(one.get("photos", "many")) == 1]
+    if lonely:
+        said.append(
+            f"{len(lonely)} cameras took one photo each ({lonely[0]}): where they are one camera, match again with "
+            "--ImageReader.single_camera 1, or give them one [[camera]] section: one photo hardly determines a camera"
+        )
     if doubled:
         said.append(f"{doubled} image points left out: their image shows the same point more than once")
     return (*said, "not taken over: covariances of COLMAP, which are conditional; the adjustment gives joint ones")
 
 
-def _without_unused_cameras(model: ColmapModel) -> ColmapModel:
-    used = {image.camera for image in model.images}
-    if len(used) > 1:
-        raise InputError(
-            f"the COLMAP model has {len(used)} cameras; a measurement has one: split the model by camera, or match "
-            "again with one camera for all images (--ImageReader.single_camera 1)"
-        )
-    return ColmapModel({number: model.cameras[number] for number in used}, model.images, model.points_m)
+def _camera_sections(model: ColmapModel) -> list[dict[str, Any]]:
+    """Return a section for each camera that took an image; with several, each names its photos."""
+    photos: dict[int, list[str]] = {number: [] for number in model.cameras}
+    for image in model.images:
+        photos[image.camera].append(image.name)
+    used = {number: names for number, names in photos.items() if names}
+    return [
+        {"name": f"camera {number}"}
+        | ({"photos": [escape(name) for name in names]} if len(used) > 1 else {})
+        | _intrinsics(model.cameras[number])
+        for number, names in used.items()
+    ]
 
 
-def _camera_section(model: ColmapModel) -> dict[str, Any]:
-    camera = next(iter(model.cameras.values()))
+def _intrinsics(camera: Camera) -> dict[str, Any]:
     parameters = COLMAP_MODELS[to_colmap(camera)[0]]
     free = {_INTRINSIC.get(name, name) for name in parameters} & set(INTRINSIC_NAMES)
     values = dict(zip(INTRINSIC_NAMES, intrinsics_of(camera).tolist(), strict=True))

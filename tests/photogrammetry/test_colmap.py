@@ -222,10 +222,31 @@ def test_start_values_are_files_of_the_measurement(result: Path, tmp_path: Path)
         load_photogrammetry(tmp_path / "m")
 
 
-def test_cameras_that_need_more_than_one(tmp_path: Path) -> None:
-    write_colmap(tmp_path, model_of({number: camera for number, camera in all_models().items() if number < 3}))
-    with pytest.raises(InputError, match="2 cameras; a measurement has one"):
-        import_colmap(tmp_path, tmp_path / "m")
+def test_several_cameras(tmp_path: Path) -> None:
+    """Two cameras, three images each; a third took none."""
+    model = model_of({number: camera for number, camera in all_models().items() if number in (2, 3)}, 40)
+    unused = ColmapModel(model.cameras | {9: all_models()[5]}, model.images, model.points_m)
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", unused)
+    said = import_colmap(tmp_path / "model", tmp_path / "m")
+    assert not any("one photo each" in line for line in said)
+    content = tomllib.loads((tmp_path / "m" / "measurement.toml").read_text())
+    assert [one["name"] for one in content["camera"]] == ["camera 2", "camera 3"]
+    assert content["camera"][0]["photos"] == ["img0.jpg", "img2.jpg", "img4.jpg"]
+    assert content["camera"][1]["free"] == ["focal_px", "center_x_px", "center_y_px", "k1"]
+    # Image points without any error: everything comes back.
+    result = run(load_photogrammetry(tmp_path / "m"))
+    for number, own in zip((2, 3), result.solved.bundle.cameras, strict=True):
+        np.testing.assert_allclose(own.parameters, model.cameras[number].parameters, rtol=1e-6, atol=1e-7)
+
+
+def test_a_camera_for_each_photo_is_said(tmp_path: Path) -> None:
+    model = model_of({number: camera for number, camera in all_models().items() if number in (2, 3)}, 40)
+    alone = ColmapModel(model.cameras, model.images[:2], model.points_m)
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", alone)
+    said = import_colmap(tmp_path / "model", tmp_path / "m")
+    assert any(line.startswith("2 cameras took one photo each (camera 2)") for line in said)
 
 
 def test_lens_of_the_other_direction_is_refitted_and_said(result: Path, tmp_path: Path) -> None:
