@@ -10,6 +10,8 @@ from photogrammetry.observations import ImagePoints
 
 # Three photos give nine equations for the six numbers of a disc.
 _LEAST_PHOTOS = 3
+# Radii follow from ellipses to a few percent.
+_OTHER_SIZE = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,9 +29,20 @@ class Discs:
     shapes_m2: FloatArray
     known: BoolArray
 
+    @property
+    def radius_m(self) -> FloatArray:
+        """Radius of each target, shape (n,) [m]; NaN where no disc fits."""
+        squares = 0.5 * np.einsum("nii->n", self.shapes_m2)
+        return np.asarray(np.sqrt(np.where(self.known, squares, np.nan)))
+
 
 def estimate_discs(
-    observations: ImagePoints, ellipses_px2: FloatArray, state: BundleState, camera_of_photo: np.ndarray
+    observations: ImagePoints,
+    ellipses_px2: FloatArray,
+    state: BundleState,
+    camera_of_photo: np.ndarray,
+    *,
+    one_size: bool = False,
 ) -> Discs:
     """Find size and attitude of each target from its ellipses in all photos.
 
@@ -43,6 +56,9 @@ def estimate_discs(
         The adjusted network.
     camera_of_photo : ndarray of int
         Camera of each photo.
+    one_size : bool, optional
+        Whether all targets are equally large: then the size is the median of those seen in three photos and more, and
+        two photos are enough for the attitude of the others; what shows a size 15 % off keeps its own.
 
     Returns
     -------
@@ -72,7 +88,26 @@ def estimate_discs(
         np.add.at(normal, targets, np.einsum("mra,mrb->mab", design, design))
         np.add.at(right, targets, np.einsum("mra,mr->ma", design, seen))
         np.add.at(rays, targets, 1)
-    return _discs(normal, right, rays)
+    free = _discs(normal, right, rays)
+    if not one_size or not free.known.any():
+        return free
+    # The same three equations for each photo, and trace M = 2 r^2 with ten times the weight of all of them.
+    square = float(np.median(0.5 * np.einsum("nii->n", free.shapes_m2[free.known])))
+    weight = 10 * np.einsum("nii->n", normal)[:, None]
+    trace = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    sized = _discs(
+        normal + weight[:, :, None] * np.outer(trace, trace), right + weight * 2 * square * trace, rays, least_photos=2
+    )
+    shapes = sized.shapes_m2 * _to_size(sized, square)[:, None, None]
+    # What shows another size by itself is no target of that size, whatever was said.
+    own = free.known & (np.abs(free.radius_m / np.sqrt(square) - 1) > _OTHER_SIZE)
+    return Discs(np.where(own[:, None, None], free.shapes_m2, shapes), sized.known | own)
+
+
+def _to_size(discs: Discs, square: float) -> FloatArray:
+    """Return the factors that make all discs equally large, (n,)."""
+    own = 0.5 * np.einsum("nii->n", discs.shapes_m2)
+    return np.asarray(np.where(discs.known, square / np.where(discs.known, own, 1.0), 1.0))
 
 
 def _row(jacobian: FloatArray, i: int, j: int) -> FloatArray:
@@ -82,10 +117,10 @@ def _row(jacobian: FloatArray, i: int, j: int) -> FloatArray:
     return np.column_stack([a * b, *mixed])
 
 
-def _discs(normal: FloatArray, right: FloatArray, rays: np.ndarray) -> Discs:
+def _discs(normal: FloatArray, right: FloatArray, rays: np.ndarray, *, least_photos: int = _LEAST_PHOTOS) -> Discs:
     n = len(rays)
     shapes, known = np.zeros((n, 3, 3)), np.zeros(n, dtype=np.bool_)
-    for target in np.nonzero(rays >= _LEAST_PHOTOS)[0].tolist():
+    for target in np.nonzero(rays >= least_photos)[0].tolist():
         values = np.linalg.lstsq(normal[target], right[target], rcond=1e-10)[0]
         xx, yy, zz, xy, xz, yz = values
         eigenvalues, vectors = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))

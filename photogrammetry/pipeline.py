@@ -29,14 +29,16 @@ from photogrammetry.length_error import LengthStatement, PermissibleError, state
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
 from photogrammetry.observations import IntArray
 from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
+from photogrammetry.pipeline_dots import measure_targets_of
 from photogrammetry.pipeline_inputs import build_constraints, build_datum, build_start
 from photogrammetry.pipeline_natural import add_features
-from photogrammetry.pipeline_photos import MeasuredPhotos, Refused, measure_photos
+from photogrammetry.pipeline_photos import MeasuredPhotos, Refused
 from photogrammetry.pipeline_surface import SurfaceResult, measure_surface
 from photogrammetry.pipeline_surface_files import surface_numbers, write_surface
-from photogrammetry.pipeline_uncoded import listed_targets, with_uncoded
+from photogrammetry.pipeline_uncoded import listed_targets, start_with_list, with_uncoded
 from photogrammetry.solve_network import Knowledge, Solved, SolveOptions
 from photogrammetry.store_image_points import PixelOrigin, read_image_points_csv
+from photogrammetry.target_size import size_doubts
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,10 @@ def run(
     measured, kinds = _read_kinds(measurement, options, progress)
     cameras = build_cameras(measurement, measured.points.photos, measured.sizes_px)
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
-    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), build_start(measurement))
+    listed = listed_targets(model.targets, measurement.folder)
+    start = start_with_list(build_start(measurement), model.targets, listed)
+    diameter_mm = None if model.targets is None else model.targets.diameter_mm
+    knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), start, diameter_mm is not None)
     sigmas = model.adjustment.sigmas
     rescale = measured.sigma_assumed if sigmas is None else sigmas == "from residuals"
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
@@ -170,7 +175,6 @@ def run(
         weighed = solve_weighed(measured.points, measured.ellipses_px2, kinds, cameras, knowledge, how)
         measured, solved = replace(measured, points=weighed.points), weighed.solved
     with progress.stage("match targets without a code"):
-        listed = listed_targets(model.targets, measurement.folder)
         measured, solved = with_uncoded(measured, solved, listed, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
                    if bar.check_only)  # fmt: skip
@@ -180,6 +184,7 @@ def run(
         permissible = None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
         lengths = state_length_errors(solved.bundle, checks, permissible)
         said = (*measured.warnings, *doubts(solved), *length_doubts(lengths))
+        said += size_doubts(solved, (measured.points, measured.ellipses_px2), diameter_mm)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):
@@ -227,7 +232,7 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
     """
     model = measurement.model
     if model.targets is not None and measurement.photo_files:
-        return measure_photos(measurement.photo_files, model.targets, jobs=options.jobs, progress=progress)
+        return measure_targets_of(measurement, model.targets, jobs=options.jobs, progress=progress)
     section = model.image_points or ImagePointsSection()
     with progress.stage("read image points"):
         found = read_image_points_csv(

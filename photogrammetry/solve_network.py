@@ -47,12 +47,15 @@ class Knowledge:
         The datum.
     start : StartValues, optional
         Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
+    one_target_size : bool, optional
+        Whether all targets are equally large, whatever their size: helps the correction of eccentricity.
     """
 
     constraints: tuple[Constraint, ...]
     fixed_m: dict[str, FloatArray]
     datum: Datum
     start: StartValues = field(default_factory=StartValues)
+    one_target_size: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +235,9 @@ def solve_from(
     if np.isfinite(ellipses_px2[rows]).any():
         clean = adjust(cameras.problem(table.subset(~suspects)), state, options=chosen)
         state = clean.state
-        shift = _shifts_of_centres(table, ellipses_px2[rows], state, cameras.index(table.photos))
+        place = cameras.index(table.photos)
+        discs = estimate_discs(table, ellipses_px2[rows], state, place, one_size=knowledge.one_target_size)
+        shift = eccentricities_px(table, discs, state, place)
         table = replace(table, pixels_px=table.pixels_px - shift)
     rejected: tuple[Rejected, ...] = ()
     network = replace(network, suspicious=network.suspicious if options.reject else ())
@@ -321,14 +326,6 @@ def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, know
         # The world is the first photo's camera.
         return transformed(placed, placed.cam_from_world(table.photos.index(problem.datum.photos[0])))
     return placed
-
-
-def _shifts_of_centres(
-    table: ImagePoints, ellipses_px2: FloatArray, state: BundleState, camera_of_photo: IntArray
-) -> FloatArray:
-    """Find by how much ellipse centres are beside the images of the targets' centres."""
-    discs = estimate_discs(table, ellipses_px2, state, camera_of_photo)
-    return eccentricities_px(table, discs, state, camera_of_photo)
 
 
 def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:
