@@ -249,6 +249,13 @@ dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20
 #: polarity = "both"            # black-on-white | white-on-black | both
 #: smallest_px = 6.0            # diameter of the dots in the photos
 #: largest_px = 100.0
+#: diameter_mm = 14.0           # of all dots: helps targets seen twice only, and is checked
+#: find_uncoded = true          # dots without a code, through the poses of the coded targets; the default for ring codes
+#: uncoded_file = "rim.csv"     # their names and rough places: id, x_m, y_m, z_m, sigma_mm; without dictionary these tell
+#: up = [0.0, 1.0, 0.0]         # all dots, with a known camera; up and front settle symmetric layouts
+#: front = [0.0, 0.0, 1.0]
+#: tracked_from = "marks.csv"   # or follow marks set by hand in one photo: image, target, x_px, y_px
+#: search_radius_px = 100.0
 
 # Features of the surface itself, beside targets or instead of them; needs pip install heliogauge[natural].
 #: [natural]
