@@ -13,6 +13,13 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal
 
+# What open3d needs of the system: installed where apt and rights allow, otherwise named, and its tests skip.
+LIBRARIES := libusb-1.0-0 libgl1 libgomp1
+OPEN3D_LOADS = $(BIN)/python -c 'import open3d' >/dev/null 2>&1
+AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo "sudo -n")
+INSTALL_LIBRARIES = { command -v apt-get && $(AS_ROOT) apt-get -qq update && \
+	$(AS_ROOT) apt-get -qq install -y --no-install-recommends $(LIBRARIES); } >/dev/null 2>&1
+
 .PHONY: help demo test lint quick slow docs bench clean
 help:
 	@echo "make demo    install the core into $(VENV), measure embedded synthetic data, write demo-result/report.html"
@@ -66,6 +73,8 @@ clean:
 
 .make/dev: .make/venv pyproject.toml
 	$(PIP_INSTALL) -e '.[all,dev]'
+	@$(OPEN3D_LOADS) || $(INSTALL_LIBRARIES) || true
+	@$(OPEN3D_LOADS) || echo "open3d cannot be imported, so the tests of CAD meshes and PLY files skip; as root: apt-get install $(LIBRARIES)" >&2
 	@touch $@ .make/core
 
 .make/docs: .make/venv pyproject.toml

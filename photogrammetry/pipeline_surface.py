@@ -131,7 +131,7 @@ def _against_surface(
         slopes=slopes,
         cantings=tuple(facet_canting(fit, one) for one in facets) if section.facet else (),
         mesh=mesh,
-        warnings=(*open_words, *missing_words, *_fit_doubts(fit)),
+        warnings=(*open_words, *missing_words, *_fit_doubts(fit, placed=bool(section.reference))),
     )
 
 
@@ -364,20 +364,18 @@ def _slopes(
         return None, [f"there is no slope map: {error}"]
 
 
-def _fit_doubts(fit: SurfaceFit) -> list[str]:
+def _fit_doubts(fit: SurfaceFit, *, placed: bool) -> list[str]:
     said = []
     if fit.outliers.any():
         names = [name for name, one in zip(fit.points.ids, fit.outliers, strict=True) if one]
         listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         said.append(f"{len(names)} points are far from the surface and were not used for it: {listed}")
-    if len(fit.held) > 1 or (fit.held and fit.reference.symmetries().shape[1] < len(fit.held)):
-        own = fit.reference.symmetries().shape[1]
-        weak = fit.held[own:]
-        if weak:
-            said.append(
-                f"the surface is so shallow that the points do not place it along itself ({'; '.join(weak)}): it stays "
-                "where the start put it; name three or more [[surface.reference]] targets to place it"
-            )
+    weak = fit.held[fit.reference.symmetries().shape[1] :]
+    if weak and not placed:
+        said.append(
+            f"the surface is so shallow that the points do not place it along itself ({'; '.join(weak)}): it stays "
+            "where the start put it; name three or more [[surface.reference]] targets to place it"
+        )
     return said
 
 
