@@ -22,7 +22,7 @@ from photogrammetry.pipeline_photos import MeasuredPhotos, Refused
 _SIZE_CLASSES = 4
 _DOUBT = (
     "natural features are no independent measurements: neighbouring photos see the same texture alike. On rendered "
-    "scenes true errors were 1.2 to 1.5 times the sigmas; control them by scale bars kept apart (check_only = true)"
+    "scenes true errors were 1.2 to 1.3 times the sigmas; control them by scale bars kept apart (check_only = true)"
 )
 
 
