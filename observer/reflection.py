@@ -19,6 +19,8 @@ AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 
 #: Samples across the trough for each pixel of the photo.
 _SAMPLES_PER_PIXEL = 1.0
+#: Near the end of the tube or a support the slope along the trough, unknown to some mrad, decides what is seen [m].
+_END_MARGIN_M = 0.04
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -196,7 +198,7 @@ def _plausible(found: Edges, photo: int, eye_m: FloatArray, expected: Expectatio
     keep = np.abs(angle) < 2 * expected.slope_error_rad
     keep &= is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
     keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
-    keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m)
+    keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m + _END_MARGIN_M)
     edges = ReflectionEdges(
         np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast
     )
