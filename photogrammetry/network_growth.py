@@ -130,6 +130,11 @@ def grow(grown: Growth) -> None:
         if not add_photos(grown, most=most):
             break
     adjust_growth(grown)
+    # Poses are good now: targets whose rays meet at a small angle are no danger to them, only uncertain themselves.
+    before = np.count_nonzero(grown.known)
+    intersect_new(grown, least_rad=LEAST_ANGLE_RAD)
+    if np.count_nonzero(grown.known) > before:
+        adjust_growth(grown)
 
 
 def add_photos(grown: Growth, *, most: int) -> int:
@@ -221,8 +226,8 @@ def _looseness(grown: Growth, photo: int, one: Resection) -> float:
     return float(np.sqrt(np.trace(one.covariance[3:, 3:]))) / distance
 
 
-def intersect_new(grown: Growth) -> None:
-    """Intersect all targets that are not known yet."""
+def intersect_new(grown: Growth, *, least_rad: float = 2 * LEAST_ANGLE_RAD) -> None:
+    """Intersect all targets that are not known yet, where the angle of their rays is large enough [rad]."""
     oriented = np.zeros(len(grown.table.photos), dtype=np.bool_)
     oriented[list(grown.poses)] = True
     rows = np.nonzero(oriented[grown.table.photo_index] & ~grown.known[grown.table.target_index])[0]
@@ -239,7 +244,7 @@ def intersect_new(grown: Growth) -> None:
     places = grown.table.target_index[rows[usable]]
     found = intersect_lines(origins[usable], directions[usable], sigma[usable], places, len(grown.points))
     agreeing = np.bincount(places[found.misses < 3 * TOLERANCE], minlength=len(grown.points))
-    new = found.found & (agreeing >= 2) & (found.angle_rad > 2 * LEAST_ANGLE_RAD)
+    new = found.found & (agreeing >= 2) & (found.angle_rad > least_rad)
     grown.points[new] = found.points_m[new]
 
 

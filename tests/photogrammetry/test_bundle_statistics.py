@@ -49,6 +49,20 @@ def test_redundancy_adds_up_and_false_image_points_are_rejected(scale):
     assert all(one.label == points.label(one.row) for one in rejected)
 
 
+def test_suspects_that_agree_come_in_and_others_stay_out():
+    rng, truth, points = small()
+    bad = rng.choice(points.n, 3, replace=False)
+    good = np.setdiff1d(rng.choice(points.n, 8, replace=False), bad)
+    suspects = np.zeros(points.n, dtype=np.bool_)
+    suspects[bad], suspects[good] = True, True
+    problem = BundleProblem(moved(points, bad, 8.0), (CameraModel("c", ("focal_px",)),))
+    result, rejected = adjust_and_reject(problem, truth, suspects=suspects)
+    used = {result.problem.observations.label(row) for row in range(result.problem.observations.n)}
+    assert {points.label(row) for row in good} <= used
+    assert not {points.label(row) for row in bad} & used
+    assert rejected == ()
+
+
 def test_good_image_points_stay_and_baarda_is_normal():
     _, truth, points = small(photos=12, points=60)
     result, rejected = adjust_and_reject(BundleProblem(points, (CameraModel("c"),)), truth)
