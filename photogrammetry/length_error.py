@@ -182,16 +182,18 @@ class LengthStatement:
         if not counts:
             return "no length to check with; keep a scale bar apart (check_only = true) or give at least two"
         full = sum(count >= LENGTHS_PER_LINE_NEEDED for count in counts)
+        apart = self.best[0].role is LengthRole.KEPT_APART
+        role = "kept apart" if apart else "that were used, each left out once,"
         said = (
-            f"{sum(counts)} lengths on {len(counts)} measuring lines, {full} of them with at least "
-            f"{LENGTHS_PER_LINE_NEEDED}; VDI/VDE 2634 part 1 asks for {LINES_NEEDED} lines with "
-            f"{LENGTHS_PER_LINE_NEEDED} lengths each"
+            f"{_counted(sum(counts), 'length')} {role} on {_counted(len(counts), 'measuring line')}, {full} of them "
+            f"with {LENGTHS_PER_LINE_NEEDED} or more; VDI/VDE 2634 part 1 asks for {LINES_NEEDED} lines with "
+            f"{LENGTHS_PER_LINE_NEEDED} each: "
         )
-        done = full >= LINES_NEEDED and self.best[0].role is LengthRole.KEPT_APART
-        if done:
-            return said + ": fulfilled"
-        role = "" if self.best[0].role is LengthRole.KEPT_APART else ", of lengths that were not used"
-        return said + f"{role}: not fulfilled, so this is a check and no acceptance test"
+        return said + ("fulfilled" if apart and full >= LINES_NEEDED else "a check, no acceptance test")
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def state_length_errors(

@@ -22,6 +22,8 @@ def headline_text(summary: Summary) -> str:
         value = numbers[key]
         return summary.not_determined[key] if value is None else format(factor * float(value), form) + unit
 
+    ratio = numbers["length_error_sigma_ratio"]
+    times = "" if ratio is None else f", {ratio:.1f} times their sigma"
     lines = [
         f"{summary.name}: {numbers['points_count']} points from {numbers['photos_count']} photos",
         f"  residuals        {said('image_residual_rms_px', 1, '.3f')} px RMS "
@@ -31,7 +33,7 @@ def headline_text(summary: Summary) -> str:
         f"  largest extent   {said('extent_m', 1, '.3f')} m; relative precision 1:"
         f"{said('relative_precision_ratio', 1, '.0f')}",
         f"  scale bars       used: {said('scale_bar_residual_rms_m', 1e3, '.3f', ' mm RMS')}; "
-        f"kept apart: {said('length_error_rms_m', 1e3, '.3f', ' mm RMS')}",
+        f"kept apart: {said('length_error_rms_m', 1e3, '.3f', ' mm RMS')}{times}",
         f"  length errors    {summary.texts['length_check']}",
         f"  datum            {summary.texts['datum']}",
         f"  left out         {summary.texts['rejected']}",

@@ -1,5 +1,7 @@
 """Known lengths against networks that did not use them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,8 +93,23 @@ def test_measuring_lines_are_counted() -> None:
     network = adjust(BundleProblem(points, (CameraModel("c"),), None, bars), flat)
     statement = state_length_errors(network, apart)
     assert statement.lengths_of_line == (10, 1, 1)
-    assert "12 lengths on 3 measuring lines, 1 of them with at least 5" in statement.coverage_text
-    assert "not fulfilled" in statement.coverage_text
+    assert "12 lengths kept apart on 3 measuring lines, 1 of them with 5 or more" in statement.coverage_text
+    assert "a check, no acceptance test" in statement.coverage_text
+
+
+def test_seven_lines_of_five_lengths_are_an_acceptance_test() -> None:
+    rng = np.random.default_rng(9)
+    truth, points = grid_network(rng)
+    network = adjust(BundleProblem(points, (CameraModel("c"),), None, bars_with_noise(truth, BARS, rng, 5e-5)), truth)
+    statement = state_length_errors(network, bars_with_noise(truth, APART[:1], rng, 5e-5))
+    one = statement.checks[0]
+    for lines, words in (
+        (7, "35 lengths kept apart on 7 measuring lines, 7 of them with 5 or more"),
+        (6, "6 measuring"),
+    ):
+        many = replace(statement, checks=tuple(replace(one, line=i % lines + 1) for i in range(5 * lines)))
+        assert words in many.coverage_text
+        assert many.coverage_text.endswith(": fulfilled") is (lines == 7)
 
 
 def test_limits_decide_with_the_known_lengths_own_uncertainty() -> None:

@@ -149,8 +149,8 @@ def test_length_errors_have_their_file_and_their_limits(points_folder: Path, tmp
     assert table["verdict"] == ["outside", "inside", "inside"]
     summary = read_summary(tmp_path / "out")
     assert summary.numbers["length_errors_outside_count"] == 1
-    assert "exceeded by 1 of 1 lengths" in summary.texts["permissible_length_error"]
-    assert "1 lengths on 1 measuring lines" in summary.texts["length_check"]
+    assert "exceeded by 1 of 1 length" in summary.texts["permissible_length_error"]
+    assert "1 length kept apart on 1 measuring line," in summary.texts["length_check"]
     assert any("kept apart, is off by -1.0" in text for text in summary.warnings)
 
 
