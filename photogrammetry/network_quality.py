@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.validate import FloatArray
 from photogrammetry.bundle import BundleResult
+from photogrammetry.bundle_statistics import examine_image_points
 from photogrammetry.constraints import Distance
 from photogrammetry.length_error import LengthRole, LengthStatement, Verdict, measured_length
 from photogrammetry.solve_network import Solved
@@ -17,6 +19,8 @@ Numbers = dict[str, float | int | None]
 _DOUBTFUL = 3.0
 #: So many rejected image points of one target, a quarter of them all, are no accident.
 _DOUBLED_RAYS = 2
+#: Probability of naming any good image point of all.
+_FAMILY = 0.01
 #: Intersections below this many degrees say little of the depth.
 _LEAST_ROLL_RAD = 0.5
 #: Good measurements lose a few image points in a hundred; a wrong start loses every fifth.
@@ -268,18 +272,47 @@ def doubts(solved: Solved) -> tuple[str, ...]:
             f"{np.sqrt(low):.2f} to {np.sqrt(high):.2f} would be by chance); sigmas of the results are as stated, "
             'unless [adjustment] sigmas = "from residuals"'
         )
-    free = bundle.problem.cameras[0].free
-    if "focal_px" in free and _roll_range_rad(bundle) < _LEAST_ROLL_RAD:
-        said.append(
-            "all photos are taken with the camera held the same way; turn it by 90 degrees for some, or the principal "
-            "point is badly separated from the poses"
-        )
+    said += _unturned(bundle)
+    said += _kept_outliers(bundle)
     few = bundle.problem.observations.n_rays
     weak = [name for name, rays in zip(bundle.problem.observations.targets, few, strict=True) if rays == 2]
     if weak:
         listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
         said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
     return tuple(said)
+
+
+def _unturned(bundle: BundleResult) -> list[str]:
+    """Name cameras that calibrate themselves and were always held the same way."""
+    cameras, texts = bundle.problem.cameras, []
+    for place, model in enumerate(cameras):
+        own = bundle.state.rotations[bundle.problem.camera_index == place]
+        if "focal_px" in model.free and len(own) and _roll_range_rad(own) < _LEAST_ROLL_RAD:
+            whose = "" if len(cameras) == 1 else f" {model.name}"
+            texts.append(
+                f"all photos are taken with the camera{whose} held the same way; turn it by 90 degrees for some, or "
+                "the principal point is badly separated from the poses"
+            )
+    return texts
+
+
+def _kept_outliers(bundle: BundleResult) -> list[str]:
+    """Count image points that were used and contradict the rest: nothing is rejected on request, or rounds ran out."""
+    tests = examine_image_points(bundle)
+    # Sigmas that are too small as a whole are said elsewhere; here one point against the others.
+    scale = max(1.0, bundle.variance_factor) if np.isfinite(bundle.variance_factor) else 1.0
+    squared = tests.length_squared / scale
+    limit = -2 * np.log(_FAMILY / max(squared.size, 1))
+    marked = np.nonzero(squared > limit)[0]
+    if not marked.size:
+        return []
+    worst = int(np.argmax(squared))
+    length_px = float(np.hypot(*bundle.residuals_px[worst]))
+    return [
+        f"{marked.size} image points that were used contradict the others, most of all "
+        f"{bundle.problem.observations.label(worst)} with {length_px:.2f} px ({np.sqrt(squared[worst]):.1f} sigma); "
+        "see test in residuals.csv"
+    ]
 
 
 def _many_rejected(solved: Solved) -> list[str]:
@@ -327,9 +360,8 @@ def _contradictions(bundle: BundleResult) -> list[str]:
     return texts
 
 
-def _roll_range_rad(bundle: BundleResult) -> float:
-    """Return how far the camera was turned about its axis, from the directions of its x axis across the views."""
-    rotations = bundle.state.rotations
+def _roll_range_rad(rotations: FloatArray) -> float:
+    """Return how far a camera was turned about its axis, from the directions of its x axis across the views."""
     # Turn between each photo and the first after taking out the change of the viewing direction.
     first, angles = rotations[0], []
     for rotation in rotations:
