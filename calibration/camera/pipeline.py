@@ -166,7 +166,7 @@ def _held_out(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tu
 def _started(
     found: FoundBoards, board: Board | UnknownField, free: tuple[str, ...], left_out: dict[str, str]
 ) -> tuple[BoardNetwork, str]:
-    if isinstance(board, UnknownField):
+    if isinstance(board, UnknownField | TargetField):
         _require_photos(len(found.points), left_out)
         return started_from_targets(found, board, free, left_out), ""
     good, homographies = [], []

@@ -1,4 +1,4 @@
-"""Start of a calibration from coded targets of which no place is known: a photo network that grows from nothing."""
+"""Start of a calibration from coded targets, their places known roughly or not at all: a network grown from nothing."""
 
 from dataclasses import replace
 
@@ -12,13 +12,14 @@ from calibration.camera.pipeline_photos import FoundBoards, UnknownField
 from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, freeze
+from photogrammetry.alignment import aligned_to_control
 from photogrammetry.bundle import CameraModel
 from photogrammetry.network import build_network, guessed_camera
 from photogrammetry.observations import ImagePoints
 
 
 def started_from_targets(
-    found: FoundBoards, board: UnknownField, free: tuple[str, ...], left_out: dict[str, str]
+    found: FoundBoards, board: UnknownField | TargetField, free: tuple[str, ...], left_out: dict[str, str]
 ) -> BoardNetwork:
     """Find camera, poses and places of the targets to start from.
 
@@ -26,8 +27,8 @@ def started_from_targets(
     ----------
     found : FoundBoards
         Targets in all photos.
-    board : UnknownField
-        The dictionary.
+    board : UnknownField or TargetField
+        The dictionary, or the targets with their rough places, which need not be near a plane.
     free : tuple of str
         Intrinsics that are estimated.
     left_out : dict of str to str
@@ -36,8 +37,9 @@ def started_from_targets(
     Returns
     -------
     BoardNetwork
-        In a frame of its own: origin in the middle of the targets, z from the plane that fits them best towards the
-        cameras, x along the farthest spread; the unit of length is the mean distance to the nearest target.
+        In the frame of the rough places, or in one of its own: origin in the middle of the targets, z from the plane
+        that fits them best towards the cameras, x along the farthest spread; the unit of length is then the mean
+        distance to the nearest target.
 
     Raises
     ------
@@ -45,9 +47,10 @@ def started_from_targets(
         The photos do not hang together.
     """
     points = tuple(one for one in found.points if one.n)
+    every = board.names if isinstance(board, TargetField) else found.names
     table = ImagePoints(
         tuple(one.photo for one in points),
-        found.names,
+        every,
         np.repeat(np.arange(len(points)), [one.n for one in points]),
         np.concatenate([one.index for one in points]),
         np.concatenate([one.pixels_px for one in points]),
@@ -64,19 +67,26 @@ def started_from_targets(
             + "; ".join(left_out.values())
         )
     poses = [state.cam_from_world(i) for i in range(len(network.observations.photos))]
-    field_from_world, unit = _own_frame(state.points_m, poses)
-    places = field_from_world.apply(state.points_m) / unit
-    new_poses = tuple(_scaled(pose @ field_from_world.inverse(), unit) for pose in poses)
-    place = {name: i for i, name in enumerate(names)}
+    if isinstance(board, TargetField):
+        number = {name: i for i, name in enumerate(board.names)}
+        control = {name: board.points_m[number[name]] for name in names}
+        state = aligned_to_control(state, names, control)
+        plate, poses = board, [state.cam_from_world(i) for i in range(len(poses))]
+    else:
+        field_from_world, unit = _own_frame(state.points_m, poses)
+        places = field_from_world.apply(state.points_m) / unit
+        poses = [_scaled(pose @ field_from_world.inverse(), unit) for pose in poses]
+        plate = TargetField(board.dictionary, names, places, is_metric=False)
+        number = {name: i for i, name in enumerate(names)}
     agreeing = np.zeros(table.n, dtype=np.bool_)
     agreeing[network.rows] = True
     kept = tuple(
-        _agreeing(one, agreeing[table.photo_index == number], np.array([place.get(name, -1) for name in found.names]))
-        for number, one in enumerate(points)
+        _agreeing(one, agreeing[table.photo_index == photo], np.array([number.get(name, -1) for name in every]))
+        for photo, one in enumerate(points)
         if one.photo in network.observations.photos
     )
-    plate = TargetField(board.dictionary, names, places, is_metric=False)
-    return BoardNetwork(plate, kept, free, state.cameras[0], new_poses, places_known=False)
+    known = isinstance(board, TargetField)
+    return BoardNetwork(plate, kept, free, state.cameras[0], tuple(poses), places_known=known)
 
 
 def _agreeing(one: BoardPoints, chosen: BoolArray, place: npt.NDArray[np.intp]) -> BoardPoints:
