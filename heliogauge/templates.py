@@ -5,6 +5,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.measurement import MEASUREMENT_FILE
+from heliogauge.measurement_surface_template import SURFACE_TEMPLATE
 from heliogauge.measurement_writer import write_text
 
 _DEFLECTOMETRY = """\
@@ -342,7 +343,7 @@ sigma_mm = 0.02
 #: reject = true                # leave out image points that contradict the others
 #: family_significance = 0.05   # probability of leaving out any good one of all
 #: sigmas = "from residuals"    # or "stated"; default: from residuals for photos, stated for image points with sigma
-"""
+""" + SURFACE_TEMPLATE
 
 _PHOTOGRAMMETRY_PLAN = """\
 # Plan of a photogrammetric measurement: how many photos, from where, for a wanted sigma.

@@ -13,6 +13,7 @@ from data_synth.target_presets import PrintChoice, target_scene
 from heliogauge.errors import InputError
 from heliogauge.measurement import load_photogrammetry, parse_measurement
 from heliogauge.measurement_surface import SurfaceSection
+from heliogauge.measurement_surface_template import SURFACE_TEMPLATE
 from heliogauge.measurement_writer import dump_toml
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_statistics import statistics
@@ -187,3 +188,19 @@ def test_section_is_checked_before_any_work(folder: Path, text: str, words: str)
     content = tomllib.loads((folder / "measurement.toml").read_text()) | {"surface": tomllib.loads(text)}
     with pytest.raises(InputError, match=words):
         parse_measurement(content, folder / "measurement.toml")
+
+
+def test_keys_of_the_template_are_keys_of_the_section() -> None:
+    content = tomllib.loads(SURFACE_TEMPLATE.replace("#: ", ""))
+    SurfaceSection.model_validate_json(json.dumps(content["surface"]))
+    shown = set(content["surface"]) | {"mesh", "mesh_unit"}
+    # Keys of other shapes, and where on its optic a facet sits, stand in the page.
+    hidden = {
+        "focal_length_x_m",
+        "focal_length_y_m",
+        "radius_m",
+        "coefficients",
+        "design_center_m",
+        "design_orientation",
+    }
+    assert shown | hidden == set(SurfaceSection.model_fields)
