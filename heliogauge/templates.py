@@ -184,7 +184,7 @@ name = "camera 1"
 [board]
 type = "chessboard"             # chessboard | charuco | circles | circles-asymmetric | targets
 columns = 9                     # inner corners in a row (charuco: squares; circles: dots)
-rows = 6                        # one even, one odd number: only then can corners be told apart when it is turned
+rows = 6                        # best one even, one odd number: only then the print tells how a photo is turned
 square_mm = 30.0
 #: type = "charuco"             # with columns, rows, square_mm and
 #: marker_mm = 22.0
@@ -192,9 +192,9 @@ square_mm = 30.0
 #: type = "circles"             # with columns, rows and
 #: pitch_mm = 30.0
 #: diameter_mm = 15.0
-#: type = "targets"             # a plate with ring-coded targets
+#: type = "targets"             # ring-coded targets, on a plate or anywhere
 #: dictionary = "aicon-12"
-#: file = "targets.csv"         # rough places: columns id, x_m, y_m (z_m)
+#: file = "targets.csv"         # rough places: columns id, x_m, y_m (z_m); without it nothing is known of them
 
 [images]
 photos = "photo_*.png"          # a text with * (natural order), or a list
