@@ -24,6 +24,10 @@ class SampleFlag(IntFlag):
     SMOOTHED_GAP = 1 << 10
     INPUT_NOT_FINITE = 1 << 11
     FAR_FROM_POINTS = 1 << 12
+    PARTLY_COVERED = 1 << 13
+    CUT_BY_BORDER = 1 << 14
+    TOO_SMALL = 1 << 15
+    CLIPPED = 1 << 16
 
 
 FLAG_TEXTS: dict[SampleFlag, str] = {
@@ -40,10 +44,15 @@ FLAG_TEXTS: dict[SampleFlag, str] = {
     SampleFlag.SMOOTHED_GAP: "value bridged from neighbours (height only)",
     SampleFlag.INPUT_NOT_FINITE: "an input value was not finite",
     SampleFlag.FAR_FROM_POINTS: "no measured point is near enough",
+    SampleFlag.PARTLY_COVERED: "the target is partly covered, or no blurred disc",
+    SampleFlag.CUT_BY_BORDER: "the target reaches beyond the border of the photo",
+    SampleFlag.TOO_SMALL: "the target covers too few pixels",
+    SampleFlag.CLIPPED: "grey values of the target are at the end of the scale: its size is uncertain",
 }
 
 #: Bits that leave a sample without a value.
-REJECTED = SampleFlag(sum(flag for flag in SampleFlag if flag is not SampleFlag.SMOOTHED_GAP))
+_USABLE = SampleFlag.SMOOTHED_GAP | SampleFlag.CLIPPED
+REJECTED = SampleFlag(sum(flag for flag in SampleFlag if flag not in _USABLE))
 
 
 def count_flags(flags: FlagArray, within: npt.NDArray[np.bool_] | None = None) -> dict[SampleFlag, int]:

@@ -231,7 +231,7 @@ def _ink(
     angles = np.arange(n_angles) * (2 * np.pi / n_angles)
     circle = np.stack([np.cos(angles), np.sin(angles)])
     unit = (circle[:, None, :] * radii.all[:, None]).reshape(2, -1)
-    values = pyramid.around(centers, shapes, unit).reshape(len(shapes), -1, n_angles)
+    values = pyramid.around(centers, shapes, unit).reshape(len(shapes), len(radii.all), n_angles)
     gap = values[:, radii.gap].mean(axis=1, dtype=np.float64)
     # The gap's level as a plane: its first harmonic round the dot. Levels of the ring follow the plane outwards.
     plane = np.stack([np.ones(n_angles), *circle], axis=1)

@@ -27,10 +27,10 @@ IndexArray = npt.NDArray[np.intp]
 
 #: Side of the box whose mean is the local threshold, and smallest and largest width of the spots looked for, in pixels
 #: of the level: on the photo itself, and on its halvings. Half as fine, the gap of the smallest code rings is gone: a
-#: 6 px dot tilted by 55 deg merges with its ring.
-_FULL_SEARCH, _HALVED_SEARCH = (15, 2.0, 10.0), (31, 3.0, 22.0)
+#: 6 px dot tilted by 55 deg, or a 12 px dot tilted by 65 deg, merges with its ring.
+_FULL_SEARCH, _HALVED_SEARCH = (15, 2.0, 16.0), (31, 3.0, 22.0)
 #: Only targets below this diameter are searched on the photo itself; it costs as much as all halvings [px].
-_NEEDS_FULL_PX = 9.0
+_NEEDS_FULL_PX = 20.0
 #: Rows that are searched at a time: they stay in the processor's cache, which halves the time.
 _STRIPE_ROWS = 384
 #: Threshold below (above) the local mean, as a share of the least contrast: a spot that fills two thirds of the box

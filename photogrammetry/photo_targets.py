@@ -7,16 +7,21 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
+from heliogauge.validate import FloatArray
 from photogrammetry.coded_targets import VENDOR_RADII, RingDictionary
 from photogrammetry.decode import RingLimits, RingReading, read_rings, ring_outline
-from photogrammetry.detect import Candidate, SearchLimits, find_in_pyramid, measure_center
+from photogrammetry.detect import SearchLimits, find_in_pyramid, measure_center
 from photogrammetry.detections import Detections
 from photogrammetry.ellipse import Ellipse
 from photogrammetry.pyramid import make_pyramid
-from photogrammetry.target_center import REACH, CenterOperator, TargetCenter
+from photogrammetry.target_center import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
 from photogrammetry.template_center import template_center, template_centers
 
-__all__ = ["PhotoTargets", "TargetSearch", "measure_targets"]
+__all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_targets"]
+
+#: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
+_CLIPPED_SHARE = 0.99
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +53,28 @@ class TargetSearch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class UnusedTarget:
+    """A target that is there but has no centre, or not one of its own.
+
+    Parameters
+    ----------
+    name : str
+        Its code's name; empty for a dot that may belong to a code cut off.
+    center_px : ndarray, shape (2,)
+        Where it is, to a pixel or so [px].
+    flag : SampleFlag
+        Why.
+    reason : str
+        Why, with numbers.
+    """
+
+    name: str
+    center_px: FloatArray
+    flag: SampleFlag
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PhotoTargets:
     """The targets of one photo and what was noticed about them.
 
@@ -65,6 +92,8 @@ class PhotoTargets:
         Sectors ("110100...") of good rings whose word is not in the dictionary.
     duplicated : tuple of str
         Names that occur more than once; all of them are among the detections.
+    unused : tuple of UnusedTarget
+        Targets that are partly covered, cut by the border, too small.
     """
 
     detections: Detections
@@ -73,6 +102,7 @@ class PhotoTargets:
     mirrored: tuple[str, ...]
     unknown_words: tuple[str, ...]
     duplicated: tuple[str, ...]
+    unused: tuple[UnusedTarget, ...]
 
 
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
@@ -98,20 +128,24 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     candidates = find_in_pyramid(pyramid, limits)
     dots = [candidate.ellipse for candidate in candidates]
     readings = [None] * len(dots) if dictionary is None else read_rings(pyramid, dots, dictionary, search.ring_limits)
-    ringed = [k for k, reading in enumerate(readings) if reading is not None]
+    ringed = [(k, reading) for k, reading in enumerate(readings) if reading is not None]
     coded: list[tuple[TargetCenter, RingReading]] = []
-    rest = [candidates[k] for k, reading in enumerate(readings) if reading is None]
-    for k, center in zip(ringed, _centers(image_dn, [dots[k] for k in ringed], search), strict=True):
-        reading = readings[k]
-        if isinstance(center, TargetCenter) and reading is not None:
+    unused: list[UnusedTarget] = []
+    covered = [dots[k] for k, _ in ringed]
+    for (_, reading), dot, center in zip(ringed, covered, _centers(image_dn, covered, search), strict=True):
+        if isinstance(center, TargetCenter):
             coded.append((center, reading))
-        else:
-            rest.append(candidates[k])
+        elif reading.code is not None:
+            unused.append(_unused(reading.code.name, dot, center))
+    uncoded: list[TargetCenter] = []
+    if search.with_uncoded:
+        rest = [dot for dot, reading in zip(dots, readings, strict=True) if reading is None]
+        uncoded, cut = _uncoded(image_dn, rest, covered, search)
+        unused += cut
     named = [(center, reading) for center, reading in coded if reading.code is not None]
-    uncoded = _uncoded(image_dn, rest, [center for center, _ in coded], search) if search.with_uncoded else []
     names = [reading.code.name for _, reading in named if reading.code is not None]
     centers = [center for center, _ in named] + uncoded
-    detections = _detections(photo, names + [f"u{k}" for k in range(len(uncoded))], centers)
+    detections = _detections(image_dn, photo, names + [f"u{k}" for k in range(len(uncoded))], centers)
     others = [reading for _, reading in coded if reading.code is None]
     return PhotoTargets(
         detections,
@@ -120,7 +154,13 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         tuple(reading.mirrored.name for reading in others if reading.mirrored is not None),
         tuple("".join("01"[bit] for bit in reading.sectors) for reading in others if reading.mirrored is None),
         detections.duplicated,
+        tuple(unused),
     )
+
+
+def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
+    flag = why.flag if isinstance(why, UnmeasuredTargetError) else SampleFlag.PARTLY_COVERED
+    return UnusedTarget(name, dot.center_px, flag, str(why))
 
 
 def _centers(
@@ -140,30 +180,49 @@ def _centers(
 
 
 def _uncoded(
-    image_dn: npt.NDArray[np.generic],
-    candidates: Sequence[Candidate],
-    coded: Sequence[TargetCenter],
-    search: TargetSearch,
-) -> list[TargetCenter]:
-    """Measure the dots without a code that do not lie within a coded target."""
+    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], coded: Sequence[Ellipse], search: TargetSearch
+) -> tuple[list[TargetCenter], list[UnusedTarget]]:
+    """Measure the dots without a code that lie in no coded target, and tell which may be a coded one cut off."""
     radii = VENDOR_RADII if search.dictionary is None else search.dictionary.radii
-    rings = [ring_outline(center.ellipse, radii) for center in coded]
+    rings = [ring_outline(dot, radii) for dot in coded]
     middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)
     conics = np.array([np.linalg.inv(ring.shape_px2) for ring in rings]).reshape(-1, 2, 2)
-    off = np.array([candidate.ellipse.center_px for candidate in candidates]).reshape(-1, 1, 2) - middles
+    off = np.array([dot.center_px for dot in dots]).reshape(-1, 1, 2) - middles
     within = (np.einsum("mni,nij,mnj->mn", off, conics, off) < 1).any(axis=1)
-    free = [candidate.ellipse for candidate, covered in zip(candidates, within, strict=True) if not covered]
+    free, cut = [], []
+    for dot, in_ring in zip(dots, within.tolist(), strict=True):
+        if in_ring:
+            continue
+        if search.dictionary is not None and not _whole(ring_outline(dot, radii), image_dn.shape):
+            why = "its code ring, if it has one, reaches beyond the border of the photo"
+            cut.append(UnusedTarget("", dot.center_px, SampleFlag.CUT_BY_BORDER, why))
+        else:
+            free.append(dot)
     centers = [center for center in _centers(image_dn, free, search) if isinstance(center, TargetCenter)]
-    return [center for center in centers if center.misfit < search.most_misfit]
+    return [center for center in centers if center.misfit < search.most_misfit], cut
 
 
-def _detections(photo: str, names: Sequence[str], centers: Sequence[TargetCenter]) -> Detections:
+def _whole(outline: Ellipse, shape: tuple[int, ...]) -> bool:
+    half = np.sqrt(np.diag(outline.shape_px2))
+    low, high = outline.center_px - half, outline.center_px + half
+    return bool((low > 0).all() and high[0] < shape[1] - 1 and high[1] < shape[0] - 1)
+
+
+def _detections(
+    image_dn: npt.NDArray[np.generic], photo: str, names: Sequence[str], centers: Sequence[TargetCenter]
+) -> Detections:
     n = len(centers)
+    inside = np.array([center.inside_dn for center in centers])
+    outside = inside - np.array([center.contrast_dn for center in centers])
+    flags = np.zeros(n, dtype=np.uint32)
+    if image_dn.dtype in (np.uint8, np.uint16):
+        highest = 255.0 if image_dn.dtype == np.uint8 else 65535.0
+        flags[np.maximum(inside, outside) > _CLIPPED_SHARE * highest] = SampleFlag.CLIPPED
     return Detections(
         photo,
         tuple(names),
         np.array([center.center_px for center in centers]).reshape(n, 2),
         np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
         np.array([center.ellipse.radius_px for center in centers]).reshape(n),
-        np.zeros(n, dtype=np.uint32),
+        flags,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.flags import SampleFlag
 from heliogauge.images import Image, read_image
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import Progress
@@ -20,6 +21,9 @@ from photogrammetry.observations import ImagePoints, image_points
 from photogrammetry.photo_targets import TargetSearch, measure_targets
 from photogrammetry.solve_uncoded import LooseDots
 from photogrammetry.uncertain_rays import Dots
+
+#: Share of overexposed targets from which the user is told.
+_MANY_CLIPPED = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +170,11 @@ def measure_each(
             Refused(f"target {name} in {file.name}", "is in the dictionary only as a mirror image")
             for name in rings.mirrored
         ]
+        mirrored += [
+            Refused(f"target {bad.name or 'without a name'} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in "
+                    f"{file.name}", bad.reason)
+            for bad in rings.unused
+        ]  # fmt: skip
         coded = rings.detections.chosen(np.arange(count))
         size = (int(image.shape[1]), int(image.shape[0]))
         counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
@@ -256,6 +265,12 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     if doubled:
         listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
         said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")
+    clipped = sum(int(np.count_nonzero(part.flags & np.uint32(SampleFlag.CLIPPED))) for part in parts)
+    if clipped > _MANY_CLIPPED * len(names):
+        said.append(
+            f"{clipped} of {len(names)} targets lie on or are overexposed white: their sizes are uncertain and their "
+            "centres less exact than their sigmas say; expose the photos less"
+        )
     covariance = np.concatenate([part.covariance_px2 for part in parts])
     # Estimators leave the two halves different in the last bit.
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))

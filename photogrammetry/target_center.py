@@ -12,13 +12,30 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
 from heliogauge.validate import FloatArray
 from photogrammetry.ellipse import Ellipse
 
-__all__ = ["CenterOperator", "TargetCenter", "Window", "cut_window", "ground_noise"]
+__all__ = ["CenterOperator", "TargetCenter", "UnmeasuredTargetError", "Window", "cut_window", "ground_noise"]
 
 #: Reach of a window and of the operators, in radii of the ellipse: a coded target's ring begins at 2.
 REACH = 1.65
+
+
+class UnmeasuredTargetError(EstimationError):
+    """A target has no centre; the flag tells why in one word.
+
+    Parameters
+    ----------
+    flag : SampleFlag
+        The reason.
+    message : str
+        The reason, with numbers.
+    """
+
+    def __init__(self, flag: SampleFlag, message: str) -> None:
+        super().__init__(message)
+        self.flag = flag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +150,9 @@ def cut_window(image_dn: npt.NDArray[np.generic], target: Ellipse, reach: float 
     height, width = image_dn.shape
     radius_x, radius_y = np.sqrt(np.diag(target.shape_px2))
     if x - radius_x < 1 or y - radius_y < 1 or x + radius_x > width - 2 or y + radius_y > height - 2:
-        raise EstimationError(f"the target at ({x:.1f}, {y:.1f}) px touches the border of the image")
+        raise UnmeasuredTargetError(
+            SampleFlag.CUT_BY_BORDER, f"the target at ({x:.1f}, {y:.1f}) px touches the border of the image"
+        )
     left, right = max(int(x - half_x) - 3, 0), min(int(x + half_x) + 5, width)
     top, bottom = max(int(y - half_y) - 3, 0), min(int(y + half_y) + 5, height)
     return Window(np.asarray(image_dn[top:bottom, left:right], dtype=np.float64), (left, top))

@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.ellipse import Ellipse
-from photogrammetry.target_center import REACH, TargetCenter, cut_window, normalised_radius
+from photogrammetry.target_center import REACH, TargetCenter, UnmeasuredTargetError, cut_window, normalised_radius
 
 __all__ = ["disc_model", "template_center", "template_centers"]
 
@@ -305,12 +306,16 @@ def _start(window_dn: FloatArray, start: Ellipse, reach: float) -> _Fit:
     band = _BAND_PX / smaller
     rows, columns = np.nonzero((radius > 1 - band) & (radius < min(reach, 1 + band)))
     if len(rows) < 2 * _N_PARAMETERS:
-        raise EstimationError(f"{len(rows)} pixels show the target's edge; a template needs {2 * _N_PARAMETERS}")
+        raise UnmeasuredTargetError(
+            SampleFlag.TOO_SMALL, f"{len(rows)} pixels show the target's edge; a template needs {2 * _N_PARAMETERS}"
+        )
     values, near = window_dn[rows, columns], radius[rows, columns]
     x, y = columns - start.center_px[0], rows - start.center_px[1]
     far, core = near > 1 + min(0.25, 2 / smaller), near < 1 - min(0.2, 2 / smaller)
     if np.count_nonzero(core) < 3 or np.count_nonzero(far) < 8:
-        raise EstimationError("the target covers too few pixels to tell its level from the ground's")
+        raise UnmeasuredTargetError(
+            SampleFlag.TOO_SMALL, "the target covers too few pixels to tell its level from the ground's"
+        )
     planes = np.stack([np.ones(np.count_nonzero(far)), x[far], y[far]])
     plane = np.linalg.solve(planes @ planes.T + 1e-9 * np.eye(3), planes @ values[far])
     noise = max(_median(np.abs(values[far] - plane @ planes)) * 1.4826, 0.3)
@@ -373,8 +378,9 @@ def _settle(fits: Sequence[_Fit], enough_px: float) -> None:
         if not active:
             return
     for fit in active:
-        fit.failure = EstimationError(
-            f"the template did not settle within {_MOST_ITERATIONS} steps; the spot is no blurred disc"
+        fit.failure = UnmeasuredTargetError(
+            SampleFlag.PARTLY_COVERED,
+            f"the template did not settle within {_MOST_ITERATIONS} steps; the spot is no blurred disc",
         )
 
 
@@ -428,7 +434,10 @@ def _result(
     jacobian, used, prior = linear
     count = int(np.count_nonzero(used))
     if count < 2 * _N_PARAMETERS or count < 0.6 * len(used):
-        raise EstimationError(f"{len(used) - count} of {len(used)} pixels do not fit a blurred disc: partly covered?")
+        raise UnmeasuredTargetError(
+            SampleFlag.PARTLY_COVERED,
+            f"{len(used) - count} of {len(used)} pixels do not fit a blurred disc: partly covered?",
+        )
     jacobian, residuals = jacobian[used], residuals[used]
     coverage = np.clip(jacobian[:, 9], 0.0, 1.0)
     try:
