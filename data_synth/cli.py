@@ -189,6 +189,9 @@ def trough(
     slopes: Annotated[
         Path | None, typer.Option(help="Slope map (NetCDF) whose errors the mirror gets instead of the preset's.")
     ] = None,
+    ground_targets: Annotated[
+        int, typer.Option(min=0, help="Targets on the ground beside both rims, of unknown coordinates.")
+    ] = 0,
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
@@ -208,7 +211,8 @@ def trough(
     from data_synth.trough_presets import TroughChoice, trough_scene
     from heliogauge.terminal import terminal_progress
 
-    scene = trough_scene(preset, TroughChoice(seed, photos, dictionary, orientation_deg)).scaled(scale)
+    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets)
+    scene = trough_scene(preset, choice).scaled(scale)
     scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
     if slopes is not None:
         scene = scene.with_slopes(read_slope_errors(slopes))

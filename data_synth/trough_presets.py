@@ -47,12 +47,15 @@ class TroughChoice:
         Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or ``circles``.
     orientation_deg : float or None, optional
         Turn of the collector from zenith, by the right hand about +y; the preset's without [deg].
+    n_ground_targets : int, optional
+        Targets on the ground beside both rims, of unknown coordinates.
     """
 
     seed: int = 0
     n_photos: int | None = None
     dictionary: str = "aicon-12"
     orientation_deg: float | None = None
+    n_ground_targets: int = 0
 
 
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
@@ -79,12 +82,41 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
     chosen = TroughChoice() if choice is None else choice
     scene = _PRESETS[preset](chosen, np.random.default_rng([chosen.seed, 5]))
-    if chosen.orientation_deg is None:
-        return scene
-    if any(view.orientation_deg is not None for view in scene.views):
-        raise InputError(f"preset {preset!r}: its collector turns from photo to photo; leave the orientation out")
-    around = scene.world.surroundings.turned(chosen.orientation_deg)
-    return replace(scene, world=replace(scene.world, surroundings=around))
+    wants_orientation = chosen.orientation_deg is not None or chosen.n_ground_targets > 0
+    if wants_orientation and any(view.orientation_deg is not None for view in scene.views):
+        raise InputError(
+            f"preset {preset!r}: its collector turns from photo to photo; leave orientation and ground targets out"
+        )
+    if chosen.orientation_deg is not None:
+        around = scene.world.surroundings.turned(chosen.orientation_deg)
+        scene = replace(scene, world=replace(scene.world, surroundings=around))
+    return with_ground_targets(scene, chosen.n_ground_targets, np.random.default_rng([chosen.seed, 6]))
+
+
+def with_ground_targets(scene: TroughScene, n: int, rng: np.random.Generator) -> TroughScene:
+    """Put targets on the ground, 1 m beside both rims.
+
+    Parameters
+    ----------
+    scene : TroughScene
+        The scene.
+    n : int
+        How many.
+    rng : numpy.random.Generator
+        Draws their turns.
+
+    Returns
+    -------
+    TroughScene
+        The scene with targets of which the list knows the place only roughly.
+    """
+    design, around = scene.collector, scene.world.surroundings
+    prints = target_prints(scene.dictionary, scene.target_diameter_m, n, first=len(scene.sheets))
+    side = np.where(np.arange(n) % 2, 1.0, -1.0) * (design.aperture_width_m / 2 + 1.0)
+    along = np.linspace(-0.5, 0.5, max(n // 2, 2))[np.arange(n) // 2 % max(n // 2, 2)] * (design.length_m + 1.0)
+    places = side[:, None] * around.horizontal + along[:, None] * [0.0, 1.0, 0.0] - around.ground.below_m * around.up
+    sheets, targets = placed_targets(prints, places, rng, facing=around.up, on_collector=False)
+    return replace(scene, sheets=scene.sheets + sheets, targets=scene.targets + targets)
 
 
 def ls2_panelled() -> Collector:
@@ -362,10 +394,14 @@ def _ground(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
 
 
 def _mast(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
-    """Draw the LS-2 turned to the horizon, photographed from a mast that is raised 12 m before it."""
+    """Draw the LS-2 turned to the horizon, photographed from a mast that is raised 15 m before it."""
     n = 100 if choice.n_photos is None else choice.n_photos
     scene = _scene(
-        "LS-2 from a mast", random_mirror(ls2_panelled(), rng), mast_pass(VIDEO_CAMERA, rng, n_photos=n), choice, rng
+        "LS-2 from a mast",
+        random_mirror(ls2_panelled(), rng),
+        mast_pass(VIDEO_CAMERA, rng, n_photos=n, distance_m=15.0),
+        choice,
+        rng,
     )
     around = Surroundings(Sky(sun_elevation_deg=50.0, sun_azimuth_deg=60.0), Ground(), 90.0, seed=choice.seed)
     return replace(scene, world=replace(scene.world, surroundings=around))

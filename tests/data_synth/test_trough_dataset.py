@@ -18,6 +18,7 @@ from data_synth.trough_dataset import (
     write_trough_dataset,
 )
 from data_synth.trough_mirror import MirrorTable, PanelErrors, Rays, SlopeGrid, TroughMirror
+from data_synth.trough_photo import Photographer
 from data_synth.trough_presets import TROUGH_PRESETS, TroughChoice, equal_arcs, ls2_panelled, trough_scene
 from data_synth.trough_receiver import Receiver, TubeAxis
 from heliogauge.errors import InputError
@@ -124,6 +125,22 @@ def test_presets_are_what_they_are_called(preset: str) -> None:
     expected = {"displaced": [3e-3, 3e-3, 1.485, 1.485], "sag": [2e-3, 2.79e-3, 1.491, 1.4844]}
     expected["absorber"] = [3e-3, 3e-3, 1.485, 1.481]
     np.testing.assert_allclose([*x, *z], expected.get(preset, [0, 0, 1.49, 1.49]), atol=2e-5)
+
+
+def test_targets_on_the_ground_are_seen_and_of_unknown_place(tmp_path: Path) -> None:
+    scene = trough_scene("ls2", TroughChoice(0, 3, n_ground_targets=6))
+    photographer = Photographer(scene.scaled(0.25))
+    assert len(photographer.points(scene.scaled(0.25).views[1]).names) == 18
+    # Beside the rims, on the ground under the vertex line.
+    places = np.array([sheet.world_from_sheet.translation_m for sheet in scene.sheets[12:]])
+    np.testing.assert_allclose(places[:, 2], -3.2, atol=0.005)
+    np.testing.assert_allclose(np.abs(places[:, 0]), 3.5, atol=0.005)
+    assert sorted({round(float(y), 1) for y in places[:, 1]}) == [-4.4, 0.0, 4.4]
+    small = trough_scene("small", TroughChoice(0, 2, n_ground_targets=2)).scaled(0.2)
+    write_trough_dataset(tmp_path / "set", small)
+    listed = read_table_csv(tmp_path / "set" / "targets.csv")
+    assert listed["sigma_x_mm"] == ["1"] * 12 + [""] * 2
+    assert listed["on_collector"] == ["1"] * 12 + ["0"] * 2
 
 
 def test_gravity_pulls_the_sag_down_in_every_orientation() -> None:
