@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
-from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import RigidTransform, skew
 from heliogauge.validate import FloatArray, float_array
 from photogrammetry.bundle import BundleResult
 from photogrammetry.bundle_state import d_parameters_d_intrinsics
@@ -214,12 +214,22 @@ class UncertainRays:
         n, k = len(photos), len(self.views.covariance) - 6 * len(self.views.poses)
         pixels, a = np.empty((len(points), 2 * n)), np.empty((len(points), 2 * n, 3))
         b = np.zeros((len(points), 2 * n, 6 * n + k))
-        for place, photo in enumerate(photos):
-            seen = self.views.camera(photo).project_posed(points, self.views.poses[photo])
-            own = slice(2 * place, 2 * place + 2)
-            pixels[:, own], a[:, own] = seen.pixels_px, seen.d_pixel_d_point
-            b[:, own, 6 * place : 6 * place + 6] = seen.d_pixel_d_pose
-            b[:, own, 6 * n :] = seen.d_pixel_d_parameters @ self.views.d_parameters[self.views.camera_of_photo[photo]]
+        index = np.asarray(photos, dtype=np.intp)
+        # One call for all photos of a camera: of a single point in forty photos the calls would be all the time.
+        for camera in np.unique(self.views.camera_of_photo[index]).tolist():
+            own = np.nonzero(self.views.camera_of_photo[index] == camera)[0]
+            rotations = np.stack([self.views.poses[photo].rotation for photo in index[own]])
+            shifts = np.stack([self.views.poses[photo].translation_m for photo in index[own]])
+            turned = np.einsum("nij,hj->hni", rotations, points)
+            seen, d_point, d_lens = self.views.cameras[camera].project_with_jacobians(turned + shifts)
+            d_lens = d_lens @ self.views.d_parameters[camera]
+            d_turn = -d_point @ skew(turned)
+            for place, photo in enumerate(own.tolist()):
+                rows = slice(2 * photo, 2 * photo + 2)
+                pixels[:, rows], a[:, rows] = seen[:, place], d_point[:, place] @ rotations[place]
+                b[:, rows, 6 * photo : 6 * photo + 3] = d_turn[:, place]
+                b[:, rows, 6 * photo + 3 : 6 * photo + 6] = d_point[:, place]
+                b[:, rows, 6 * n :] = d_lens[:, place]
         return pixels, a, b
 
     def noise(self, rows: IntArray) -> FloatArray:
@@ -238,7 +248,8 @@ class UncertainRays:
         observed = self.dots.pixels_px[rows].reshape(len(rows), -1)
         alone = self.noise(rows)
         points = points.copy()
-        for turn in range(3):
+        # From where two rays pass each other one step leaves nothing; the second one tells the residuals.
+        for turn in range(2):
             pixels, a, b = self.linear(photos, points)
             whole = alone + b @ joint @ np.swapaxes(b, 1, 2)
             residuals = observed - pixels
@@ -250,7 +261,7 @@ class UncertainRays:
             normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
             right = np.einsum("hri,hr->hi", a, weighted[:, :, 3])
             step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-            if turn < 2:
+            if turn == 0:
                 points = points + step
         left = np.einsum("hr,hr->h", residuals, weighted[:, :, 3]) - np.einsum("hi,hi->h", right, step)
         off = (residuals - np.einsum("hri,hi->hr", a, step)).reshape(len(rows), -1, 2)

@@ -22,6 +22,10 @@ from photogrammetry.uncertain_rays import Dots, KnownViews, UncertainRays, widen
 __all__ = ["MatchLimits", "MatchedDots", "match_dots"]
 
 
+#: Accidents among points of two rays, which the result names as weak, in terms of those among all others.
+_TWO_RAYS = 5.0
+
+
 @dataclass(frozen=True, slots=True)
 class MatchLimits:
     """When dots belong together.
@@ -118,8 +122,9 @@ def match_dots(dots: Dots, views: KnownViews, limits: MatchLimits | None = None)
     search = _Search(widened(dots, views), views, asked)
     for first, second in _pairs(search):
         search.try_pair(first, second)
-    for first, second in _pairs(search):
-        search.try_two_rays(first, second)
+    left = _pairs(search)
+    for first, second in left:
+        search.try_two_rays(first, second, len(left))
     return search.result()
 
 
@@ -280,12 +285,12 @@ class _Search:
 
     # --- two rays --------------------------------------------------------------------------------------------------
 
-    def try_two_rays(self, first: int, second: int) -> None:
-        """Take points of two rays that nothing else explains."""
+    def try_two_rays(self, first: int, second: int, n_pairs: int) -> None:
+        """Take points of two rays that nothing else explains, in one of so many pairs of photos."""
         rows, points = self._candidates(first, second)
         if not len(rows):
             return
-        expected = self._expected_pairs(first, second, rows, points)
+        expected = n_pairs * self._expected_pairs(first, second, rows, points)
         for row, point in zip(rows, points, strict=True):
             pair = tuple(sorted(row.tolist()))
             others = self._partners(pair)
@@ -294,7 +299,7 @@ class _Search:
                 self.doubtful[pair] = "its dots have other partners along their epipolar lines"
             elif missing > self.limits.most_missing:
                 self.doubtful[pair] = f"{missing} other photos should show it and do not"
-            elif expected > self.limits.most_accidents * 5:
+            elif expected > _TWO_RAYS * self.limits.most_accidents:
                 self.doubtful[pair] = f"{expected:.2g} such agreements of two rays are expected by accident"
             elif self.free[list(pair)].all():
                 fit = self.rays.fitted([int(self.dots.photo_index[k]) for k in pair], np.array([pair]), point[None])
