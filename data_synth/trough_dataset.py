@@ -161,8 +161,8 @@ def read_slope_errors(path: Path) -> SlopeGrid:
         No such file, or not a slope map.
     """
     slopes = read_slope_map(path)
-    errors = (slopes.slope_x - slopes.design_slope_x, slopes.slope_y - slopes.design_slope_y)
-    return SlopeGrid(slopes.x_m, slopes.y_m, *(np.nan_to_num(error) for error in errors))
+    errors = (np.nan_to_num(error) for error in (slopes.slope_error_x, slopes.slope_error_y))
+    return SlopeGrid(slopes.x_m, slopes.y_m, *errors)
 
 
 def read_trough_truth(folder: Path) -> TroughTruth:

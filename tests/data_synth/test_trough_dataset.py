@@ -17,13 +17,15 @@ from data_synth.trough_dataset import (
     truth_arrays,
     write_trough_dataset,
 )
-from data_synth.trough_mirror import MirrorTable, PanelErrors, Rays, SlopeGrid, TroughMirror
+from data_synth.trough_mirror import MirrorTable, PanelErrors, Rays, TroughMirror
 from data_synth.trough_photo import Photographer
 from data_synth.trough_presets import TROUGH_PRESETS, TroughChoice, equal_arcs, ls2_panelled, trough_scene
 from data_synth.trough_receiver import Receiver, TubeAxis
 from heliogauge.errors import InputError
 from heliogauge.images import read_image
+from heliogauge.slope_map import SlopeMap, no_common_modes
 from heliogauge.store_json import read_json
+from heliogauge.store_slope_map import write_slope_map
 from heliogauge.store_tables import read_table_csv
 from observer.design import ls2
 
@@ -96,18 +98,26 @@ def test_the_same_seed_gives_the_same_files(folder: Path, tmp_path: Path) -> Non
 
 
 def test_a_folder_of_jpeg_with_a_rolling_shutter_and_slopes_of_a_file(tmp_path: Path) -> None:
-    scene = trough_scene("small", TroughChoice(0, 2)).scaled(0.3).with_rolling_shutter(0.02)
     x, y = np.linspace(-2.5, 2.5, 30), np.linspace(-1.6, 1.6, 20)
-    slopes = SlopeGrid(x, y, 1e-3 * np.sin(y)[:, None] * x, 2e-3 * np.ones((20, 30)))
-    write_trough_dataset(tmp_path / "set", scene.with_slopes(slopes), TroughOptions(0, jpeg_quality=95))
-    content = tomllib.loads((tmp_path / "set" / "measurement.toml").read_text(encoding="utf-8"))
+    zero, design = np.zeros((20, 30)), np.broadcast_to(x / 2.98, (20, 30))
+    errors = 1e-3 * np.sin(y)[:, None] * x, np.full((20, 30), 2e-3)
+    measured = SlopeMap(
+        x, y, design + errors[0], errors[1], design, zero, zero, zero, 1.0, no_common_modes(), zero,
+        zero.astype(np.uint32), zero == 0, "trough", "trough", "nothing",
+    )  # fmt: skip
+    write_slope_map(tmp_path / "slopes.nc", {"mirror": measured})
+    out = tmp_path / "set"
+    arguments = ["trough", str(out), "--photos", "2", "--scale", "0.3", "-q", "--jpeg-quality", "95"]
+    arguments += ["--rolling-shutter-ms", "20", "--slopes", str(tmp_path / "slopes.nc"), "--noise-dn", "0"]
+    result = CliRunner().invoke(cli.app, arguments)
+    assert result.exit_code == 0, result.output
+    content = tomllib.loads((out / "measurement.toml").read_text(encoding="utf-8"))
     assert content["images"] == {"photos": "photo_*.jpg"}
-    truth = read_trough_truth(tmp_path / "set")
-    photo = read_json(tmp_path / "set" / "truth.json")["photos"]["photo_002.jpg"]
+    photo = read_json(out / "truth.json")["photos"]["photo_002.jpg"]
     assert photo["rolling_shutter"]["readout_s"] == 0.02
     assert np.linalg.norm(photo["rolling_shutter"]["velocity_m_s"]) == pytest.approx(2.0)
-    expected = 1e-3 * np.sin(truth.y_m)[:, None] * truth.x_m
-    np.testing.assert_allclose(truth.slope_error_x, expected, atol=3e-6)
+    truth = read_trough_truth(out)
+    np.testing.assert_allclose(truth.slope_error_x, 1e-3 * np.sin(truth.y_m)[:, None] * truth.x_m, atol=3e-6)
     np.testing.assert_allclose(truth.slope_error_y, 2e-3, atol=1e-12)
 
 
