@@ -178,7 +178,7 @@ class ControlPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPlane:
-    """Targets on a plane that is known: ``normal . X = offset_m``.
+    """Targets on a plane that is known, normal times X equal to ``offset_m``.
 
     Parameters
     ----------
