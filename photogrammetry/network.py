@@ -10,7 +10,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle import CameraModel
-from photogrammetry.bundle_state import BundleState
+from photogrammetry.bundle_state import BundleState, camera_with_intrinsics, intrinsics_of
 from photogrammetry.network_growth import (
     TOLERANCE,
     Growth,
@@ -28,6 +28,11 @@ from photogrammetry.resection import LEAST_TARGETS
 from photogrammetry.triangulation import LEAST_ANGLE_RAD
 
 _MOST_PAIRS = 12
+# Residuals that stay above this share of what a guessed lens may do say that the network never fitted.
+_STUCK = 0.5
+_OTHER_FOCALS = (0.4, 2.5)
+# Sigmas that are stated too small by less than this are no sign of a lens that does not fit.
+_FITTED = 5.0
 # A start farther off than this share of the image is not of these photos.
 _FAR_START = 0.1
 
@@ -143,11 +148,35 @@ def build_network(
     # Lens included: image points may be off by so much before anything is adjusted.
     noise_px = [0.002 * one.width_px if model.free else 1.0 for one, model in zip(cameras, chosen, strict=True)]
     noise = np.maximum(1.0, np.array(noise_px) / mean_sigma)
-    empty = Growth(observations, index, list(cameras), chosen, noise)
     placed = start is not None and sum(name in start.cam_from_world for name in observations.photos) >= 2
-    grown = _resumed(empty, start) if start is not None and placed else _started(empty)
+    known = start if placed else None
+    found = _attempt(Growth(observations, index, list(cameras), chosen, noise.copy()), known)
+    guessed = any("focal_px" in model.free for model in chosen)
+    if known is not None or not guessed or found.noise < max(_STUCK * noise.max(), _FITTED):
+        return found
+    # The residuals stayed as large as the guess of the lens allows: the guess was worse than that.
+    attempts = [found]
+    for factor in _OTHER_FOCALS:
+        others = [
+            _with_focal(one, factor if "focal_px" in m.free else 1.0) for one, m in zip(cameras, chosen, strict=True)
+        ]
+        try:
+            attempts.append(_attempt(Growth(observations, index, others, chosen, noise.copy()), None))
+        except EstimationError:
+            continue
+    return min(attempts, key=lambda one: (one.noise, -one.observations.n))
+
+
+def _attempt(empty: Growth, start: StartValues | None) -> Network:
+    grown = _started(empty) if start is None else _resumed(empty, start)
     grow(grown)
     return _finished(grown)
+
+
+def _with_focal(camera: Camera, factor: float) -> Camera:
+    values = intrinsics_of(camera)
+    values[0] *= factor
+    return camera_with_intrinsics(camera, values)
 
 
 def guessed_camera(width_px: int, height_px: int, *, focal_length_35mm: float | None = None) -> Camera:

@@ -182,3 +182,14 @@ def test_real_photos_of_square_markers(shared_data):
     result = require(adjust(BundleProblem(found.observations, (CameraModel("room"),)), found.state))
     assert np.sqrt((result.residuals_px**2).mean()) < 0.16
     assert np.isfinite(result.sigma_points_m).all()
+
+
+@pytest.mark.slow
+def test_a_guess_three_times_too_long_is_tried_again():
+    truth, points = network(np.random.default_rng(1), 10, 30, size_m=1.0)
+    guess = guessed_camera(6000, 4000, focal_length_35mm=100.0)
+    free = ("focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3")
+    found = build_network(points, [guess], models=[CameraModel("c", free)])
+    assert found.observations.n > 0.98 * points.n
+    assert found.state.cameras[0].focal_y_px == pytest.approx(truth.cameras[0].focal_y_px, rel=2e-3)
+    assert found.noise < 1.5
