@@ -134,9 +134,10 @@ class MeshSurface:
             return Feet(gap, np.full((len(points_m), 3), np.nan), np.zeros((len(points_m), 0)))
         closest = _closest_triangles(self, points_m)
         # The library works in float32; only its choice of the triangle is used.
-        normals = self.face_areas_and_normals[1][closest]
-        corners = self.vertices_m[self.triangles[closest, 0]]
-        distance = np.einsum("ni,ni->n", normals, points_m - corners)
+        corners = self.vertices_m[self.triangles[closest]]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = across / np.linalg.norm(across, axis=1)[:, None]
+        distance = np.einsum("ni,ni->n", normals, points_m - corners[:, 0])
         return Feet(distance, normals, np.zeros((len(points_m), 0)))
 
     def symmetries(self) -> FloatArray:

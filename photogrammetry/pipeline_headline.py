@@ -1,5 +1,6 @@
 """What the command line says of a network."""
 
+from heliogauge.notation import number_text
 from heliogauge.store import Summary
 
 
@@ -38,4 +39,31 @@ def headline_text(summary: Summary) -> str:
         f"  datum            {summary.texts['datum']}",
         f"  left out         {summary.texts['rejected']}",
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_surface_lines(summary)])
+
+
+def _surface_lines(summary: Summary) -> list[str]:
+    """Say what there is of a surface, each number with its sigma."""
+
+    def said(key: str, unit: str, sigma: str = "") -> str:
+        value, spread = summary.numbers[key], summary.numbers.get(sigma)
+        known = None if value is None else number_text(float(value), None if spread is None else float(spread), unit)
+        return known or summary.not_determined[key]
+
+    numbers, lines = summary.numbers, []
+    if "deviation_rms_m" in numbers:
+        lines.append(f"  surface          {summary.texts['surface']}; deviation RMS "
+                     f"{said('deviation_rms_m', 'm', 'sigma_deviation_rms_m')}, "
+                     f"{numbers['surface_outliers_count']} points not used")  # fmt: skip
+    for key in (one for one in numbers if one.startswith("best_fit_")):
+        name = key.removeprefix("best_fit_").removesuffix("_m").replace("_", " ")
+        lines.append(f"  best fit         {name} {said(key, 'm', f'sigma_{key}')}")
+    if "sdx_rad" in numbers:
+        lines.append(f"  slope deviation  SDx {said('sdx_rad', 'rad', 'sigma_sdx_rad')}, "
+                     f"SDy {said('sdy_rad', 'rad', 'sigma_sdy_rad')} of the normal")  # fmt: skip
+    if "facets_count" in numbers:
+        lines.append(f"  canting          {numbers['facets_count']} facets, RMS x {said('canting_rms_x_rad', 'rad')}, "
+                     f"y {said('canting_rms_y_rad', 'rad')} of the normal")  # fmt: skip
+    if "moved_count" in numbers:
+        lines.append(f"  other date       {numbers['moved_count']} of {numbers['compared_count']} targets moved")
+    return lines

@@ -40,6 +40,16 @@ LABELS: dict[str, str] = {
     "length_error_rms_m": "RMS error of lengths kept apart",
     "length_error_left_out_rms_m": "RMS error of used lengths, each left out once",
     "rejected_image_points_count": "Image points rejected",
+    "deviation_rms_m": "RMS deviation from the surface",
+    "roughness_m": "of it the surface's own",
+    "best_fit_focal_length_m": "Best-fit focal length",
+    "best_fit_radius_m": "Best-fit radius",
+    "sdx_rad": "SDx, RMS slope deviation in x of the normal",
+    "sdy_rad": "SDy, RMS slope deviation in y of the normal",
+    "measured_share": "Share of the surface measured",
+    "canting_rms_x_rad": "RMS canting in x of the normal",
+    "canting_rms_y_rad": "RMS canting in y of the normal",
+    "moved_count": "Targets that moved since the other date",
 }
 
 

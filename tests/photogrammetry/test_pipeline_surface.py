@@ -19,6 +19,7 @@ from heliogauge.rigid import RigidTransform
 from heliogauge.slope_statistics import statistics
 from heliogauge.store import facet_names, read_slope_map, read_summary, read_table_csv
 from photogrammetry.pipeline import Result, run, write
+from photogrammetry.pipeline_headline import headline_text
 from photogrammetry.pipeline_surface import measure_surface
 from photogrammetry.report_network import open_network
 from photogrammetry.report_surface import surface
@@ -134,6 +135,9 @@ def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     deviations = np.array(rows["deviation_m"], dtype=float)
     assert numbers["deviation_rms_m"] == pytest.approx(float(np.sqrt((deviations**2).mean())), rel=0.05)
     assert read_table_csv(out / "canting.csv")["facet"] == ["low", "high"]
+    said = headline_text(read_summary(out / "summary.json"))
+    assert "canting          2 facets, RMS x 0.98" in said
+    assert "SDx " in said
     page = surface(open_network(out)).text
     assert page.count("<img") == 7
     assert "<h3>Canting</h3>" in page
