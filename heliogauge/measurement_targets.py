@@ -15,6 +15,15 @@ class UncodedSection(Section):
     sigma_mm: Positive
 
 
+class CharucoTargetSection(Section):
+    """A ChArUco board in the scene, of the markers of the dictionary; columns and rows count squares."""
+
+    columns: Annotated[int, Field(strict=True, ge=4)]
+    rows: Annotated[int, Field(strict=True, ge=4)]
+    square_mm: Positive
+    marker_mm: Positive
+
+
 class TargetsSection(Section):
     """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``), square markers (``DICT_4X4_100``), dots.
 
@@ -40,6 +49,7 @@ class TargetsSection(Section):
     up: Vector3 | None = None
     front: Vector3 | None = None
     tracked_from: Text | None = None
+    charuco: CharucoTargetSection | None = None
     search_radius_px: Annotated[float, Field(strict=True, ge=4)] = 100.0
 
     @model_validator(mode="after")
@@ -49,6 +59,8 @@ class TargetsSection(Section):
                 "say which dictionary the targets in the photos are from; or list targets without a code "
                 "(uncoded_file), or name a file with marks set by hand (tracked_from)"
             )
+        if self.charuco is not None and not self.has_markers:
+            raise ValueError("charuco: the dictionary must be that of the board's markers, DICT_...")
         names = [one.target for one in self.uncoded]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

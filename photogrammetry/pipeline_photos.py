@@ -157,7 +157,7 @@ def measure_each(
 
     def one(file: Path) -> OnePhoto:
         image = read_image(file)
-        found = _with_markers(image, file.name, section.dictionary or "") if section.has_markers else None
+        found = _with_markers(image, file.name, section) if section.has_markers else None
         if found is not None and not search.with_uncoded:
             return found
         rings = measure_targets(image, file.name, search)
@@ -195,16 +195,45 @@ def measure_each(
     return found
 
 
-def _with_markers(image: Image, photo: str, dictionary: str) -> OnePhoto:
-    markers = find_markers(image, photo, dictionary)
+def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
+    markers = find_markers(image, photo, section.dictionary or "")
     refused = [
         Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
         for bad in markers.rejected
     ]
-    shapes = np.full((len(markers.detections), 2, 2), np.nan)
+    detections = markers.detections
+    if section.charuco is not None:
+        detections = _and_board(image, detections, section)
+    shapes = np.full((len(detections), 2, 2), np.nan)
     size = (int(image.shape[1]), int(image.shape[0]))
-    none = markers.detections.chosen(np.zeros(0, dtype=np.intp))
-    return OnePhoto(markers.detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
+    none = detections.chosen(np.zeros(0, dtype=np.intp))
+    return OnePhoto(detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
+
+
+def _and_board(image: Image, markers: Detections, section: TargetsSection) -> Detections:
+    """Add the inner corners of a ChArUco board, "board.0", "board.1"... row by row from its top left."""
+    # Packages meet in pipelines only, and this one needs the other for boards only.
+    from calibration.camera.boards import CharucoBoard
+    from calibration.camera.detect import find_charuco
+
+    if section.charuco is None or section.dictionary is None:
+        return markers
+    stated = section.charuco
+    share = stated.marker_mm / stated.square_mm
+    board = CharucoBoard(stated.columns, stated.rows, section.dictionary, share, 1e-3 * stated.square_mm)
+    try:
+        corners = find_charuco(markers.photo, image, board)
+    except EstimationError:
+        return markers  # a photo without the board, or with too little of it
+    count = corners.n
+    return Detections(
+        markers.photo,
+        (*markers.names, *(f"board.{number}" for number in corners.index.tolist())),
+        np.concatenate([markers.pixels_px, corners.pixels_px]),
+        np.concatenate([markers.covariance_px2, corners.covariance_px2]),
+        np.concatenate([markers.radius_px, np.full(count, np.nan)]),
+        np.concatenate([markers.flags, np.zeros(count, dtype=np.uint32)]),
+    )
 
 
 def _loose(found: Sequence[OnePhoto]) -> LooseDots:

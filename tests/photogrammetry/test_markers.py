@@ -1,9 +1,13 @@
 """Square markers: corners against a drawing by area, covariance, refusals, the real photos."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
+from data_synth.target_presets import target_scene
+from data_synth.target_scene import render_photo
 from heliogauge.errors import InputError
 from heliogauge.images import read_image
 from heliogauge.validate import FloatArray
@@ -12,13 +16,22 @@ from photogrammetry.markers import MarkerLimits, find_markers
 DICTIONARY = "DICT_4X4_100"
 
 
-def drawn(number: int, corners: FloatArray, *, noise_dn: float = 1.0, seed: int = 0, fine: int = 8) -> FloatArray:
+def drawn(
+    number: int,
+    corners: FloatArray,
+    *,
+    noise_dn: float = 1.0,
+    seed: int = 0,
+    fine: int = 8,
+    dictionary: str = DICTIONARY,
+) -> FloatArray:
     """A marker on white paper; each pixel the mean of fine x fine samples, slightly blurred."""
-    table = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_100)
-    cells = np.pad(cv2.aruco.generateImageMarker(table, number, 6, borderBits=1), 30, constant_values=255)
+    table = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    side = table.markerSize + 2
+    cells = np.pad(cv2.aruco.generateImageMarker(table, number, side, borderBits=1), 30, constant_values=255)
     big = np.kron(cells, np.ones((16, 16), dtype=np.uint8))
     # Corners of the marker in the pattern's pixels: edges lie half a pixel before its first pixel.
-    at = (np.array([[30, 30], [36, 30], [36, 36], [30, 36]]) * 16 - 0.5).astype(np.float32)
+    at = ((30 + side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])) * 16 - 0.5).astype(np.float32)
     to_fine = ((corners + 0.5) * fine - 0.5).astype(np.float32)
     size = (120 * fine, 100 * fine)
     image = cv2.warpPerspective(
@@ -116,3 +129,19 @@ def test_white_cells_behind_the_border_do_not_enlarge_small_markers() -> None:
     found = find_markers(drawn(17, small, noise_dn=0.3), "a", DICTIONARY).detections
     outward = (small - small.mean(axis=0)) / np.linalg.norm(small - small.mean(axis=0), axis=1)[:, None]
     assert abs(np.mean(np.sum((found.pixels_px - small) * outward, axis=1))) < 0.05
+
+
+@pytest.mark.parametrize("name", ["DICT_APRILTAG_36h11", "DICT_APRILTAG_16h5", "DICT_ARUCO_ORIGINAL"])
+def test_other_families_have_sub_pixel_corners(name: str) -> None:
+    found = find_markers(drawn(11, SQUARE, dictionary=name), "a", name).detections
+    assert found.names == ("11.0", "11.1", "11.2", "11.3")
+    assert found.pixels_px == pytest.approx(SQUARE, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["DICT_APRILTAG_16h5", "DICT_4X4_1000"])
+def test_clutter_has_no_markers(name: str) -> None:
+    """Dictionaries of few bits, or of many numbers, are those that clutter is read as."""
+    scene = replace(target_scene("busy", 0), sheets=())
+    for seed in range(2):
+        image = render_photo(scene, scene.views[seed], np.random.default_rng(seed))
+        assert find_markers(image, "a", name).numbers == ()

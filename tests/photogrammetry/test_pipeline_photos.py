@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.images import write_image
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import SilentProgress
+from heliogauge.validate import FloatArray
 from photogrammetry.coded_targets import RingRadii, Sense, aicon_dictionary, mirrored_word
 from photogrammetry.pipeline_inputs import build_search
 from photogrammetry.pipeline_photos import MeasuredPhotos, gathered, measure_each
@@ -72,3 +74,36 @@ def test_codes_of_another_list_are_told_by_their_bits(tmp_path: Path) -> None:
 def test_a_list_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"own\.csv: there is no such file"):
         build_search(TargetsSection(dictionary="own.csv"), tmp_path)
+
+
+def charuco_photo(folder: Path) -> tuple[Path, FloatArray]:
+    """A board of 6 x 5 squares of 40 px, slightly turned; its inner corners, row by row."""
+    table = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((6, 5), 1.0, 0.7, table)
+    flat = board.generateImage((6 * 160, 5 * 160), marginSize=0)
+    flat = cv2.copyMakeBorder(flat, 160, 160, 160, 160, cv2.BORDER_CONSTANT, value=255)
+    turn = np.array([[0.985, -0.12, 90.0], [0.11, 0.97, 60.0], [2e-5, 1e-5, 1.0]])
+    large = cv2.warpPerspective(flat, turn, (1440, 1360), flags=cv2.INTER_AREA, borderValue=255)
+    image = cv2.GaussianBlur(large, (0, 0), 2.0).reshape(340, 4, 360, 4).mean(axis=(1, 3)) * 0.7 + 30
+    image += np.random.default_rng(0).normal(0, 1, image.shape)
+    x, y = np.meshgrid(np.arange(1, 6) * 160 + 159.5, np.arange(1, 5) * 160 + 159.5)
+    corners = cv2.perspectiveTransform(np.stack([x, y], axis=-1).reshape(1, -1, 2), turn)[0]
+    path = folder / "board.png"
+    write_image(path, np.rint(image).clip(0, 255).astype(np.uint8))
+    return path, (corners + 0.5) / 4 - 0.5
+
+
+def test_charuco_boards_give_markers_and_inner_corners(tmp_path: Path) -> None:
+    path, corners = charuco_photo(tmp_path)
+    board = {"columns": 6, "rows": 5, "square_mm": 40.0, "marker_mm": 28.0}
+    found = measured(path, dictionary="DICT_4X4_50", charuco=board).points
+    places = dict(zip(found.targets, found.pixels_px[np.argsort(found.target_index)], strict=True))
+    assert sum("board." not in name for name in places) == 4 * 15
+    for number, corner in enumerate(corners):
+        assert places[f"board.{number}"] == pytest.approx(corner, abs=0.05)
+
+
+def test_a_charuco_board_needs_its_markers_dictionary() -> None:
+    board = {"columns": 6, "rows": 5, "square_mm": 40.0, "marker_mm": 28.0}
+    with pytest.raises(ValueError, match="that of the board's markers"):
+        TargetsSection.model_validate({"dictionary": "aicon-12", "charuco": board})
