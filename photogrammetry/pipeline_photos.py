@@ -170,11 +170,8 @@ def measure_each(
             Refused(f"target {name} in {file.name}", "is in the dictionary only as a mirror image")
             for name in rings.mirrored
         ]
-        mirrored += [
-            Refused(f"target {bad.name or 'without a name'} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in "
-                    f"{file.name}", bad.reason)
-            for bad in rings.unused
-        ]  # fmt: skip
+        # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
+        mirrored += [Refused(f"target {bad.name} in {file.name}", bad.reason) for bad in rings.unused if bad.name]
         coded = rings.detections.chosen(np.arange(count))
         size = (int(image.shape[1]), int(image.shape[0]))
         counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
