@@ -1,33 +1,12 @@
 """What a JPEG file says of the lens in its EXIF block."""
 
 import struct
-from pathlib import Path
 
 _EXIF_MARK = b"Exif\x00\x00"
 #: The block is at the beginning: at most one segment of 64 kB after a few short ones.
-_BEGINNING = 1 << 18
+EXIF_BYTES = 1 << 18
 _EXIF_POINTER, _FOCAL_LENGTH_35MM = 0x8769, 0xA405
 _SHORT, _LONG = 3, 4
-
-
-def read_focal_length_35mm(path: Path) -> float | None:
-    """Read the focal length for a film of 36 mm x 24 mm.
-
-    Parameters
-    ----------
-    path : Path
-        A photo.
-
-    Returns
-    -------
-    float or None
-        The focal length [mm]; None where the file does not say it.
-    """
-    try:
-        with path.open("rb") as file:
-            return focal_length_35mm(file.read(_BEGINNING))
-    except OSError:
-        return None
 
 
 def focal_length_35mm(content: bytes) -> float | None:
@@ -36,7 +15,7 @@ def focal_length_35mm(content: bytes) -> float | None:
     Parameters
     ----------
     content : bytes
-        The first 256 kB, or more.
+        The first `EXIF_BYTES`, or more.
 
     Returns
     -------

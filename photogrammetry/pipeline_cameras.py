@@ -11,7 +11,7 @@ from heliogauge.camera_millimetres import LensForm, Sensor, SensorParameters
 from heliogauge.camera_photogrammetric import PrincipalOrigin
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import InputError
-from heliogauge.exif import read_focal_length_35mm
+from heliogauge.exif import EXIF_BYTES, focal_length_35mm
 from heliogauge.least_squares import Prior
 from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_network_camera import MillimetreSection, NetworkCameraSection, camera_of_photos
@@ -155,7 +155,7 @@ def _from_file(path: Path, name: str) -> Camera:
 def _film_focal_length(measurement: PhotogrammetryMeasurement, camera: str, names: Sequence[str]) -> float | None:
     """Return what EXIF says of the focal length on a film of 36 mm x 24 mm, if the photos agree."""
     files = {file.name: file for file in measurement.photo_files}
-    found = {name: read_focal_length_35mm(files[name]) for name in names if name in files}
+    found = {name: focal_length_35mm(_beginning(files[name])) for name in names if name in files}
     said = {name: value for name, value in found.items() if value is not None}
     if not said:
         return None
@@ -166,6 +166,14 @@ def _film_focal_length(measurement: PhotogrammetryMeasurement, camera: str, name
             "mm x 24 mm); with a zoom that was moved give each position its own [[camera]] with photos = [...]"
         )
     return float(np.median(list(said.values())))
+
+
+def _beginning(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(EXIF_BYTES)
+    except OSError:
+        return b""
 
 
 def _started(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: float | None) -> Camera:
