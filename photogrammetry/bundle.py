@@ -218,7 +218,10 @@ def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions
 
 
 def _evaluator(model: BundleModel, waiting: list[BundleRows]) -> Callable[[BundleState], BundleRows]:
-    """Return what evaluates a state; what is evaluated already is handed out once, not kept: 0.5 GB of 1.9 with 500 photos of 2000."""
+    """Return what evaluates a state. What is evaluated already is handed out once and not kept.
+
+    With 500 photos of 2000 targets that is 0.5 GB of 1.9.
+    """
 
     def evaluator(state: BundleState) -> BundleRows:
         return waiting.pop() if waiting and state is waiting[0].state else evaluate(model, state)
