@@ -247,9 +247,15 @@ photos = "photo_*.jpg"          # a text with * (natural order), or a list
 
 [targets]
 dictionary = "aicon-12"         # ring codes aicon-8 to -20, metashape-12 to -20; or square markers: "DICT_4X4_100"
+                                # or a file with ring codes of your own: "codes.csv", "codes.toml"
 #: polarity = "both"            # black-on-white | white-on-black | both
 #: smallest_px = 6.0            # diameter of the dots in the photos
-#: largest_px = 100.0
+#: largest_px = 300.0
+#: charuco = { columns = 7, rows = 10, square_mm = 22.0, marker_mm = 15.4 }   # a board of those markers: its inner
+                                # corners are points "board.0", "board.1"... row by row from its top left
+#: sense = "counterclockwise"   # ring codes printed in the other sense than the dictionary counts (see docs/targets.md)
+#: ring_inner_radius = 2.0      # where the code ring begins and ends, in radii of the dot
+#: ring_outer_radius = 3.0
 #: diameter_mm = 14.0           # of all dots: helps targets seen twice only, and is checked
 #: find_uncoded = true          # dots without a code, through the poses of the coded targets; the default for ring codes
 #: uncoded_file = "rim.csv"     # their names and rough places: id, x_m, y_m, z_m, sigma_mm; without dictionary these tell
