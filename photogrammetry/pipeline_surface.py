@@ -24,12 +24,14 @@ from photogrammetry.mesh_surface import MeshSurface, mesh_start
 from photogrammetry.store_mesh import read_mesh
 from photogrammetry.surface_canting import FacetCanting, FacetPoints, facet_canting
 from photogrammetry.surface_design import CompositeDesign, DesignSurface, Reference
-from photogrammetry.surface_fit import fit_surface
+from photogrammetry.surface_fit import fit_surface, quick_fit
 from photogrammetry.surface_slopes import Patch, SurfaceSlopes, hull_outline, surface_slopes
 from photogrammetry.surface_start import find_start
 
 #: The joint covariance of so many points takes 0.4 GB; beyond, points count as independent of each other.
 _JOINT = 2400
+#: Points further from several facets than this share of their extent are in another frame: no panel is bent by 2 %.
+_NEAR = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,7 +288,13 @@ def _fitted(
         start, how = mesh_start(points.points_m, reference, viewer_m)
         return fit_surface(points, reference, start, choices), how, []
     if isinstance(reference, CompositeDesign):
-        return fit_surface(points, reference, RigidTransform.identity(), choices), "the frame of the network", []
+        trial = quick_fit(points.points_m, reference, RigidTransform.identity())
+        if not trial.rms_m < _NEAR * float(np.ptp(points.points_m, axis=0).max()):
+            raise InputError(
+                f"surface: in the frame of the network the points are {trial.rms_m:.3g} m from their facets, which "
+                "have designs of their own; name three or more [[surface.reference]] targets with their design coordinates"
+            )
+        return fit_surface(points, reference, trial.pose, choices), "the frame of the network", []
     found = find_start(points.points_m, reference, viewer_m)
     words = [found.open_words] if found.open_words else []
     return fit_surface(points, reference, found.design_from_world, choices), found.how, words

@@ -100,6 +100,23 @@ def test_facets_show_their_canting_and_the_map_shows_it_too(adjusted, folder, tr
     assert np.sqrt(np.mean(ratio[~known] ** 2)) == pytest.approx(1, abs=0.4)
 
 
+def test_facets_with_designs_of_their_own_are_placed_by_their_pose(adjusted, folder, truth) -> None:
+    # The same paraboloid, said as two designs: once in the frame of the whole, once seen from half a metre aside.
+    shift = [0.5, 0.0, 0.5**2 / (4 * FOCAL_M)]
+    aside = {"design": "quadric", "position_m": shift,
+             "coefficients": [1 / (4 * FOCAL_M), 1 / (4 * FOCAL_M), 0.5 / (2 * FOCAL_M), 0.0, 0.0, 0.0]}  # fmt: skip
+    own = {"design": "paraboloid", "focal_length_m": FOCAL_M}
+    names = {side: [n for n, p in truth.items() if inside(*p[:2])] for side, inside in FACETS.items()}
+    facets = [{"name": "low", "targets": names["low"], **own}, {"name": "high", "targets": names["high"], **aside}]
+    found = measured(adjusted, folder, fit="none", reference=references(truth), facet=facets)
+    low, high = found.cantings
+    assert low.canting[0] == pytest.approx(0.0, abs=4 * low.sigma_canting[0] + 1e-5)
+    assert high.canting[0] == pytest.approx(TILT_RAD, abs=4 * high.sigma_canting[0] + 1e-5)
+    assert np.isnan(high.length_m)
+    with pytest.raises(InputError, match="designs of their own; name three or more"):
+        measured(adjusted, folder, facet=facets)
+
+
 def test_focal_length_of_one_half_is_recovered(adjusted, folder, truth) -> None:
     names = [name for name, place in truth.items() if place[1] < 0]
     found = measured(adjusted, folder, design="paraboloid", focal_length_m=1.7, fit="focal-length", targets=names)
