@@ -195,10 +195,12 @@ def correlation_figure(result: Result) -> "Figure":
 
 
 def board_figure(result: Result) -> "Figure":
-    """Draw how far the board's points are from where they were drawn."""
+    """Draw how far the board's points are from where they were drawn; without a drawing, where they are."""
     shape = result.shape
     unit, factor = ("mm", 1e3) if shape.board.is_metric else ("pitches", 1.0)
     places, departure = factor * shape.points_m, factor * shape.departure_m
+    if not shape.has_drawing:
+        departure = places * [0.0, 0.0, 1.0]
     width = WIDTH_IN - 1.75
     span = np.maximum(np.ptp(places[:, :2], axis=0), 1e-12)
     height = min(max(width * span[1] / span[0], 1.2), 4.5)
@@ -209,13 +211,18 @@ def board_figure(result: Result) -> "Figure":
     dots = axes.scatter(places[:, 0], places[:, 1], c=departure[:, 2], s=9, cmap="RdBu_r", linewidths=0)
     size = float(np.sqrt((departure[:, :2] ** 2).sum(axis=1).mean()))
     enlarge = 0.04 * float(np.hypot(*span)) / max(size, 1e-12)
-    axes.quiver(
-        *places[:, :2].T, *departure[:, :2].T, angles="xy", scale_units="xy", scale=1 / enlarge, width=0.002, color=INK
-    )
+    if size > 0:
+        arrows = (*places[:, :2].T, *departure[:, :2].T)
+        axes.quiver(*arrows, angles="xy", scale_units="xy", scale=1 / enlarge, width=0.002, color=INK)
     axes.set_xlabel(f"x [{unit}]", fontsize=8.5, color=INK)
     axes.set_ylabel(f"y [{unit}]", fontsize=8.5, color=INK)
-    note = f"rms x {rms[0]:.2g}, y {rms[1]:.2g}, z {rms[2]:.2g} {unit}; arrows {enlarge:.0f} times, colour z"
-    add_title(figure, "The board's departure from its drawing", note)
+    if shape.has_drawing:
+        note = f"rms x {rms[0]:.2g}, y {rms[1]:.2g}, z {rms[2]:.2g} {unit}; arrows {enlarge:.0f} times, colour z"
+        add_title(figure, "The board's departure from its drawing", note)
+    else:
+        add_title(
+            figure, "Places of the targets", f"colour: z, from {places[:, 2].min():.3g} to {places[:, 2].max():.3g}"
+        )
     for set_limits, middle, half in (
         (axes.set_xlim, places[:, 0].mean(), 0.56 * span[0]),
         (axes.set_ylim, places[:, 1].mean(), 0.56 * span[1]),

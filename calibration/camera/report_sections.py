@@ -167,8 +167,8 @@ def photo_table(report: CalibrationReport) -> Html:
             f"{1e3 * float(np.linalg.norm(sigma[:3])):.3g}", f"{1e3 * float(np.linalg.norm(sigma[3:])):.3g}",
         ))  # fmt: skip
     long, short = ("m", "mm") if report.result.shape.board.is_metric else ("pitches", "\u2030 pitch")
-    head = ("photo", "points", "rejected", "RMS [px]", "kept apart [px]", "tilt [deg]", "roll [deg]",
-            f"distance [{long}]", "\u03c3 rotation [mrad]", f"\u03c3 place [{short}]")  # fmt: skip
+    head = ("photo", "points", "rej.", "RMS [px]", "kept apart [px]", "tilt [deg]", "roll [deg]",
+            f"distance [{long}]", "\u03c3 rot. [mrad]", f"\u03c3 place [{short}]")  # fmt: skip
     return table(head, rows, numbers=range(1, len(head)))
 
 
@@ -194,9 +194,9 @@ def board_section(report: CalibrationReport) -> Html:
     stretch = _stretch(report.result)
     lines = [(name, number_text(value, None, "")) for name, value in stretch]
     head = (f"departure [{unit}]", "RMS", "largest", "sigma, RMS")
+    tables = (table(head, rows, numbers=(1, 2, 3)), table(("straight part of it", "1/1000"), lines, numbers=(1,)))
     return join(
-        table(head, rows, numbers=(1, 2, 3)),
-        table(("straight part of it", "1/1000"), lines, numbers=(1,)),
+        *(tables if shape.has_drawing else (Html("<p>Nothing was known of the targets' places.</p>"),)),
         show(
             figures.board_figure(report.result),
             figures.board_sigma_figure(report.result) if shape.sigma_m.any() else None,

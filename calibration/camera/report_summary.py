@@ -56,7 +56,7 @@ def summarise(result: Result) -> Summary:
         "rejected_points_count": len(quality.rejected),
         "redundancy_count": quality.redundancy,
         "residual_over_noise_ratio": quality.sigma_factor_ratio,
-        "board_departure_rms_share": float(_departure(result)),
+        "board_departure_rms_share": float(_departure(result)) if result.shape.has_drawing else float("nan"),
     }
     if result.comparison is not None:
         numbers |= {
@@ -70,9 +70,10 @@ def summarise(result: Result) -> Summary:
             "compared_chi_square_ratio": result.comparison.chi_square / max(result.comparison.freedom, 1),
             "compared_chance_share": result.comparison.chance,
         }
-    missing = {}
+    missing: dict[str, str] = {}
     if not np.isfinite(quality.rms_as_drawn_px):
-        missing["residual_rms_board_as_drawn_px"] = "nothing was known of the targets' places"
+        keys = ("residual_rms_board_as_drawn_px", "board_departure_rms_share")
+        missing |= dict.fromkeys(keys, "nothing was known of the targets' places")
     if not result.held_out:
         missing["held_out_rms_px"] = "no photo was held out"
     if result.comparison is not None and not np.isfinite(result.comparison.chance):
@@ -151,8 +152,9 @@ def headline_text(result: Result) -> str:
         f"  principal point  {number_text(camera.center_x_px, s[2], 'px')}, "
         f"{number_text(camera.center_y_px, s[3], 'px')}",
         f"  line of sight    +- {1e3 * sigma.rms_free_rad:.2g} mrad rms over the image, without a common rotation",
-        f"  board            {100 * _departure(result):.2g} % of a pitch rms from as drawn",
     ]
+    if result.shape.has_drawing:
+        lines.append(f"  board            {100 * _departure(result):.2g} % of a pitch rms from as drawn")
     if np.isfinite(apart):
         lines.insert(2, f"  photos kept apart {apart:.4f} px rms, only their pose fitted")
     lines += [

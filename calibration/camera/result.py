@@ -110,6 +110,11 @@ class BoardShape:
     datum: str
 
     @property
+    def has_drawing(self) -> bool:
+        """Whether anything was known of the points' places before."""
+        return not bool(np.isinf(self.prior_sigma_m).any())
+
+    @property
     def departure_m(self) -> FloatArray:
         """Place less nominal place, shape (k, 3) [m]."""
         return np.asarray(self.points_m - self.board.points_m[self.seen])

@@ -205,7 +205,8 @@ def open_calibration(folder: str | Path = ".") -> Result:
     summary = read_summary(folder / "summary.json")
     cameras, poses = read_cameras_json(folder / "cameras.json")
     camera_name, camera = next(iter(cameras.items()))
-    shape = _read_shape(folder, summary.texts)
+    drawn_rms = summary.numbers.get("residual_rms_board_as_drawn_px")
+    shape = _read_shape(folder, summary.texts, has_drawing=drawn_rms is not None)
     photo_table = read_table_csv(folder / "photos.csv", ("image", "use", "points", "rms_px", "kept_apart_px"))
     apart = dict(zip(photo_table["image"], _floats(photo_table["kept_apart_px"]), strict=True))
     photos = _read_photos(folder, shape, poses, apart)
@@ -226,7 +227,7 @@ def open_calibration(folder: str | Path = ".") -> Result:
         shape,
         Quality(
             float(numbers.get("residual_rms_px") or np.nan),
-            float(numbers.get("residual_rms_board_as_drawn_px") or np.nan),
+            float(drawn_rms or np.nan),
             float(numbers.get("residual_over_noise_ratio") or np.nan),
             int(numbers.get("redundancy_count") or 0),
             tuple(read_table_csv(folder / "rejected.csv", ("image_point",))["image_point"]),
@@ -247,7 +248,7 @@ def _floats(cells: list[str]) -> list[float]:
     return [float(cell) if cell else float("nan") for cell in cells]
 
 
-def _read_shape(folder: Path, texts: Mapping[str, str]) -> BoardShape:
+def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) -> BoardShape:
     points = read_points_csv(folder / "points.csv")
     columns = read_table_csv(folder / "board.csv", ("id", "drawn_x_m", "drawn_y_m", "drawn_z_m"))
     drawn = np.array([_floats(columns[f"drawn_{axis}_m"]) for axis in "xyz"]).T
@@ -260,7 +261,7 @@ def _read_shape(folder: Path, texts: Mapping[str, str]) -> BoardShape:
         points.xyz_m,
         points.sigma_m,
         points.n_rays,
-        np.zeros(3) if held else np.full(3, np.nan),
+        np.zeros(3) if held else np.full(3, np.nan if has_drawing else np.inf),
         texts.get("datum", ""),
     )
 
