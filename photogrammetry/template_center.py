@@ -80,9 +80,9 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
     Notes
     -----
     With ``u = M (x - c)``, ``q = |u|`` and ``g = |M u|``, the signed distance from the edge is d = (q - q^2) / g, exact
-    for circles and to first order for ellipses. The coverage is P(d / s) + (n_x^4 + n_y^4) (z^3 - 3 z) p(z) / (2880 s^4): a
-    Gaussian edge of the same variance as blur and pixel square together, and the next term of the Edgeworth series,
-    which the square contributes because it is no Gaussian (its cumulant along the normal n is
+    for circles and to first order for ellipses. The coverage is P(d / s) + (n_x^4 + n_y^4) (z^3 - 3 z) p(z) /
+    (2880 s^4): a Gaussian edge of the same variance as blur and pixel square together, and the next term of the
+    Edgeworth series, which the square contributes because it is no Gaussian (its cumulant along the normal n is
     -(n_x^4 + n_y^4) / 120 px^4). Here d is the distance less k s^2 / 2: blur moves the middle level of an edge of
     curvature k = (det M)^2 q^3 / g^3 towards the centre of its curvature. Without it discs of 6 px at a blur of 0.5 px
     are measured 1.9 % too small, and 12 px ones 0.5 %.
