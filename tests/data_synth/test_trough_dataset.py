@@ -181,6 +181,25 @@ def test_panels_tilt_and_bend_about_their_own_middle() -> None:
     assert np.isnan(height[4])
 
 
+def test_rays_meet_each_panel_with_its_own_errors() -> None:
+    design = ls2_panelled()
+    rng = np.random.default_rng(0)
+    mirror = TroughMirror(design, panels=PanelErrors(*rng.normal(0, 2e-3, (2, 20)), rng.uniform(1.48, 1.5, 20)))
+    table = MirrorTable(mirror, np.float64)
+    x, y = rng.uniform(-2.5, 2.5, 400), rng.uniform(-3.9, 3.9, 400)
+    up = np.full(400, 20.0)
+    rays = Rays(x, y, up, 0 * x, 0 * x, -np.ones(400))
+    panel = table.panel(x, y)
+    np.testing.assert_array_equal(panel, design.panel_index(x, y))
+    on = np.flatnonzero(panel >= 0)
+    assert np.unique(panel[on]).size == 20
+    assert on.size < 400
+    _, _, _, slope_x, slope_y = table.surface(rays.take(on), table.meet(rays)[on], panel[on])
+    _, error_x, error_y = mirror.deviation(x[on], y[on])
+    np.testing.assert_allclose(slope_x, x[on] / 2.98 + error_x, atol=1e-14)
+    np.testing.assert_allclose(slope_y, error_y, atol=1e-14)
+
+
 def test_the_shaped_mirror_is_met_where_it_is() -> None:
     design = replace(ls2(), glass=None)
     errors = SurfaceErrors((Polynomial([(0, 0, 4e-3), (1, 0, 1e-3), (2, 1, 5e-4)]), Ripple(2e-3, 0.9, 0.4)))

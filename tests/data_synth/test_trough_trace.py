@@ -75,7 +75,34 @@ def test_slope_errors_and_displaced_absorber_move_the_edges_as_derived(
     assert not sees_absorber(tracer, x, y, 2 * mirror.theta_r_rad(x, y) - beta_0 + beta + 0.8 * half, along).all()
 
 
-def test_a_tilted_absorber_is_displaced_by_what_it_is_where_it_is_seen(places: tuple[FloatArray, FloatArray]) -> None:
+@pytest.mark.parametrize("along", [0.0, 0.25])
+def test_a_tilted_absorber_is_met_where_a_ray_comes_nearest(
+    places: tuple[FloatArray, FloatArray], along: float
+) -> None:
+    x, y = places
+    slope_x, slope_z = 0.02, -0.01
+    receiver = Receiver(BARE, TubeAxis.straight(0.0, 0.0, slope_x, slope_z), has_arms=False)
+    tracer = Tracer(world_of(TroughMirror(BARE), receiver, finish=BLACK), np.float64)
+    z = x * x / (4 * FOCAL)
+    # Circles normal to y about the axis: the squared distance from the middle of the circle where the ray is, is
+    # quadratic along the ray; its least value follows from three of them.
+    t = np.array([[0.0], [2.0], [4.0]])
+    middle = np.arctan2(-x, FOCAL - z) - np.arctan2(slope_x * y - x, FOCAL + slope_z * y - z)
+    for k in (5, 40, 70, 110):
+        # Within 60 mrad of the middle one edge lies on either side.
+        phi = np.linspace(middle[k] - 0.06, middle[k] + 0.06, 2001)
+        beta = -2 * np.arctan(x[k] / (2 * FOCAL)) - phi
+        at_x, at_y, at_z = x[k] + t * np.sin(beta), y[k] - t * along, z[k] + t * np.cos(beta)
+        first, second, third = (at_x - slope_x * at_y) ** 2 + (at_z - FOCAL - slope_z * at_y) ** 2
+        a, b = (first - 2 * second + third) / 8, (4 * second - 3 * first - third) / 4
+        inside = first - b * b / (4 * a) < 0.035**2
+        assert not inside[[0, -1]].any()
+        assert inside.any()
+        seen = sees_absorber(tracer, np.full(2001, x[k]), np.full(2001, y[k]), phi, along)
+        np.testing.assert_array_equal(seen, inside)
+
+
+def test_a_tilted_absorber_shifts_the_edges(places: tuple[FloatArray, FloatArray]) -> None:
     x, y = places
     receiver = Receiver(BARE, TubeAxis.straight(0.0, 0.0, 2e-3, -1e-3))
     tracer = Tracer(world_of(TroughMirror(BARE), receiver, finish=BLACK), np.float64)
