@@ -292,7 +292,7 @@ def _fitted(
         if not trial.rms_m < _NEAR * float(np.ptp(points.points_m, axis=0).max()):
             raise InputError(
                 f"surface: in the frame of the network the points are {trial.rms_m:.3g} m from their facets, which "
-                "have designs of their own; name three or more [[surface.reference]] targets with their design coordinates"
+                "have designs of their own; name three or more [[surface.reference]] targets with their places"
             )
         return fit_surface(points, reference, trial.pose, choices), "the frame of the network", []
     found = find_start(points.points_m, reference, viewer_m)
