@@ -72,8 +72,8 @@ def test_dots_have_honest_sigmas(named: tuple[Path, Result]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["retro", "busy"])
-def test_bright_dots_on_black_and_busy_ground(tmp_path: Path, preset: str) -> None:
+@pytest.mark.parametrize(("preset", "unread"), [("retro", False), ("busy", True)])
+def test_bright_dots_on_black_and_busy_ground(tmp_path: Path, preset: str, unread: bool) -> None:
     """Nothing but the 12 dots: no piece of an unread code ring, no clutter."""
     folder = made(tmp_path / preset, preset)
     result = run(load_photogrammetry(folder))
@@ -82,7 +82,8 @@ def test_bright_dots_on_black_and_busy_ground(tmp_path: Path, preset: str) -> No
     true = with_true_names(result, truth)
     found = [right for name, right in zip(names, true, strict=True) if name.startswith("u")]
     assert sorted(found) == sorted(name for name in truth if name.startswith("dot"))
-    assert any("its code was not read" in one.reason for one in result.refused)
+    # Codes behind something are dots in some photos; where all are read there is nothing to say.
+    assert any("its code was not read" in one.reason for one in result.refused) is unread
 
 
 @pytest.mark.parametrize(
