@@ -132,7 +132,9 @@ def demo(
 def init(
     kind: Annotated[
         str,
-        typer.Argument(metavar="KIND", help="Kind of measurement: deflectometry, photogrammetry, response, camera."),
+        typer.Argument(
+            metavar="KIND", help="Kind: deflectometry, photogrammetry, photogrammetry-plan, observer, response, camera."
+        ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,

@@ -200,7 +200,8 @@ square_mm = 30.0
 photos = "photo_*.png"          # a text with * (natural order), or a list
 """
 
-_PHOTOGRAMMETRY = """\
+_PHOTOGRAMMETRY = (
+    """\
 # Photogrammetry: photos of targets to coordinates with standard deviations, poses and a calibrated camera.
 # Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
 # `heliogauge photogrammetry sheets` prints targets in true scale.
@@ -349,7 +350,9 @@ sigma_mm = 0.02
 #: reject = true                # leave out image points that contradict the others
 #: family_significance = 0.05   # probability of leaving out any good one of all
 #: sigmas = "from residuals"    # or "stated"; default: from residuals for photos, stated for image points with sigma
-""" + SURFACE_TEMPLATE
+"""
+    + SURFACE_TEMPLATE
+)
 
 _PHOTOGRAMMETRY_PLAN = """\
 # Plan of a photogrammetric measurement: how many photos, from where, for a wanted sigma.
@@ -402,9 +405,71 @@ of = "rms"                      # of all coordinates' sigmas, or the "largest"
 #: most_photos = 80
 """
 
+_OBSERVER = """\
+# Photos of the absorber's reflection in a parabolic trough: slope errors, absorber position, intercept factor.
+# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
+# Frame: origin at the vertex in the middle of the length, x across the aperture, y along, z to the absorber.
+
+kind = "observer"
+name = "collector 1"
+
+[collector]
+aperture_width_m = 5.0
+length_m = 7.89
+focal_length_m = 1.49
+absorber_diameter_mm = 70.0
+#: glass_outer_diameter_mm = 115.0
+#: glass_inner_diameter_mm = 109.0
+#: glass_index = 1.47
+#: panel_edges_x_m = [-2.5, -1.34, 0.0, 1.34, 2.5]   # all edges of the mirror panels, also the outer ones
+#: panel_edges_y_m = [-3.945, -2.367, -0.789, 0.789, 2.367, 3.945]
+#: panel_gap_mm = 10.0
+#: support_y_m = [-3.945, 0.0, 3.945]                # receiver supports: the tube is not seen there
+#: support_width_m = 0.3
+#: orientation_deg = 0.0        # 0: the collector looks to the zenith
+
+# As in photogrammetry: a calibrated camera by its file, or written out; unknown: it calibrates itself.
+[camera]
+file = "camera.json"
+#: width_px = 1920
+#: height_px = 1080
+#: focal_px = 2381.0
+
+# The camera crosses the optical axis above the mirror: the absorber's reflection must pass every part of the mirror.
+[images]
+photos = "*.jpg"
+#: video = "pass.mp4"           # instead of photos
+#: every_nth = 5                # of the video's frames
+
+# Coded targets on the rim (ring codes aicon-12, ... or markers DICT_4X4_100); targets.csv has the columns
+# target, x_m, y_m, z_m, sigma_x_mm, sigma_y_mm, sigma_z_mm; leave a cell empty where a coordinate is not known.
+[targets]
+dictionary = "aicon-12"
+diameter_mm = 60.0
+file = "targets.csv"
+
+#: [[scale_bar]]
+#: a = "1"
+#: b = "6"
+#: length_m = 7.52
+#: sigma_mm = 3.0
+
+# Where the absorber is: measured in the same photos (default), in photos of its own, read, or taken from the design.
+#: [absorber]
+#: source = "photos"            # or "file" with file = "absorber.csv", or "design"
+#: photos = "absorber_*.jpg"
+#: station_step_m = 0.25
+
+#: [evaluation]
+#: row_step_mm = 20.0
+#: column_step_mm = 20.0
+#: largest_slope_error_mrad = 12.0
+#: longitudinal_slope_mrad = 2.0   # standard deviation of slopes along the trough, where one pass cannot measure them
+"""
+
 _TEMPLATES: dict[str, str] = {
     "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
-    "photogrammetry-plan": _PHOTOGRAMMETRY_PLAN,
+    "photogrammetry-plan": _PHOTOGRAMMETRY_PLAN, "observer": _OBSERVER,
 }  # fmt: skip
 
 
