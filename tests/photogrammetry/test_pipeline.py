@@ -304,8 +304,10 @@ def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
     assert numbers["image_residual_rms_px"] < 0.11
     assert numbers["scale_bar_residual_rms_m"] < 0.0005
     assert numbers["largest_image_residual_px"] < 1.0
-    # What OpenCV reads into a carpet is refused by name.
-    assert any(one.name.startswith("marker 32 at") and "DSC03660" in one.name for one in result.refused)
+    # Covariances of corners hold from photo to photo; with independent pixels alone the factor was 2.54.
+    assert 0.85 < numbers["image_sigma_factor"] < 1.2
+    # Markers too small to be measured are refused by name.
+    assert any(one.name.startswith("marker 10 at") and "DSC03677" in one.name for one in result.refused)
     assert np.isfinite(result.points.sigma_m).all()
 
 
