@@ -211,7 +211,9 @@ class Rays(NamedTuple):
     dz: RayArray
 
     def take(self, index: npt.NDArray[np.intp]) -> "Rays":
-        """Return some of the rays."""
+        """Return some of the rays, by ascending numbers without repetition."""
+        if index.size == self.x.size:
+            return self
         return Rays(*(part[index] for part in self))
 
 

@@ -240,8 +240,7 @@ class ReceiverTable:
         around = receiver.glass if design.glass is not None and receiver.glass is not None else receiver.absorber
         outer = np.stack(around.offsets_m(y))
         self._first, self._per_m = dtype(y[0]), dtype((y.size - 1) / (y[-1] - y[0]))
-        self._outer = outer.astype(dtype)
-        self._outer_slope = np.gradient(outer, y, axis=1).astype(dtype)
+        self._outer = np.concatenate([outer, np.gradient(outer, y, axis=1)]).astype(dtype)
         self._between = (absorber - outer).astype(dtype)
         self._margin = dtype(np.abs(outer).max() + 1e-3)
 
@@ -267,8 +266,7 @@ class ReceiverTable:
         ray = rays.take(index)
         length = ahead[index] / square[index]
         y = ray.y + length * ray.dy
-        axis_x, axis_z = self._at(self._outer[0], y), self._at(self._outer[1], y)
-        slope_x, slope_z = self._at(self._outer_slope[0], y), self._at(self._outer_slope[1], y)
+        axis_x, axis_z, slope_x, slope_z = self._at(self._outer, y)
         ux, uz = ray.dx - slope_x * ray.dy, ray.dz - slope_z * ray.dy
         # Relative to the axis at y; the sheared ray keeps its distance while y moves on to the nearest point.
         from_x = ray.x + length * ray.dx - axis_x
@@ -314,7 +312,7 @@ class ReceiverTable:
             Whether they end on the absorber, and how they leave.
         """
         b = passage.impact
-        between_x, between_z = self._at(self._between[0], passage.y), self._at(self._between[1], passage.y)
+        between_x, between_z = self._at(self._between, passage.y)
         if self._glass is None:
             none = np.zeros_like(b)
             return Inside(np.abs(b) < self._radius, b / self._radius, none, none)
@@ -388,11 +386,13 @@ class ReceiverTable:
             hit |= np.maximum(start, np.minimum(first, last)) < np.minimum(end, np.maximum(first, last))
         return index[hit]
 
-    def _at(self, table: RayArray, y: RayArray) -> RayArray:
+    def _at(self, table: RayArray, y: RayArray) -> list[RayArray]:
+        """Return each row of a table at positions along the tube."""
         place = np.clip((y - self._first) * self._per_m, 0, _TABLE_POINTS - 1.001)
-        before = place.astype(np.int32)
+        before = place.astype(np.intp)
         share = place - before.astype(place.dtype)
-        return np.asarray(table[before] + (table[before + 1] - table[before]) * share)
+        low, high = table[:, before], table[:, before + 1]
+        return list(low + (high - low) * share)
 
 
 def _fresnel(cos_in: RayArray, cos_out: RayArray, ratio: RayArray) -> RayArray:

@@ -165,17 +165,29 @@ class Tracer:
         return np.asarray(hidden)
 
     def _look(self, rays: Rays, bounces: int) -> Seen:
+        passage = self.receiver.approach(rays)
+        if passage.which.size == 0:
+            return self._below_tube(rays, bounces)
+        n = rays.x.size
+        seen = Seen(np.empty(n, dtype=np.float32), np.empty(n, dtype=np.int32))
+        past = np.ones(n, dtype=np.bool_)
+        past[passage.which] = False
+        for index, part in (
+            (passage.which, self._at_tube(passage, rays.take(passage.which), bounces)),
+            (np.flatnonzero(past), self._below_tube(rays.take(np.flatnonzero(past)), bounces)),
+        ):
+            seen.light[index], seen.label[index] = part
+        return seen
+
+    def _below_tube(self, rays: Rays, bounces: int) -> Seen:
+        """Follow rays that do not meet the tube."""
         seen = self._beyond(rays, bounces)
         arms = self.receiver.meet_arms(rays)
         seen.light[arms], seen.label[arms] = self._finish.arm, _ARM
-        passage = self.receiver.approach(rays)
-        if passage.which.size:
-            light, label = self._at_tube(passage, rays.take(passage.which), bounces)
-            seen.light[passage.which], seen.label[passage.which] = light, label
         return seen
 
     def _beyond(self, rays: Rays, bounces: int) -> Seen:
-        """Follow rays past the receiver."""
+        """Follow rays past the whole receiver."""
         mirror = self.mirror
         length = mirror.meet(rays)
         x, y = rays.x + length * rays.dx, rays.y + length * rays.dy
