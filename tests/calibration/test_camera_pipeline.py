@@ -206,7 +206,7 @@ def test_a_board_that_looks_the_same_turned(board_photos: Callable[[str], Path])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "scenes"), [("chessboard", 8), ("targets", 4)])
+@pytest.mark.parametrize(("kind", "scenes"), [("chessboard", 8)])
 def test_sigmas_are_the_scatter(kind: str, scenes: int, tmp_path: Path) -> None:
     """Intrinsics, and image points all over the image, of scenes with noise of their own."""
     shares, ratios = [], []
@@ -220,7 +220,7 @@ def test_sigmas_are_the_scatter(kind: str, scenes: int, tmp_path: Path) -> None:
         # The rotation between both is a matter of the pose.
         found = compare(result.camera, true)
         ratios.append(found.rms_rad / found.expected_rad)
-    # 72 degrees of freedom: 1 +- 0.17; targets take longer to draw, 36 of them: 1 +- 0.24.
+    # 72 degrees of freedom: 1 +- 0.17.
     assert 0.5 < np.mean(shares) < 1.6
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
