@@ -264,13 +264,26 @@ class MirrorTable:
         length = np.where(b > 0, -2 * c / (b + root), (root - b) / (2 * a))
         return np.asarray(np.where(length > 0, length, np.nan))
 
-    def meets_back(self, rays: Rays) -> npt.NDArray[np.bool_]:
-        """Return whether rays enter the parabola from outside within the aperture: they see the mirror's back."""
+    def meets_back(self, rays: Rays, before: float = float("inf")) -> npt.NDArray[np.bool_]:
+        """Return whether rays see the mirror's back.
+
+        Parameters
+        ----------
+        rays : Rays
+            The rays.
+        before : float, optional
+            Only up to this length.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether they enter the parabola from outside within the aperture.
+        """
         a, b, c = self._quadratic(rays)
         root = np.sqrt(b * b - 4 * a * c)
         length = 2 * c / (root - b)
         x, y = rays.x + length * rays.dx, rays.y + length * rays.dy
-        return np.asarray((c > 0) & (length > 0) & self.within(x, y))
+        return np.asarray((c > 0) & (length > 0) & (length < before) & self.within(x, y))
 
     def within(self, x: RayArray, y: RayArray) -> npt.NDArray[np.bool_]:
         """Return whether points lie within the aperture's outline, gaps included."""

@@ -158,7 +158,7 @@ class Tracer:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             length = self.mirror.meet(rays)
             hidden = (length < 1) & self.mirror.within(rays.x + length * rays.dx, rays.y + length * rays.dy)
-            hidden |= self.mirror.meets_back(rays)
+            hidden |= self.mirror.meets_back(rays, 1.0)
             passage = self.receiver.approach(rays)
             before = (passage.axis_z - rays.z[passage.which]) / rays.dz[passage.which]
         hidden[passage.which] |= (before > 0) & (before < 1)

@@ -202,6 +202,16 @@ def test_targets_appear_where_the_truth_says() -> None:
         assert np.sum(rows * dark) / dark.sum() == pytest.approx(y, abs=0.2)
 
 
+def test_what_the_collector_hides() -> None:
+    tracer = Tracer(world_of(TroughMirror(BARE)))
+    points = np.array([[0.5, 0.0, 0.9], [3.0, 0.0, 1.0], [0.5, 0.0, -2.0], [0.0, 1.0, -1.0], [0.05, 1.0, 1.0]])
+    from_below = tracer.hides(np.array([0.5, 0.0, -5.0]), points)
+    np.testing.assert_array_equal(from_below, [True, False, False, False, True])
+    # Of the last two one is below the mirror, the other behind the tube.
+    from_above = tracer.hides(np.array([-0.05, 1.0, 2.0]), points)
+    np.testing.assert_array_equal(from_above, [False, False, True, True, True])
+
+
 def test_a_target_behind_the_collector_is_not_drawn() -> None:
     scene = trough_scene("small")
     below = look_at_trough(np.array([6.0, 0.1, -1.0]), np.array([0.0, 0.0, 1.0]))
