@@ -10,6 +10,7 @@ from data_synth.pinhole import PinholeCamera
 from data_synth.prints import DotPrint, Print, RingPrint
 from data_synth.sheets import Sheet
 from data_synth.surface_errors import Ripple, SurfaceErrors
+from data_synth.target_scene import sheet_points
 from data_synth.trough_mirror import PanelErrors, TroughMirror
 from data_synth.trough_paths import absorber_pair, mast_pass, several_passes, straight_pass, turning_collector, wobbling
 from data_synth.trough_receiver import Receiver, TubeAxis
@@ -213,9 +214,12 @@ def placed_targets(
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
         tilt = rotation_from_vector(np.array([*rng.uniform(-0.05, 0.05, 2), 0.0]))
         true = stated + TARGET_SIGMA_M * rng.standard_normal(3)
-        sheets.append(Sheet(name, figure, RigidTransform(upright @ tilt @ turn, true)))
+        sheet = Sheet(name, figure, RigidTransform(upright @ tilt @ turn, true))
+        sheets.append(sheet)
         sigma = np.full(3, TARGET_SIGMA_M if on_collector else np.nan)
-        targets.append(ListedTarget(name, stated, sigma, on_collector))
+        # Corners of a square marker are listed one by one, with the error of the whole marker.
+        for point, place in sheet_points(sheet).items():
+            targets.append(ListedTarget(point, place + stated - true, sigma, on_collector))
     return tuple(sheets), tuple(targets)
 
 

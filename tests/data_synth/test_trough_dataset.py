@@ -153,6 +153,27 @@ def test_targets_on_the_ground_are_seen_and_of_unknown_place(tmp_path: Path) -> 
     assert listed["on_collector"] == ["1"] * 12 + ["0"] * 2
 
 
+def test_corners_of_square_markers_are_listed() -> None:
+    scene = trough_scene("small", TroughChoice(0, 2, "DICT_4X4_100"))
+    listed = {target.name: target.stated_m for target in scene.targets}
+    assert sorted(listed) == sorted(scene.points_m())
+    assert len(listed) == 48
+    differences = np.array([listed[name] - place for name, place in scene.points_m().items()])
+    assert 0.5e-3 < differences.std() < 1.5e-3
+    sides = [np.linalg.norm(listed[f"{k}.0"] - listed[f"{k}.1"]) for k in range(12)]
+    np.testing.assert_allclose(sides, 0.27, atol=1e-12)
+    targets = observer_content(scene, ".png")["targets"]
+    assert targets == {"dictionary": "DICT_4X4_100", "file": "targets.csv"}
+
+
+def test_photos_of_the_absorber_have_a_pattern_of_their_own() -> None:
+    scene = trough_scene("small", TroughChoice(0, 2))
+    views = (*scene.views, replace(scene.views[0], name="absorber_001", purpose="absorber"))
+    content = observer_content(replace(scene, views=views), ".jpg")
+    assert content["images"] == {"photos": "photo_*.jpg"}
+    assert content["absorber"] == {"photos": "absorber_*.jpg"}
+
+
 def test_gravity_pulls_the_sag_down_in_every_orientation() -> None:
     # At +90 deg the trough's +x axis points down.
     zenith, horizon = (trough_scene("sag", TroughChoice(0, 2, orientation_deg=turn)).world for turn in (0.0, 90.0))
