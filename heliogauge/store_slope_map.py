@@ -97,17 +97,34 @@ def write_slope_map(path: Path, maps: Mapping[str, SlopeMap], attributes: Mappin
         root = maps[ASSEMBLED]
     else:
         raise InputError(f"maps: {len(maps)} maps given; the assembled map of the name '' is needed beside the facets")
-    with _written_at_once(path) as file:
-        _write_global_attributes(file, attributes or {})
+    with written_at_once(path) as file:
+        write_global_attributes(file, attributes or {})
         _write_map(file, root)
         for name, slope_map in facets.items():
             _write_map(file.create_group(_group_name(name), track_order=True), slope_map)
 
 
 @contextmanager
-def _written_at_once(path: Path) -> Iterator[h5py.File]:
+def written_at_once(path: Path) -> Iterator[h5py.File]:
     """Build an HDF5 file in memory and write it in one go.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Yields
+    ------
+    h5py.File
+        To be filled.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Notes
+    -----
     On a full disk HDF5 fails again when it closes its file, and the interpreter crashes when it ends.
     """
     with h5py.File(path.name, "w", driver="core", backing_store=False, block_size=2**22, track_order=True) as file:
@@ -142,7 +159,7 @@ def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
     InputError
         Not such a file, a newer one, or no such facet.
     """
-    with _open(path) as file:
+    with open_file(path) as file:
         if group is None:
             return _read_map(file, str(path))
         names = _group_names(file)
@@ -165,7 +182,7 @@ def facet_names(path: Path) -> tuple[str, ...]:
     tuple of str
         Names for `read_slope_map`.
     """
-    with _open(path) as file:
+    with open_file(path) as file:
         return _group_names(file)
 
 
@@ -182,8 +199,8 @@ def read_slope_map_attributes(path: Path) -> dict[str, Any]:
     dict
         Names and values.
     """
-    with _open(path) as file:
-        return {name: _plain(value) for name, value in file.attrs.items() if not name.startswith("_")}
+    with open_file(path) as file:
+        return {name: plain_value(value) for name, value in file.attrs.items() if not name.startswith("_")}
 
 
 def write_pixels(
@@ -217,8 +234,8 @@ def write_pixels(
             f"not {', '.join(unknown) or 'shapes ' + str(sorted(shapes))}"
         )
     rows, columns = next(iter(shapes))
-    with _written_at_once(path) as file:
-        _write_global_attributes(file, attributes or {})
+    with written_at_once(path) as file:
+        write_global_attributes(file, attributes or {})
         scales = [_write_bare_dimension(file, name, size) for name, size in (("row", rows), ("column", columns))]
         for name, array in arrays.items():
             labels = dict(zip(("units", "long_name"), PIXEL_VARIABLES[name], strict=True))
@@ -226,7 +243,7 @@ def write_pixels(
                 _write_flags(file, array, scales)
             else:
                 is_float = np.issubdtype(array.dtype, np.floating)
-                _write_variable(file, name, array.astype(np.float32) if is_float else array, scales, labels)
+                write_variable(file, name, array.astype(np.float32) if is_float else array, scales, labels)
 
 
 def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -247,11 +264,28 @@ def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
     InputError
         Not such a file.
     """
-    with _open(path) as file:
+    with open_file(path) as file:
         return {name: file[name][...] for name in file if name in PIXEL_VARIABLES}
 
 
-def _open(path: Path) -> Any:
+def open_file(path: Path) -> Any:
+    """Open a NetCDF-4 file of results.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    h5py.File
+        Open for reading; to be closed by the caller.
+
+    Raises
+    ------
+    InputError
+        Not such a file, or a newer one than this version reads.
+    """
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -285,7 +319,16 @@ def _write_attributes(owner: Any, attributes: Mapping[str, Any]) -> None:
         target[name] = _text(value) if isinstance(value, str) else value
 
 
-def _write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
+def write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
+    """Write what every file of results says of itself, and more.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The file.
+    attributes : mapping
+        The rest; what is neither text nor number is written as JSON.
+    """
     own = {"heliogauge_schema": np.int32(SLOPE_MAP_SCHEMA), "software": "heliogauge", "software_version": __version__}
     _write_attributes(file, {"Conventions": "CF-1.11", **own})
     plain = (str, int, float, np.number)
@@ -296,7 +339,19 @@ def _write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
         _write_attributes(file, {name: stored})
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """Return an attribute as a Python value; JSON is read.
+
+    Parameters
+    ----------
+    value : object
+        As HDF5 gives it.
+
+    Returns
+    -------
+    object
+        Text, number, list or dict.
+    """
     if isinstance(value, bytes):
         value = value.decode("utf-8")
     if isinstance(value, str) and value[:1] in ("{", "["):
@@ -324,15 +379,15 @@ def _write_map(group: Any, slope_map: SlopeMap) -> None:
         scales.append(scale)
     for name, attribute, unit, text in _FIELDS:
         values = getattr(slope_map, attribute).astype(np.float32)
-        _write_variable(group, name, values, scales, {"units": unit, "long_name": text})
+        write_variable(group, name, values, scales, {"units": unit, "long_name": text})
     for axis, sigma in zip("xy", slope_map.sigma_slope(), strict=True):
         text = f"standard deviation of slope_{axis}, random and common shares together"
         labels = {"units": "rad", "long_name": text}
-        _write_variable(group, f"sigma_slope_{axis}", sigma.astype(np.float32), scales, labels)
+        write_variable(group, f"sigma_slope_{axis}", sigma.astype(np.float32), scales, labels)
     _write_flags(group, slope_map.flags, scales)
     aperture = {"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "outside mirror", "units": "1"}
     aperture_bits = slope_map.aperture.astype(np.uint8)
-    _write_variable(group, "aperture", aperture_bits, scales, {**aperture, "long_name": "node belongs to the mirror"})
+    write_variable(group, "aperture", aperture_bits, scales, {**aperture, "long_name": "node belongs to the mirror"})
     _write_common_modes(group, slope_map.common)
     words = {"design": slope_map.design, "frame": slope_map.frame, "removed": slope_map.removed}
     _write_attributes(
@@ -346,9 +401,24 @@ def _write_map(group: Any, slope_map: SlopeMap) -> None:
     )
 
 
-def _write_variable(
+def write_variable(
     group: Any, name: str, values: npt.NDArray[Any], scales: Sequence[Any], attributes: Mapping[str, Any]
 ) -> None:
+    """Write one variable with its dimensions.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        Where to.
+    name : str
+        Its name.
+    values : ndarray
+        Its values; NaN is missing.
+    scales : sequence of h5py.Dataset
+        One dimension scale for each axis.
+    attributes : mapping
+        Unit, long name and the like.
+    """
     is_float = np.issubdtype(values.dtype, np.floating)
     fill = values.dtype.type(np.nan) if is_float else None
     variable = group.create_dataset(name, data=values, fillvalue=fill, track_order=True)
@@ -365,7 +435,7 @@ def _write_flags(group: Any, flags: npt.NDArray[Any], scales: Sequence[Any]) -> 
         "flag_meanings": " ".join(str(flag.name).lower() for flag in SampleFlag),
         "flag_texts": "; ".join(FLAG_TEXTS[flag] for flag in SampleFlag),
     }
-    _write_variable(group, "flag", flags.astype(np.uint32), scales, attributes)
+    write_variable(group, "flag", flags.astype(np.uint32), scales, attributes)
 
 
 def _write_common_modes(group: Any, common: CommonModes) -> None:
@@ -386,7 +456,7 @@ def _write_common_modes(group: Any, common: CommonModes) -> None:
         # JSON and not a list: a source may hold any character.
         "sources": json.dumps(common.sources),
     }
-    _write_variable(group, "common_coefficients", common.coefficients, scales, attributes)
+    write_variable(group, "common_coefficients", common.coefficients, scales, attributes)
 
 
 def _read_map(group: Any, where: str) -> SlopeMap:
@@ -403,9 +473,9 @@ def _read_map(group: Any, where: str) -> SlopeMap:
         aperture=group["aperture"][...] != 0,
         noise_correlation=float(group.attrs["noise_correlation"]),
         common=_read_common_modes(group),
-        design=str(_plain(group.attrs["design"])),
-        frame=str(_plain(group.attrs["frame"])),
-        removed=str(_plain(group.attrs["removed"])),
+        design=str(plain_value(group.attrs["design"])),
+        frame=str(plain_value(group.attrs["frame"])),
+        removed=str(plain_value(group.attrs["removed"])),
         **fields,
     )
 
@@ -415,5 +485,5 @@ def _read_common_modes(group: Any) -> CommonModes:
         return no_common_modes()
     variable = group["common_coefficients"]
     center = np.array([variable.attrs["center_x_m"], variable.attrs["center_y_m"]])
-    sources = tuple(_plain(variable.attrs["sources"]))
+    sources = tuple(plain_value(variable.attrs["sources"]))
     return CommonModes(sources, variable[...], center, float(variable.attrs["scale_m"]))
