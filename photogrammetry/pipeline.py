@@ -26,6 +26,7 @@ from photogrammetry.bundle_statistics import examine_image_points, examine_intri
 from photogrammetry.constraints import Distance
 from photogrammetry.group_sigmas import solve_weighed
 from photogrammetry.length_error import LengthStatement, PermissibleError, state_length_errors
+from photogrammetry.network import StartValues
 from photogrammetry.network_quality import bar_checks, doubts, headline, length_doubts, quality_texts
 from photogrammetry.observations import IntArray
 from photogrammetry.pipeline_cameras import build_cameras, sensors_of, sizes_of_cameras
@@ -132,7 +133,12 @@ class Result:
 
 
 def run(
-    measurement: PhotogrammetryMeasurement, options: Options | None = None, progress: Progress | None = None
+    measurement: PhotogrammetryMeasurement,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    *,
+    measured: MeasuredPhotos | None = None,
+    start: StartValues | None = None,
 ) -> Result:
     """Evaluate a measurement.
 
@@ -144,6 +150,10 @@ def run(
         Choices.
     progress : Progress, optional
         Told of each stage.
+    measured : MeasuredPhotos, optional
+        Image points, where the photos were measured already; files are then neither read nor hashed.
+    start : StartValues, optional
+        Poses and targets to start from instead of those that measurement.toml names.
 
     Returns
     -------
@@ -159,13 +169,17 @@ def run(
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model
-    with progress.stage("hash inputs"):
-        hashes = hash_files(measurement.input_files, measurement.folder)
-    measured, kinds = _read_kinds(measurement, options, progress)
+    hashes: dict[str, str] = {}
+    if measured is None:
+        with progress.stage("hash inputs"):
+            hashes = hash_files(measurement.input_files, measurement.folder)
+        measured, kinds = _read_kinds(measurement, options, progress)
+    else:
+        kinds = np.zeros(measured.points.n, dtype=np.intp)
     cameras = build_cameras(measurement, measured.points.photos, measured.sizes_px)
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
     listed = listed_targets(model.targets, measurement.folder)
-    start = start_with_list(build_start(measurement), model.targets, listed)
+    start = start_with_list(start or build_start(measurement), model.targets, listed)
     diameter_mm = None if model.targets is None else model.targets.diameter_mm
     knowledge = Knowledge(build_constraints(model), fixed, build_datum(model), start, diameter_mm is not None)
     sigmas = model.adjustment.sigmas
@@ -261,7 +275,7 @@ def write(result: Result, folder: Path) -> None:
         A file cannot be written.
     """
     write_points_csv(folder / "points.csv", result.points)
-    write_cameras_json(folder / "cameras.json", result.cameras, _poses(result))
+    write_cameras_json(folder / "cameras.json", result.cameras, photo_poses(result))
     write_table_csv(folder / "points_covariance.csv", _covariance_columns(result))
     write_table_csv(folder / "residuals.csv", _residual_columns(result))
     refused = result.refused
@@ -278,7 +292,19 @@ def write(result: Result, folder: Path) -> None:
     write_summary(folder / "summary.json", summarise(result))
 
 
-def _poses(result: Result) -> dict[str, PhotoPose]:
+def photo_poses(result: Result) -> dict[str, PhotoPose]:
+    """Collect the poses of all photos in the network.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+
+    Returns
+    -------
+    dict of str to PhotoPose
+        Camera, pose with covariance and size of the residuals, by the photo's name.
+    """
     bundle = result.solved.bundle
     table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
     counts = np.maximum(table.n_targets_in_photo, 1)

@@ -156,28 +156,7 @@ def measure_each(
         )
 
     def one(file: Path) -> OnePhoto:
-        image = read_image(file)
-        found = _with_markers(image, file.name, section) if section.has_markers else None
-        if found is not None and not search.with_uncoded:
-            return found
-        rings = measure_targets(image, file.name, search)
-        shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
-        count = len(rings.readings)
-        dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
-        if found is not None:
-            return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
-        mirrored = [
-            Refused(f"target {name} in {file.name}", "is in the dictionary only as a mirror image")
-            for name in rings.mirrored
-        ]
-        # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
-        mirrored += [Refused(f"target {bad.name} in {file.name}", bad.reason) for bad in rings.unused if bad.name]
-        coded = rings.detections.chosen(np.arange(count))
-        size = (int(image.shape[1]), int(image.shape[0]))
-        counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
-        other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
-        unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
-        return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
+        return measure_photo(read_image(file), file.name, section, search)
 
     found: list[OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -190,6 +169,46 @@ def measure_each(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return found
+
+
+def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
+    """Find and measure the targets of one photo.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    name : str
+        Its name.
+    section : TargetsSection
+        What targets it shows.
+    search : TargetSearch
+        How circular ones are searched for.
+
+    Returns
+    -------
+    OnePhoto
+        Its targets and dots.
+    """
+    found = _with_markers(image, name, section) if section.has_markers else None
+    if found is not None and not search.with_uncoded:
+        return found
+    rings = measure_targets(image, name, search)
+    shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
+    count = len(rings.readings)
+    dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
+    if found is not None:
+        return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
+    mirrored = [Refused(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in
+                rings.mirrored]  # fmt: skip
+    # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
+    mirrored += [Refused(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
+    coded = rings.detections.chosen(np.arange(count))
+    size = (int(image.shape[1]), int(image.shape[0]))
+    counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
+    other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
+    unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
+    return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
 
 
 def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
