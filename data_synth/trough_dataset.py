@@ -18,7 +18,7 @@ from data_synth.surface_errors import SurfaceErrors
 from data_synth.target_dataset import TRUE_POINTS_FILE
 from data_synth.trough_mirror import SlopeGrid, TroughMirror
 from data_synth.trough_photo import Photographer, PhotoPoints
-from data_synth.trough_presets import DISTANCE_SIGMA_M
+from data_synth.trough_presets import DISTANCE_SIGMA_M, UNCODED
 from data_synth.trough_receiver import TubeAxis
 from data_synth.trough_scene import TroughScene, TroughView
 from data_synth.truth import TRUTH_SCHEMA
@@ -34,6 +34,8 @@ from heliogauge.store_tables import write_table_csv
 from heliogauge.validate import FloatArray
 
 TARGETS_FILE = "targets.csv"
+#: Names and rough places of targets without a code.
+UNCODED_FILE = "uncoded.csv"
 #: Step of the maps of the truth.
 _MAP_STEP_M = 0.02
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
@@ -219,17 +221,20 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
         "collector": _collector_content(scene),
         "camera": _camera_content(scene),
         "images": {"photos": photos.get("reflection", photos.get("absorber"))},
-        "targets": {
-            "dictionary": scene.dictionary,
-            **({} if scene.dictionary.startswith("DICT_") else {"diameter_mm": 1e3 * scene.target_diameter_m}),
-            **({} if scene.dictionary.startswith("DICT_") else {"polarity": "black-on-white"}),
-            "file": TARGETS_FILE,
-        },
+        "targets": _targets_content(scene),
     }
     if purposes == {"reflection", "absorber"}:
         content["absorber"] = {"photos": photos["absorber"]}
     content["scale_bar"] = _long_distances(scene)
     return content
+
+
+def _targets_content(scene: TroughScene) -> dict[str, Any]:
+    if scene.dictionary.startswith("DICT_"):
+        return {"dictionary": scene.dictionary, "file": TARGETS_FILE}
+    kind = {"uncoded_file": UNCODED_FILE} if scene.dictionary == UNCODED else {"dictionary": scene.dictionary}
+    size = {"diameter_mm": round(1e3 * scene.target_diameter_m, 9), "polarity": "black-on-white"}
+    return {**kind, **size, "file": TARGETS_FILE}
 
 
 def _collector_content(scene: TroughScene) -> dict[str, Any]:
@@ -299,6 +304,9 @@ def _write_knowledge(working: Path, scene: TroughScene, suffix: str, seed: int) 
         columns[f"sigma_{axis}_mm"] = [f"{value:g}" if is_known else "" for value, is_known in column]
     columns["on_collector"] = [int(target.on_collector) for target in scene.targets]
     write_table_csv(working / TARGETS_FILE, columns)
+    if scene.dictionary == UNCODED:
+        rough = {"id": columns["target"], **{f"{axis}_m": columns[f"{axis}_m"] for axis in "xyz"}}
+        write_table_csv(working / UNCODED_FILE, {**rough, "sigma_mm": ["5"] * len(scene.targets)})
     comment = f"Synthetic measurement, seed {seed}; see {TRUTH_FILE}."
     write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(observer_content(scene, suffix)))
 

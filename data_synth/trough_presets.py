@@ -28,6 +28,9 @@ VIDEO_CAMERA = PinholeCamera(1920, 1080, 1 / 4.2e-4, 1 / 4.2e-4, 959.5, 539.5)
 D300_CAMERA = PinholeCamera(4288, 2848, 20e-3 / 5.5e-6, 20e-3 / 5.5e-6, 2143.5, 1423.5)
 SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 241.0, 318.0, -0.06, 0.03)
 
+#: Stands for plain dots in the place of a dictionary.
+UNCODED = "circles"
+
 #: What the list of targets is good for [m].
 TARGET_SIGMA_M = 1e-3
 #: What a tape along the rim is good for (Owkes 2012, sec. 7.3) [m].
@@ -172,8 +175,12 @@ def rim_targets(
     reach = max(figure.half_size_m[0] for _, figure in prints)
     across = collector.aperture_width_m / 2 + reach + 0.03
     along = collector.length_m / 2 - reach
+    step = 2 * along / (n // 2 - 1)
     for k in range(n):
-        y = -along + 2 * along * (k % (n // 2)) / (n // 2 - 1)
+        y = -along + step * (k % (n // 2))
+        if dictionary == UNCODED and abs(y) < 0.99 * along:
+            # Even spacing would look the same from the other end: only their places tell dots without a code apart.
+            y += float(rng.uniform(-0.3, 0.3)) * step
         places.append(np.array([across if k >= n // 2 else -across, y, collector.rim_height_m]))
     return placed_targets(prints, np.array(places), rng)
 
@@ -248,7 +255,7 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
         The dictionary has too few codes, or does not exist.
     """
     numbers = range(first, first + n)
-    if dictionary == "circles":
+    if dictionary == UNCODED:
         return [(f"dot{number + 1}", DotPrint(diameter_m)) for number in numbers]
     if dictionary.startswith("DICT_"):
         return [(str(number), marker_print(dictionary, number, 3 * diameter_m)) for number in numbers]

@@ -166,6 +166,20 @@ def test_corners_of_square_markers_are_listed() -> None:
     assert targets == {"dictionary": "DICT_4X4_100", "file": "targets.csv"}
 
 
+def test_dots_without_a_code_are_told_by_their_places(tmp_path: Path) -> None:
+    scene = trough_scene("small", TroughChoice(0, 2, "circles")).scaled(0.2)
+    write_trough_dataset(tmp_path / "set", scene)
+    targets = tomllib.loads((tmp_path / "set" / "measurement.toml").read_text(encoding="utf-8"))["targets"]
+    assert targets == {
+        "uncoded_file": "uncoded.csv", "diameter_mm": 90.0, "polarity": "black-on-white", "file": "targets.csv",
+    }  # fmt: skip
+    rough, listed = (read_table_csv(tmp_path / "set" / name) for name in ("uncoded.csv", "targets.csv"))
+    assert rough["id"] == listed["target"] == [f"dot{k}" for k in range(1, 13)]
+    # Seen from the other end they must not look the same.
+    y = np.sort([float(value) for value in rough["y_m"]])
+    assert np.abs(y + y[::-1]).max() > 0.05
+
+
 def test_photos_of_the_absorber_have_a_pattern_of_their_own() -> None:
     scene = trough_scene("small", TroughChoice(0, 2))
     views = (*scene.views, replace(scene.views[0], name="absorber_001", purpose="absorber"))
