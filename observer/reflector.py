@@ -14,6 +14,7 @@ from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.sight import Sights, change_across
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
+from observer.slope_sums import covariance_of_sums
 
 #: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out
 #: step by step, while those of a mirror that is bent more than expected stay.
@@ -88,6 +89,8 @@ class Reflector:
         By what the sigmas of the edges had to be multiplied.
     modes : CameraModes
         The unknowns that stand for the poses.
+    lines : TouchingLines
+        The edges that were used, as observations.
     """
 
     grid: RowGrid
@@ -99,6 +102,22 @@ class Reflector:
     roughness: Roughness
     noise_factor: float
     modes: CameraModes
+    lines: TouchingLines
+
+    def covariance_of_sums(self, weights: FloatArray) -> FloatArray:
+        """Return the covariance of weighted sums of the slopes across, the absorber held.
+
+        Parameters
+        ----------
+        weights : ndarray, shape (k, r, nx)
+            Weight of each node in each sum.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+            Covariance of the sums [rad^2].
+        """
+        return covariance_of_sums(self.lines, self.grid, self.roughness, self.errors.covariance_common, weights)
 
 
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
@@ -183,7 +202,7 @@ def solve_reflector(
     errors = solve_jointly(used, grid, roughness, free, nothing)
     residuals, _ = _residuals(lines, grid, errors)
     measured = _near_edges(used, grid, expected.collector)
-    return Reflector(grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes)
+    return Reflector(grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes, used)
 
 
 def _linearised(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> tuple[TouchingLines, CameraModes]:

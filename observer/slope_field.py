@@ -276,11 +276,22 @@ def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: 
     sums = np.stack([np.bincount(place, weighted[:, i], shape[0] * shape[1]).reshape(shape) for i in range(4)], axis=2)
     nodes = np.array(sums[..., :2], dtype=np.float64)
     nodes[:, 1:] += sums[:, :-1, 2:]
-    return _to_blocks(nodes)
+    return to_blocks(nodes)
 
 
-def _to_blocks(nodes: FloatArray) -> FloatArray:
-    """Turn values at nodes, shape (r, nx, 2), into right sides, shape (nx / 2, r, 4, 1)."""
+def to_blocks(nodes: FloatArray) -> FloatArray:
+    """Turn values at nodes into right sides.
+
+    Parameters
+    ----------
+    nodes : ndarray, shape (r, nx, 2)
+        Values for (s_x, s_y) of the nodes.
+
+    Returns
+    -------
+    ndarray, shape (nx / 2, r, 4, 1)
+        The same in blocks.
+    """
     n_rows, n_nodes, _ = nodes.shape
     return np.ascontiguousarray(np.swapaxes(nodes.reshape(n_rows, n_nodes // 2, 4), 0, 1))[..., None]
 
@@ -321,4 +332,4 @@ def prior_pull(bands: FloatArray, slopes: FloatArray) -> FloatArray:
     for reach in (1, 2):
         product[:, :-reach] += bands[reach, :-reach] * slopes[:, reach:]
         product[:, reach:] += bands[reach, :-reach] * slopes[:, :-reach]
-    return _to_blocks(product)
+    return to_blocks(product)
