@@ -1,61 +1,53 @@
-"""Where the absorber tube really is: its silhouette in several photos, by the bisector of the two tangent rays.
+"""Where the absorber tube really is: its axis from the directions under which several photos see it.
 
-Across the trough the outline of a round tube is touched by two lines of sight whose bisector goes through its axis
-whatever the distance; the middle between the two edges on a plane does not (0.17 mm off at 7 m and 45 degrees). With
-the camera at (X_c, Z_c) the axis (X_a, Z_a) is seen under ``eta = atan2(X_a - X_c, Z_c - Z_a)``; photos from different
-sides give both coordinates (Owkes 2012, sections 5.3 and 6.4).
+Photos from different sides give both coordinates of the axis along its whole length (Owkes 2012, sections 5.3 and 6.4).
+The cameras' poses are unknowns with their joint covariance, so that the tube's covariance is that of the photo network.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
-from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.rigid import RigidTransform, skew
-from heliogauge.surfaces import quadric
-from heliogauge.validate import FloatArray
+from heliogauge.rigid import skew
+from heliogauge.validate import BoolArray, FloatArray
+from observer.absorber_bearings import SEARCH_M, Bearings, bearing
 from observer.absorber_path import AbsorberPath
-from observer.camera_modes import reduce_to_modes
-from observer.edges import Edges, find_edges
-from observer.rectify import rectified_strip
-from observer.reflection import AnyImage, Expectation
+from observer.camera_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
 from observer.reflector import Photos
 from observer.slope_field import IntArray
 
-#: How far from its design place the tube is searched [m].
-_SEARCH_M = 0.06
-#: By what share the silhouette's width may differ from the tube's.
-_WIDTH_SHARE = 0.12
 #: Where the tube may be beside its design, as prior [m].
 _PRIOR_M = 0.1
 #: How much the tube may bend: scatter of the second difference over stations 1 m apart [m]. A tube that sags by 10 mm
 #: between supports 4 m apart has 5 mm.
 _BEND_M = 0.01
-#: Scatter within a station below this says more of the pixel grid than of the tube [rad].
-_FLOOR_RAD = 2e-6
+#: Edges of one photo share their error of pixel grid and background along a few rows: so many count as one.
+_ROWS_ALIKE = 3
+#: Times the standard deviation beyond which a bearing is not the tube's.
+_REJECT_TIMES = 4.0
+#: A photo that the others move by more than so many standard deviations of its pose shows something else.
+_FURTHEST_MODE = 5.0
+#: Rounds of rejection; each may leave out one photo.
+_MOST_ROUNDS = 12
+#: A station whose place is less certain than this in its worst direction is not measured [m].
+_LARGEST_SIGMA_M = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bearings:
-    """Directions across the trough under which photos see the tube's axis.
+class StationFate(IntEnum):
+    """What became of a station along the tube."""
 
-    Parameters
-    ----------
-    photo : ndarray of int, shape (m,)
-        Photo.
-    y_m : ndarray, shape (m,)
-        Place along the trough [m].
-    angle_rad : ndarray, shape (m,)
-        eta of the module's text [rad].
-    sigma_rad : ndarray, shape (m,)
-        Standard deviation [rad].
-    """
+    MEASURED = 0
+    HIDDEN = 1
+    ONE_SIDE = 2
 
-    photo: IntArray
-    y_m: FloatArray
-    angle_rad: FloatArray
-    sigma_rad: FloatArray
+
+STATION_TEXTS = {
+    StationFate.MEASURED: "",
+    StationFate.HIDDEN: "fewer than two photos show both edges of the tube here: behind a support or beyond the photo",
+    StationFate.ONE_SIDE: "seen from one side only: its place along the line of sight is uncertain by more than 10 mm",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,101 +57,36 @@ class AbsorberSolution:
     Parameters
     ----------
     path : AbsorberPath
-        The axis at its stations, with covariance.
+        The axis at its stations, with covariance; stations that were not measured are bridged.
     n_photos : ndarray of int, shape (n,)
         Photos that saw each station.
+    fate : ndarray of int, shape (n,)
+        `StationFate` of each station.
     used : ndarray of bool, shape (m,)
         Which averaged bearings were used.
     residual_rms_rad : float
         What remains of the bearings used [rad].
+    diameter_m : float
+        How thick the tube looks: to be held against the collector's data [m].
     """
 
     path: AbsorberPath
     n_photos: IntArray
-    used: np.ndarray
+    fate: IntArray
+    used: BoolArray
     residual_rms_rad: float
+    diameter_m: float
 
 
-def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
-    """Return under what angle across the trough a camera sees a point.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Directions:
+    """Bearings averaged around stations: photo, station, place along the trough, deviation from a path, sigma."""
 
-    Parameters
-    ----------
-    x_m, z_m : ndarray, shape (m,)
-        Points [m].
-    eyes_m : ndarray, shape (m, 3)
-        Cameras [m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Angle from straight down, positive towards +x [rad].
-    """
-    return np.arctan2(x_m - eyes_m[:, 0], eyes_m[:, 2] - z_m)
-
-
-def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransform], expected: Expectation) -> Bearings:
-    """Find the tube itself in one photo.
-
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    photo : int
-        Its number.
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
-    expected : Expectation
-        Collector, where the tube should be, and rows along the trough.
-
-    Returns
-    -------
-    Bearings
-        One for each row in which both edges were found.
-    """
-    camera, pose = view
-    eye = pose.inverse().translation_m
-    radius = expected.collector.absorber_diameter_m / 2
-    level, middle = float(np.mean(expected.absorber.z_m)), float(np.mean(expected.absorber.x_m))
-    pixel_m = float(np.hypot(eye[0], eye[2] - level)) / max(camera.focal_x_px, camera.focal_y_px)
-    reach = _SEARCH_M + 2.5 * radius
-    x = np.arange(middle - reach, middle + reach + pixel_m, pixel_m)
-    rows_each = max(1, round(float(expected.y_m[1] - expected.y_m[0]) / pixel_m)) if expected.y_m.size > 1 else 1
-    plane = quadric([0, 0, 0, 0, 0, level], name="plane of the focal line")
-    strip = rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each)
-    found = find_edges(strip)
-    first, second = _paired_edges(found, eye, level, radius)
-    eyes = np.tile(eye, (first.size, 1))
-    at = np.full(first.size, level)
-    left, right = (bearing(found.x_m[which], at, eyes) for which in (first, second))
-    scale = (eye[2] - level) / ((found.x_m[first] - eye[0]) ** 2 + (eye[2] - level) ** 2)
-    sigma = 0.5 * scale * np.hypot(found.sigma_x_m[first], found.sigma_x_m[second])
-    return Bearings(np.full(first.size, photo), expected.y_m[found.row[first]], 0.5 * (left + right), sigma)
-
-
-def _paired_edges(found: Edges, eye_m: FloatArray, level_m: float, radius_m: float) -> tuple[IntArray, IntArray]:
-    """Return pairs of edges, one for each row, that are as far apart as the tube is wide, contrast both ways alike."""
-    height = eye_m[2] - level_m
-    centre = np.arctan2(found.x_m - eye_m[0], height)
-    width = 2 * radius_m / np.cos(centre) ** 2 * np.cos(centre)
-    best: dict[int, tuple[float, int, int]] = {}
-    order = np.lexsort((found.x_m, found.row))
-    key = found.row[order] * 1e3 + found.x_m[order]
-    for darker in (True, False):
-        entering = np.nonzero((found.rise_dn < 0) == darker)[0]
-        wanted = found.row[entering] * 1e3 + found.x_m[entering] + width[entering]
-        low = np.searchsorted(key, wanted - _WIDTH_SHARE * width[entering])
-        high = np.searchsorted(key, wanted + _WIDTH_SHARE * width[entering])
-        for i in np.nonzero(high > low)[0]:
-            one = int(entering[i])
-            for other in order[low[i] : high[i]]:
-                contrast = min(abs(found.rise_dn[one]), abs(found.rise_dn[other]))
-                opposite = (found.rise_dn[one] < 0) != (found.rise_dn[other] < 0)
-                row = int(found.row[one])
-                if opposite and contrast > best.get(row, (0.0, 0, 0))[0]:
-                    best[row] = (float(contrast), one, int(other))
-    pairs = np.array([pair[1:] for pair in best.values()], dtype=np.intp).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
+    photo: IntArray
+    station: IntArray
+    y_m: FloatArray
+    deviation_rad: FloatArray
+    sigma_rad: FloatArray
 
 
 def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray) -> AbsorberSolution:
@@ -184,89 +111,166 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     Raises
     ------
     EstimationError
-        Fewer than two photos see the tube, or all from one side.
+        Fewer than two photos see the tube, or all see it from one side.
     """
-    photo, station, value, sigma = _averaged(bearings, photos, start, stations_m)
-    if np.unique(photo).size < 2:
+    count = np.unique(bearings.photo).size
+    if count < 2:
         raise EstimationError(
-            f"absorber: {np.unique(photo).size} photos show both edges of the tube, two from different sides are "
-            "needed; give [absorber] photos, or a file with its position"
+            f"absorber: {count} photos show both edges of the tube within {1e3 * SEARCH_M:.0f} mm of where it should "
+            "be, two from different sides are needed; are absorber_diameter_mm and focal_length_m right? Give "
+            "[absorber] photos of its own, or a file with its position"
         )
-    n = stations_m.size
-    jacobian, derivatives = _bearing_derivatives(photo, station, photos, start, stations_m)
-    modes = reduce_to_modes(derivatives, photo, photos.covariance)
-    design = np.zeros((value.size, 2 * n + len(modes.covariance)))
-    rows = np.arange(value.size)
-    design[rows, station], design[rows, n + station] = jacobian[:, 0], jacobian[:, 1]
-    for i in range(modes.index.shape[1]):
-        design[rows, 2 * n + modes.index[:, i]] += modes.derivative[:, i]
-    prior = np.zeros((design.shape[1], design.shape[1]))
-    prior[2 * n :, 2 * n :] = np.linalg.inv(modes.covariance)
-    for first in (0, n):
-        prior[first : first + n, first : first + n] = _smoothness(stations_m)
-    used = np.ones(value.size, dtype=bool)
-    for _ in range(6):
-        weighted = design[used] / sigma[used, None] ** 2
-        covariance = np.linalg.inv(weighted.T @ design[used] + prior)
-        solution = covariance @ (weighted.T @ value[used])
-        residual = value - design @ solution
-        scatter = max(1.4826 * float(np.median(np.abs(residual[used] / sigma[used]))), 1.0)
-        kept = np.abs(residual) < 4 * scatter * sigma
+    x, z = start.at(stations_m)
+    path = AbsorberPath(stations_m, x, z, np.zeros((2 * stations_m.size, 2 * stations_m.size)))
+    # The second round averages around the tube as found, so that its slope does not count as scatter.
+    for _ in range(2):
+        directions = _averaged(bearings, photos, path)
+        path, used, residuals = _adjusted(directions, photos, path)
+    n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
+    fate = _fates(path, n_photos)
+    if not (fate == StationFate.MEASURED).any():
+        raise EstimationError(_why_nothing(path, n_photos, bearings))
+    rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
+    return AbsorberSolution(path, n_photos, fate, used, rms, float(np.median(bearings.diameter_m)))
+
+
+def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Directions:
+    """Average the bearings of each photo around each station, as deviations from a path."""
+    x, z = path.at(bearings.y_m)
+    deviation = bearings.angle_rad - bearing(x, z, photos.eyes_m[bearings.photo])
+    station = np.searchsorted(0.5 * (path.y_m[1:] + path.y_m[:-1]), bearings.y_m)
+    key = bearings.photo * path.n + station
+    order = np.argsort(key, kind="stable")
+    names, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    cell = np.repeat(np.arange(names.size), count)
+    slot = np.arange(order.size) - first[cell]
+
+    def table(values: FloatArray) -> FloatArray:
+        cells = np.full((names.size, int(count.max())), np.nan)
+        cells[cell, slot] = values[order]
+        return cells
+
+    deviations = table(deviation)
+    middle = np.nanmedian(deviations, axis=1)
+    spread = 1.4826 * np.nanmedian(np.abs(deviations - middle[:, None]), axis=1)
+    single = np.maximum(spread, np.nanmedian(table(bearings.sigma_rad), axis=1))
+    inside = np.abs(deviations - middle[:, None]) <= 3 * single[:, None]
+    mean = np.nanmean(np.where(inside, deviations, np.nan), axis=1)
+    place = np.nanmean(np.where(inside, table(bearings.y_m), np.nan), axis=1)
+    shared = np.nanmedian(table(bearings.shared_rad), axis=1)
+    own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
+    return _Directions(names // path.n, names % path.n, place, mean, np.hypot(own, shared))
+
+
+def _adjusted(
+    directions: _Directions, photos: Photos, start: AbsorberPath
+) -> tuple[AbsorberPath, BoolArray, FloatArray]:
+    """Return the path adjusted to averaged bearings, which of them were used, and what remains of each."""
+    place, derivatives = _bearing_derivatives(directions, photos, start)
+    modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
+    index, value, size = _sparse_rows(directions, place, modes, start)
+    prior = np.zeros((size, size))
+    prior[2 * start.n :, 2 * start.n :] = np.linalg.inv(modes.covariance)
+    for first in (0, start.n):
+        prior[first : first + start.n, first : first + start.n] = _smoothness(start.y_m)
+    pull = np.zeros(size)
+    # The prior wants the tube, not the step from a path that was found already, near the design and straight.
+    for first, values in ((0, start.x_m), (start.n, start.z_m)):
+        block = prior[first : first + start.n, first : first + start.n]
+        pull[first : first + start.n] = -block @ (values - np.mean(values))
+    used = np.ones(directions.photo.size, dtype=bool)
+    for _ in range(_MOST_ROUNDS):
+        normal, right = _normal_equations(index[used], value[used], directions, used, size)
+        step = np.linalg.solve(normal + prior, right + pull)
+        residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
+        scatter = max(1.4826 * float(np.median(np.abs(residuals[used] / directions.sigma_rad[used]))), 1.0)
+        kept = np.abs(residuals) < _REJECT_TIMES * scatter * directions.sigma_rad
+        kept &= ~_out_of_place(np.asarray(step[2 * start.n :]), directions.photo, used)
         if (kept == used).all():
             break
         used = kept
-    x, z = start.at(stations_m)
-    block = scatter**2 * covariance[: 2 * n, : 2 * n]
-    path = AbsorberPath(stations_m, x + solution[:n], z + solution[n : 2 * n], 0.5 * (block + block.T))
-    seen = np.bincount(station[used], minlength=n)
-    rms = float(np.sqrt(np.mean(residual[used] ** 2)))
-    return AbsorberSolution(path, seen, used, rms)
+    n = start.n
+    covariance = scatter**2 * np.linalg.solve(normal + prior, np.eye(size)[:, : 2 * n])[: 2 * n]
+    path = AbsorberPath(start.y_m, start.x_m + step[:n], start.z_m + step[n : 2 * n], 0.5 * (covariance + covariance.T))
+    return path, used, residuals
 
 
-def _averaged(
-    bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Average the bearings of each photo around each station: photo, station, deviation from the start, sigma."""
-    eyes = photos.eyes_m[bearings.photo]
-    x, z = start.at(bearings.y_m)
-    deviation = bearings.angle_rad - bearing(x, z, eyes)
-    borders = 0.5 * (stations_m[1:] + stations_m[:-1])
-    station = np.searchsorted(borders, bearings.y_m)
-    key = bearings.photo * stations_m.size + station
-    order = np.argsort(key, kind="stable")
-    names, first = np.unique(key[order], return_index=True)
-    found = []
-    for name, members in zip(names, np.split(order, first[1:]), strict=True):
-        middle = float(np.median(deviation[members]))
-        spread = 1.4826 * float(np.median(np.abs(deviation[members] - middle)))
-        # Edges of one photo share their error of pixel grid and background along a few rows: three count as one.
-        effective = max(1.0, members.size / 3)
-        own = max(spread, float(np.median(bearings.sigma_rad[members]))) / np.sqrt(effective)
-        found.append((name // stations_m.size, name % stations_m.size, middle, float(np.hypot(own, _FLOOR_RAD))))
-    columns = list(zip(*found, strict=True)) if found else [(), (), (), ()]
-    return (
-        np.array(columns[0], dtype=np.intp), np.array(columns[1], dtype=np.intp), np.array(columns[2], dtype=float),
-        np.array(columns[3], dtype=float),
-    )  # fmt: skip
+def _out_of_place(modes: FloatArray, photo: IntArray, used: BoolArray) -> BoolArray:
+    """Return the bearings not to be used because their photo is already out or has to be moved too far to fit.
+
+    One photo a round: a wrong one pulls the others with it.
+    """
+    size = np.abs(modes.reshape(-1, MODES_PER_PHOTO)).max(axis=1)
+    left_out = np.bincount(photo[used], minlength=size.size) == 0
+    worst = int(np.argmax(np.where(left_out, 0.0, size)))
+    left_out[worst] |= size[worst] > _FURTHEST_MODE
+    return np.asarray(left_out[photo])
 
 
-def _bearing_derivatives(
-    photo: IntArray, station: IntArray, photos: Photos, start: AbsorberPath, stations_m: FloatArray
+def _sparse_rows(
+    directions: _Directions, place: FloatArray, modes: CameraModes, path: AbsorberPath
+) -> tuple[IntArray, FloatArray, int]:
+    """Return the unknowns of each averaged bearing and its derivatives, shape (m, 4 + modes), and how many there are.
+
+    Unknowns are x at all stations, z at all stations, modes; between stations the axis is straight.
+    """
+    before, share = path.shares(directions.y_m)
+    after = np.minimum(before + 1, path.n - 1)
+    index = np.column_stack([before, after, path.n + before, path.n + after, 2 * path.n + modes.index])
+    weights = np.column_stack([1 - share, share])
+    value = np.column_stack([weights * place[:, :1], weights * place[:, 1:], modes.derivative])
+    return index, value, 2 * path.n + len(modes.covariance)
+
+
+def _normal_equations(
+    index: IntArray, value: FloatArray, directions: _Directions, used: BoolArray, size: int
 ) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix and right side of rows that touch a few unknowns each."""
+    weighted = value / directions.sigma_rad[used, None] ** 2
+    pair = index[:, :, None] * size + index[:, None, :]
+    products = weighted[:, :, None] * value[:, None, :]
+    normal = np.bincount(pair.ravel(), products.ravel(), size * size).reshape(size, size)
+    right = np.bincount(index.ravel(), (weighted * directions.deviation_rad[used, None]).ravel(), size)
+    return np.asarray(normal, dtype=np.float64), np.asarray(right, dtype=np.float64)
+
+
+def _bearing_derivatives(directions: _Directions, photos: Photos, path: AbsorberPath) -> tuple[FloatArray, FloatArray]:
     """Differentiate bearings with respect to (X_a, Z_a), shape (m, 2), and to the step of the pose, shape (m, 6)."""
+    x, z = path.at(directions.y_m)
+    return bearing_derivatives(np.stack([x, directions.y_m, z], axis=1), photos, directions.photo)
+
+
+def bearing_derivatives(points_m: FloatArray, photos: Photos, photo: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Differentiate bearings of points.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (m, 3)
+        Points on the tube's axis [m].
+    photos : Photos
+        Poses.
+    photo : ndarray of int, shape (m,)
+        Which photo sees each.
+
+    Returns
+    -------
+    place : ndarray, shape (m, 2)
+        Derivatives with respect to x and z of the point [rad/m].
+    pose : ndarray, shape (m, 6)
+        Derivatives of the bearing that a pixel gives, less that of the point, with respect to the step of the pose
+        (`RigidTransform.moved`), pixel and point held: minus what a movement of the pose by mistake puts in
+        [rad/rad, rad/m].
+    """
     eyes = photos.eyes_m[photo]
-    x, z = start.at(stations_m[station])
-    to_x, to_z = x - eyes[:, 0], eyes[:, 2] - z
+    to_x, to_z = points_m[:, 0] - eyes[:, 0], eyes[:, 2] - points_m[:, 2]
     square = to_x**2 + to_z**2
     place = np.stack([to_z / square, to_x / square], axis=1)
     rotations = np.array([pose.rotation for pose in photos.poses])[photo]
-    points = np.stack([x, stations_m[station], z], axis=1)
-    turned = np.einsum("mij,mj->mi", rotations, points)
+    turned = np.einsum("mij,mj->mi", rotations, points_m)
     # The pixel is held: a movement of the pose moves the line of sight at the tube by -R^T (dt + w x R P).
     moved = np.empty((photo.size, 3, 6))
     moved[:, :, 3:] = -np.swapaxes(rotations, 1, 2)
     moved[:, :, :3] = np.swapaxes(rotations, 1, 2) @ skew(turned)
-    # The bearing that is computed with the pose as it is minus the true one.
     return place, np.asarray(-(place[:, 0, None] * moved[:, 0] + place[:, 1, None] * moved[:, 2]))
 
 
@@ -279,3 +283,26 @@ def _smoothness(stations_m: FloatArray) -> FloatArray:
         bend = np.diff(np.eye(n), 2, axis=0) / (_BEND_M * step**1.5)
         precision += bend.T @ bend
     return precision
+
+
+def _fates(path: AbsorberPath, n_photos: IntArray) -> IntArray:
+    """Say of each station whether it was measured."""
+    xx, zz = (np.diagonal(path.covariance_m2)[first : first + path.n] for first in (0, path.n))
+    xz = np.diagonal(path.covariance_m2[: path.n, path.n :])
+    worst = 0.5 * (xx + zz) + np.hypot(0.5 * (xx - zz), xz)
+    fate = np.where(worst > _LARGEST_SIGMA_M**2, int(StationFate.ONE_SIDE), int(StationFate.MEASURED))
+    return np.where(n_photos < 2, int(StationFate.HIDDEN), fate)
+
+
+def _why_nothing(path: AbsorberPath, n_photos: IntArray, bearings: Bearings) -> str:
+    if n_photos.max() < 2:
+        return (
+            "absorber: no place along the tube is seen with both edges by two photos that agree; are the collector's "
+            "dimensions and the targets right?"
+        )
+    spread = np.degrees(np.ptp(bearings.angle_rad))
+    sigma = 1e3 * float(np.median(np.hypot(*path.sigma_at(path.y_m))))
+    return (
+        f"absorber: all photos see the tube from one side, within {spread:.1f} degrees, which leaves its place "
+        f"uncertain by {sigma:.0f} mm; add photos from the other side, 60 to 90 degrees apart"
+    )

@@ -11,7 +11,7 @@ from heliogauge.camera import Camera
 from heliogauge.images import read_image
 from heliogauge.progress import Progress
 from heliogauge.rigid import RigidTransform
-from observer.absorber import Bearings, tube_bearings
+from observer.absorber_bearings import Bearings, tube_bearings
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
 
 

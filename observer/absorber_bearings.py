@@ -1,0 +1,230 @@
+"""The absorber tube itself in a photo: its silhouette, and the bisector of the two lines of sight that touch it.
+
+Across the trough the outline of a round tube is touched by two lines of sight whose bisector goes through its axis
+whatever the distance; the middle between the two edges on a plane does not (0.17 mm off at 7 m and 45 degrees). With
+the camera at (X_c, Z_c) the axis (X_a, Z_a) is seen under ``eta = atan2(X_a - X_c, Z_c - Z_a)`` (Owkes 2012, sections
+5.3 and 6.4). A glass tube around the same axis does not change the silhouette: what passes it at a distance b from the
+axis passes it at b inside as well (Bouguer). Where the absorber is 6 mm off the middle of the glass, the bisector moves
+by less than 0.05 mm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.camera import Camera
+from heliogauge.rigid import RigidTransform
+from heliogauge.surfaces import quadric
+from heliogauge.validate import BoolArray, FloatArray
+from observer.edges import Edges, find_edges
+from observer.rectify import rectified_strip
+from observer.reflection import AnyImage, Expectation
+from observer.slope_field import IntArray
+
+#: How far from its expected place the tube is searched [m].
+SEARCH_M = 0.06
+#: By what share the silhouette's width may differ from the tube's. The glass is wider by 60 %, blur of a tube of 7 px
+#: changes the width by 3 %.
+_WIDTH_SHARE = 0.12
+#: A silhouette that lies further from those of the rows around it is another thing's: pixels, and what a tube that
+#: slopes by 8 mrad moves within the rows that are compared [m].
+_BESIDE_PX, _BESIDE_M = 1.5, 2e-3
+#: Rows before and after that say where the tube is.
+_ROWS_AROUND = 12
+#: What the background, seen through the glass, does to the bisector along many rows: in ray-traced photos 0.007 px in
+#: the mean, 0.03 px where the mirror behind is bright on one side. As much where the tube runs along the pixels.
+_SHARED_PX = 0.02
+#: The end of a support is seen slantwise: so far beyond it one of the tube's two edges is still hidden [m].
+_SUPPORT_MARGIN_M = 0.03
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bearings:
+    """Directions across the trough under which photos see the tube's axis.
+
+    Parameters
+    ----------
+    photo : ndarray of int, shape (m,)
+        Photo.
+    y_m : ndarray, shape (m,)
+        Place along the trough [m].
+    angle_rad : ndarray, shape (m,)
+        eta of the module's text [rad].
+    sigma_rad : ndarray, shape (m,)
+        Standard deviation [rad].
+    diameter_m : ndarray, shape (m,)
+        How thick the tube looks at the distance where it is expected [m].
+    shared_rad : ndarray, shape (m,), optional
+        Error that neighbouring rows of a photo have in common, from the background and the grid of pixels [rad].
+    """
+
+    photo: IntArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+    sigma_rad: FloatArray
+    diameter_m: FloatArray
+    shared_rad: FloatArray = ()  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if len(self.shared_rad) == 0:
+            object.__setattr__(self, "shared_rad", np.zeros_like(self.sigma_rad))
+
+    def chosen(self, which: BoolArray | IntArray) -> "Bearings":
+        """Return some of them."""
+        return Bearings(*(getattr(self, name)[which] for name in self.__slots__))
+
+
+def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
+    """Return under what angle across the trough a camera sees a point.
+
+    Parameters
+    ----------
+    x_m, z_m : ndarray, shape (m,)
+        Points [m].
+    eyes_m : ndarray, shape (m, 3)
+        Cameras [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Angle from straight down, positive towards +x [rad].
+    """
+    return np.arctan2(x_m - eyes_m[:, 0], eyes_m[:, 2] - z_m)
+
+
+def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransform], expected: Expectation) -> Bearings:
+    """Find the tube itself in one photo.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    photo : int
+        Its number.
+    view : (Camera, RigidTransform)
+        Its camera and ``cam_from_frame``.
+    expected : Expectation
+        Collector, where the tube should be, and rows along the trough.
+
+    Returns
+    -------
+    Bearings
+        One for each row in which both edges were found, away from known supports.
+    """
+    camera, pose = view
+    eye = pose.inverse().translation_m
+    collector = expected.collector
+    radius = collector.absorber_diameter_m / 2
+    level, middle = float(np.mean(expected.absorber.z_m)), float(np.mean(expected.absorber.x_m))
+    if eye[2] < level + 10 * radius:
+        # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
+        return _nothing()
+    distance = float(np.hypot(eye[0] - middle, eye[2] - level))
+    pixel_rad = 1 / max(camera.focal_x_px, camera.focal_y_px)
+    pixel_m = distance * pixel_rad
+    reach = SEARCH_M + 2.5 * radius * distance / (eye[2] - level)
+    x = np.arange(middle - reach, middle + reach + pixel_m, pixel_m)
+    rows_each = max(1, round(float(expected.y_m[1] - expected.y_m[0]) / pixel_m)) if expected.y_m.size > 1 else 1
+    plane = quadric([0, 0, 0, 0, 0, level], name="plane of the focal line")
+    found = find_edges(rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each))
+    seen = np.arctan2(found.x_m - eye[0], eye[2] - level)
+    first, second = paired_edges(found, seen, eye[2] - level, radius)
+    beside = _BESIDE_PX * pixel_rad + _BESIDE_M / distance
+    strength = _strength(found, first, second)
+    chosen = _continuous(found.row[first], 0.5 * (seen[first] + seen[second]), strength, beside)
+    first, second = first[chosen], second[chosen]
+    y = expected.y_m[found.row[first]]
+    height = eye[2] - level
+    sigmas = np.stack([found.sigma_x_m[k] * np.cos(seen[k]) ** 2 / height for k in (first, second)])
+    angle = 0.5 * (seen[first] + seen[second])
+    bearings = Bearings(
+        np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas),
+        2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first])),
+        np.full(first.size, _SHARED_PX * pixel_rad),
+    )  # fmt: skip
+    return bearings.chosen(~beside_support(y, collector.support_y_m, collector.support_width_m))
+
+
+def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:
+    """Return which places along the tube a known support hides, or nearly so.
+
+    Parameters
+    ----------
+    y_m : ndarray, shape (m,)
+        Places along the trough [m].
+    support_y_m : ndarray, shape (n,)
+        Supports [m].
+    support_width_m : float
+        Length that each of them hides [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        Whether the tube is hidden there.
+    """
+    reach = support_width_m / 2 + _SUPPORT_MARGIN_M
+    return np.asarray((np.abs(y_m[:, None] - support_y_m) < reach).any(axis=1))
+
+
+def _nothing() -> Bearings:
+    empty = np.zeros(0)
+    return Bearings(np.zeros(0, dtype=np.intp), empty, empty, empty, empty)
+
+
+def paired_edges(found: Edges, seen_rad: FloatArray, height_m: float, radius_m: float) -> tuple[IntArray, IntArray]:
+    """Return all pairs of edges of one row that are as far apart as the tube is wide and step opposite ways.
+
+    Parameters
+    ----------
+    found : Edges
+        Edges on the plane of the focal line.
+    seen_rad : ndarray, shape (n,)
+        Angle across the trough under which each is seen [rad].
+    height_m : float
+        Height of the camera above that plane [m].
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    first, second : ndarray of int, shape (m,)
+        The edges at the smaller and at the larger x.
+    """
+    if found.row.size == 0:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    half = np.arcsin(np.clip(radius_m * np.cos(seen_rad) / height_m, 0, 0.5))
+    # The tube's middle is further than its edge: the second round is right within a hundredth of the tolerance.
+    half = np.arcsin(np.clip(radius_m * np.cos(seen_rad + half) / height_m, 0, 0.5))
+    order = np.lexsort((seen_rad, found.row))
+    # Rows follow each other at distances that no angle reaches.
+    key = found.row * 10.0 + seen_rad
+    low = np.searchsorted(key[order], key + 2 * half * (1 - _WIDTH_SHARE))
+    high = np.searchsorted(key[order], key + 2 * half * (1 + _WIDTH_SHARE))
+    count = high - low
+    first = np.repeat(np.arange(key.size), count)
+    second = order[np.repeat(low, count) + np.arange(first.size) - np.repeat(np.cumsum(count) - count, count)]
+    opposite = (found.rise_dn[first] < 0) != (found.rise_dn[second] < 0)
+    return np.asarray(first[opposite], dtype=np.intp), np.asarray(second[opposite], dtype=np.intp)
+
+
+def _strength(found: Edges, first: IntArray, second: IntArray) -> FloatArray:
+    return np.minimum(np.abs(found.rise_dn[first]), np.abs(found.rise_dn[second]))
+
+
+def _continuous(row: IntArray, angle_rad: FloatArray, strength: FloatArray, beside_rad: float) -> IntArray:
+    """Choose one pair for each row: the one nearest to where the strongest pairs of the rows around it lie.
+
+    Tube, seams and reflections may look alike in one row; along many only the tube is at one place.
+    """
+    if row.size == 0:
+        return np.zeros(0, dtype=np.intp)
+    order = np.lexsort((strength, row))
+    last = np.flatnonzero(np.diff(row[order], append=-1))
+    strongest = order[last]
+    places = np.full(int(row.max()) + 1 + 2 * _ROWS_AROUND, np.nan)
+    places[row[strongest] + _ROWS_AROUND] = angle_rad[strongest]
+    windows = np.lib.stride_tricks.sliding_window_view(places, 2 * _ROWS_AROUND + 1)
+    beside = np.abs(angle_rad - np.nanmedian(windows[row], axis=1))
+    order = np.lexsort((-beside, row))
+    nearest = order[np.flatnonzero(np.diff(row[order], append=-1))]
+    return np.asarray(nearest[beside[nearest] < beside_rad], dtype=np.intp)
