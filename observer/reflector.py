@@ -1,5 +1,6 @@
 """From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -14,7 +15,7 @@ from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.sight import Sights, change_across
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
-from observer.slope_sums import covariance_of_sums
+from observer.slope_sums import sum_covariance
 
 #: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out
 #: step by step, while those of a mirror that is bent more than expected stay.
@@ -104,20 +105,15 @@ class Reflector:
     modes: CameraModes
     lines: TouchingLines
 
-    def covariance_of_sums(self, weights: FloatArray) -> FloatArray:
-        """Return the covariance of weighted sums of the slopes across, the absorber held.
-
-        Parameters
-        ----------
-        weights : ndarray, shape (k, r, nx)
-            Weight of each node in each sum.
+    def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
+        """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
 
         Returns
         -------
-        ndarray, shape (k, k)
-            Covariance of the sums [rad^2].
+        callable
+            From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
-        return covariance_of_sums(self.lines, self.grid, self.roughness, self.errors.covariance_common, weights)
+        return sum_covariance(self.lines, self.grid, self.roughness, self.errors.covariance_common)
 
 
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:

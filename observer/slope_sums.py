@@ -1,5 +1,7 @@
 """How well weighted sums of slopes are known: with the noise that neighbours share and with what all rows share."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from heliogauge.validate import FloatArray
@@ -9,10 +11,10 @@ from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, to
 _AT_ONCE = 10
 
 
-def covariance_of_sums(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance_common: FloatArray, weights: FloatArray
-) -> FloatArray:
-    """Return the covariance of weighted sums of the slopes across.
+def sum_covariance(
+    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance_common: FloatArray
+) -> Callable[[FloatArray], FloatArray]:
+    """Return a function for the covariance of weighted sums of the slopes across; the rows are factorised once.
 
     Parameters
     ----------
@@ -24,13 +26,11 @@ def covariance_of_sums(
         How slopes may vary.
     covariance_common : ndarray, shape (c, c)
         Covariance of the common unknowns, the slopes eliminated.
-    weights : ndarray, shape (k, r, nx)
-        Weight of each node's slope across in each sum.
 
     Returns
     -------
-    ndarray, shape (k, k)
-        Covariance of the k sums [rad^2].
+    callable
+        From weights of all nodes' slopes in k sums, shape (k, r, nx), to the covariance of the sums, shape (k, k).
 
     Notes
     -----
@@ -38,21 +38,26 @@ def covariance_of_sums(
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
     """
     system = assemble(lines, grid, prior)
-    count, n_common = len(weights), len(covariance_common)
-    weight = lines.sigma_rad**-2
-    own = np.empty((count, count))
-    shared = np.zeros((count, n_common))
-    nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
-    for first in range(0, count, _AT_ONCE):
-        some = slice(first, min(first + _AT_ONCE, count))
-        right = np.concatenate([to_blocks(one) for one in nodes[some]], axis=3)
-        solved = system.factor.solve(right)
-        # (b, r, 4, k) to (k, r, nx, 2)
-        slopes = np.moveaxis(solved, 3, 0).swapaxes(1, 2).reshape(-1, grid.n_rows, grid.x_m.size, 2)
-        own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
-        for k, one in enumerate(slopes, start=first):
-            beside = np.concatenate([one[lines.row, system.before], one[lines.row, system.before + 1]], axis=1)
-            seen = weight * np.einsum("mi,mi->m", system.weights, beside)
-            for i in range(lines.common_index.shape[1]):
-                shared[k] += np.bincount(lines.common_index[:, i], seen * lines.d_common[:, i], n_common)
-    return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
+    weight, n_common = lines.sigma_rad**-2, len(covariance_common)
+
+    def carried(slopes: FloatArray) -> FloatArray:
+        """Return how a sum hangs on the common unknowns, from its solution with A, shape (r, nx, 2)."""
+        beside = np.concatenate([slopes[lines.row, system.before], slopes[lines.row, system.before + 1]], axis=1)
+        seen = weight * np.einsum("mi,mi->m", system.weights, beside)
+        columns = zip(lines.common_index.T, lines.d_common.T, strict=True)
+        return np.asarray(sum(np.bincount(index, seen * derivative, n_common) for index, derivative in columns))
+
+    def covariance(weights: FloatArray) -> FloatArray:
+        count = len(weights)
+        own, shared = np.empty((count, count)), np.empty((count, n_common))
+        nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
+        for first in range(0, count, _AT_ONCE):
+            some = slice(first, min(first + _AT_ONCE, count))
+            solved = system.factor.solve(np.concatenate([to_blocks(one) for one in nodes[some]], axis=3))
+            # (b, r, 4, k) to (k, r, nx, 2)
+            slopes = np.moveaxis(solved, 3, 0).swapaxes(1, 2).reshape(-1, grid.n_rows, grid.x_m.size, 2)
+            own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
+            shared[some] = [carried(one) for one in slopes]
+        return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
+
+    return covariance

@@ -4,7 +4,7 @@ import numpy as np
 
 from observer.joint_solution import solve_jointly
 from observer.slope_field import Roughness
-from observer.slope_sums import covariance_of_sums
+from observer.slope_sums import sum_covariance
 from tests.observer.test_joint_solution import dense, random_lines, small_grid
 
 
@@ -17,5 +17,5 @@ def test_sums_have_the_covariance_of_dense_algebra() -> None:
     flat = np.zeros((12, 123))
     flat[:, :120:2] = weights.reshape(12, 60)
     _, inverse = dense(grid, lines, prior, covariance)
-    sums = covariance_of_sums(lines, grid, prior, found.covariance_common, weights)
+    sums = sum_covariance(lines, grid, prior, found.covariance_common)(weights)
     np.testing.assert_allclose(sums, flat @ inverse @ flat.T, rtol=1e-8, atol=1e-9 * np.abs(sums).max())
