@@ -28,6 +28,10 @@ class SampleFlag(IntFlag):
     CUT_BY_BORDER = 1 << 14
     TOO_SMALL = 1 << 15
     CLIPPED = 1 << 16
+    BEYOND_TUBE = 1 << 17
+    BEHIND_TUBE = 1 << 18
+    NOT_COVERED = 1 << 19
+    UNCERTAIN = 1 << 20
 
 
 FLAG_TEXTS: dict[SampleFlag, str] = {
@@ -41,13 +45,17 @@ FLAG_TEXTS: dict[SampleFlag, str] = {
     SampleFlag.NO_INTERSECTION: "the line of sight does not meet the surface",
     SampleFlag.OUTLIER: "far from its neighbours or from the fit",
     SampleFlag.NOT_SEEN: "no image shows this point",
-    SampleFlag.SMOOTHED_GAP: "value bridged from neighbours (height only)",
+    SampleFlag.SMOOTHED_GAP: "value bridged from neighbours",
     SampleFlag.INPUT_NOT_FINITE: "an input value was not finite",
     SampleFlag.FAR_FROM_POINTS: "no measured point is near enough",
     SampleFlag.PARTLY_COVERED: "the target is partly covered, or no blurred disc",
     SampleFlag.CUT_BY_BORDER: "the target reaches beyond the border of the photo",
     SampleFlag.TOO_SMALL: "the target covers too few pixels",
     SampleFlag.CLIPPED: "grey values of the target are at the end of the scale: its size is uncertain",
+    SampleFlag.BEYOND_TUBE: "it reflects what is beyond the absorber's end or at a support",
+    SampleFlag.BEHIND_TUBE: "the receiver hides it from all cameras that would see the tube there",
+    SampleFlag.NOT_COVERED: "no camera was where it would show the tube's edge",
+    SampleFlag.UNCERTAIN: "too uncertain: no edge of the reflection near enough",
 }
 
 #: Bits that leave a sample without a value.

@@ -21,6 +21,9 @@ from observer.slope_field import (
 _ROWS_FOR_COMMON = 48
 #: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
 _ROWS_FOR_ROUGHNESS = 16
+#: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
+_MODES = 10
+_MODES_SHARE = 0.99
 #: Decimal exponents of the roughness [rad^2 / m^3] that are searched: from a mirror that bends by 0.1 mrad within a
 #: metre to a crumpled one.
 _EXPONENTS = (-8.0, 1.0)
@@ -42,6 +45,11 @@ class SlopeErrors:
         Estimates of the common unknowns.
     covariance_common : ndarray, shape (c, c)
         Their covariance.
+    mode_rows : ndarray of int, shape (s,)
+        Rows at which the modes are given.
+    modes : ndarray, shape (k, s, nx)
+        Change of dz/dx for one standard deviation of each of the strongest independent combinations of the common
+        unknowns [rad].
     """
 
     slopes: FloatArray
@@ -49,6 +57,8 @@ class SlopeErrors:
     shared: FloatArray
     common: FloatArray
     covariance_common: FloatArray
+    mode_rows: IntArray
+    modes: FloatArray
 
 
 def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray) -> Roughness:
@@ -132,7 +142,7 @@ def solve_jointly(
     random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
     between = _between_rows(shared.variance(), rows, grid.n_rows)
-    return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance)
+    return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance, rows, shared.modes())
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -175,6 +185,19 @@ class _Eliminated:
         flat = self.carried.reshape(-1, len(self.covariance))
         sums = np.einsum("kc,kc->k", flat @ self.covariance, flat)
         return from_blocks(sums.reshape(self.carried.shape[:3]))
+
+    def modes(self) -> FloatArray:
+        """Return the strongest independent changes of dz/dx by the common unknowns, shape (k, r, nx)."""
+        n_blocks, n_rows, _, count = self.carried.shape
+        across = np.ascontiguousarray(self.carried[:, :, 0::2])
+        if count == 0:
+            return np.zeros((0, n_rows, 2 * n_blocks))
+        flat = across.reshape(-1, count) @ np.linalg.cholesky(self.covariance)
+        values, vectors = np.linalg.eigh(flat.T @ flat)
+        enough = np.cumsum(values[::-1]) < _MODES_SHARE * values.sum()
+        kept = min(_MODES, int(np.count_nonzero(enough)) + 1)
+        strongest = (flat @ vectors[:, ::-1][:, :kept]).reshape(n_blocks, n_rows, 2, kept)
+        return np.asarray(strongest.transpose(3, 1, 0, 2).reshape(kept, n_rows, 2 * n_blocks))
 
 
 def _eliminate(

@@ -23,7 +23,8 @@ from observer.pipeline_photos import SeenInPhotos, look_at_photos
 from observer.reflection import Expectation
 from observer.reflector import FATE_TEXTS, EdgeFate, Photos, Reflector, solve_reflector
 from observer.slope_field import Roughness
-from observer.slope_product import AngleMaps, angle_maps, slope_map_of
+from observer.slope_product import AngleMaps, angle_maps, known_theta_r, slope_map_of
+from observer.visibility import Visibility, coverage_warning, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
 
 
@@ -62,6 +63,8 @@ class Result:
         The mirror's slope errors.
     slope_map : SlopeMap
         The same in the common form.
+    visible : Visibility
+        What the cameras can see of the tube by way of each node.
     angles : AngleMaps
         The same as angles, with the absorber's share.
     warnings : tuple of str
@@ -80,6 +83,7 @@ class Result:
     absorber_solution: AbsorberSolution | None
     reflector: Reflector
     slope_map: SlopeMap
+    visible: Visibility
     angles: AngleMaps
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
@@ -138,10 +142,15 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("slopes"):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
         reflector = solve_reflector(seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior)
-        slope_map = slope_map_of(reflector, collector, prior.along_rad)
+        nodes = (reflector.grid.x_m, y)
+        visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
+        slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)
         angles = angle_maps(slope_map, absorber, collector)
+    coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
+    doubts = () if coverage is None else (coverage,)
     return Result(
-        model.name, collector, network, seen, absorber, solution, reflector, slope_map, angles, network.warnings,
+        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles,
+        (*network.warnings, *doubts),
         dict(progress.durations_s), hashes,
     )  # fmt: skip
 
@@ -231,7 +240,7 @@ def summarise(result: Result) -> Summary:
     """
     bundle = result.network.solved.bundle
     numbers = {
-        **slope_numbers(result.slope_map, result.angles),
+        **slope_numbers(result.slope_map, result.angles, result.visible),
         **absorber_numbers(result.absorber, result.collector, result.absorber_solution),
         **edge_numbers(result.reflector),
         "photos_count": len(bundle.problem.observations.photos),

@@ -15,11 +15,12 @@ from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.reflector import EdgeFate, Reflector
 from observer.slope_product import AngleMaps
+from observer.visibility import Visibility, shares
 
 Numbers = dict[str, float | int | None]
 
 
-def slope_numbers(slope_map: SlopeMap, angles: AngleMaps) -> Numbers:
+def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -> Numbers:
     """Return the numbers of the mirror.
 
     Parameters
@@ -28,6 +29,8 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps) -> Numbers:
         The mirror.
     angles : AngleMaps
         The same as angles.
+    visible : Visibility
+        Which nodes can show the tube.
 
     Returns
     -------
@@ -38,6 +41,7 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps) -> Numbers:
     whole = statistics(across)
     untilted = statistics(across, removed=Removal.TILT)
     sigma = slope_map.sigma_slope()[0][slope_map.valid]
+    seeable, measured = shares(visible, slope_map.aperture, slope_map.valid)
     theta_ra, theta_r = (part[slope_map.valid] for part in (angles.theta_ra_rad, angles.theta_r_rad))
     return {
         "sdx_rad": whole.sdx_rad,
@@ -48,6 +52,8 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps) -> Numbers:
         "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
         "median_sigma_slope_x_rad": float(np.median(sigma)),
         "measured_share": slope_map.measured_share,
+        "seeable_share": seeable,
+        "measured_share_of_seeable": measured,
     }
 
 
@@ -144,6 +150,7 @@ def headline_text(summary: Summary) -> str:
         f"  sigma of a point {said('median_sigma_slope_x_rad')} (median)",
         f"  theta_ra         {said('rms_theta_ra_rad')} RMS",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
-        f"  measured         {said('measured_share')} of the mirror",
+        f"  measured         {said('measured_share')} of the mirror, {said('measured_share_of_seeable')} of what can "
+        "show the tube",
         f"  design           {summary.texts['design']}",
     ])  # fmt: skip
