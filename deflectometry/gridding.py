@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.integrate import integrate_slopes
 from deflectometry.slope_image import SlopeImage
 from deflectometry.slopes import FittedSurface
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError, InputError, QualityWarning
 from heliogauge.flags import REJECTED, SampleFlag
+from heliogauge.integration import integrate_slopes
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import CommonModes, SlopeMap
 from heliogauge.surfaces import Facet

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deflectometry.integrate import integrate_slopes
 from heliogauge.errors import EstimationError
+from heliogauge.integration import integrate_slopes
 
 
 def surface(nx=61, ny=47):
