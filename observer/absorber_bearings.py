@@ -18,7 +18,8 @@ from heliogauge.surfaces import quadric
 from heliogauge.validate import BoolArray, FloatArray
 from observer.edges import Edges, find_edges
 from observer.rectify import rectified_strip
-from observer.reflection import AnyImage, Expectation
+from observer.reflection import AnyImage, Expectation, design_misfit
+from observer.silhouette import level_edges
 from observer.slope_field import IntArray
 
 #: How far from its expected place the tube is searched [m].
@@ -34,6 +35,9 @@ _ROWS_AROUND = 12
 #: What the background, seen through the glass, does to the bisector along many rows: in ray-traced photos 0.007 px in
 #: the mean, 0.03 px where the mirror behind is bright on one side. As much where the tube runs along the pixels.
 _SHARED_PX = 0.02
+#: Glass turns what passes it close to the metal by up to this: where the reflection is as near to the tube in the
+#: image, it shows up beside the tube [rad].
+_PRISM_RAD = 0.06
 #: The end of a support is seen slantwise: so far beyond it one of the tube's two edges is still hidden [m].
 _SUPPORT_MARGIN_M = 0.03
 
@@ -119,6 +123,8 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     if eye[2] < level + 10 * radius:
         # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
         return _nothing()
+    if _is_before_reflection(eye, expected):
+        return _nothing()
     distance = float(np.hypot(eye[0] - middle, eye[2] - level))
     pixel_rad = 1 / max(camera.focal_x_px, camera.focal_y_px)
     pixel_m = distance * pixel_rad
@@ -126,7 +132,8 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     x = np.arange(middle - reach, middle + reach + pixel_m, pixel_m)
     rows_each = max(1, round(float(expected.y_m[1] - expected.y_m[0]) / pixel_m)) if expected.y_m.size > 1 else 1
     plane = quadric([0, 0, 0, 0, 0, level], name="plane of the focal line")
-    found = find_edges(rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each))
+    strip = rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each)
+    found = find_edges(strip)
     seen = np.arctan2(found.x_m - eye[0], eye[2] - level)
     first, second = paired_edges(found, seen, eye[2] - level, radius)
     beside = _BESIDE_PX * pixel_rad + _BESIDE_M / distance
@@ -137,12 +144,33 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     height = eye[2] - level
     sigmas = np.stack([found.sigma_x_m[k] * np.cos(seen[k]) ** 2 / height for k in (first, second)])
     angle = 0.5 * (seen[first] + seen[second])
+    if collector.glass is not None:
+        left, right = found.x_m[first], found.x_m[second]
+        glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
+        sides = level_edges(strip, found.row[first], 0.5 * (left + right), 0.5 * (right - left), glass)
+        angle = 0.5 * (np.arctan2(sides[0] - eye[0], height) + np.arctan2(sides[1] - eye[0], height))
     bearings = Bearings(
         np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas),
         2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first])),
         np.full(first.size, _SHARED_PX * pixel_rad),
     )  # fmt: skip
-    return bearings.chosen(~beside_support(y, collector.support_y_m, collector.support_width_m))
+    return bearings.chosen(np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m))
+
+
+def _is_before_reflection(eye_m: FloatArray, expected: Expectation) -> bool:
+    """Return whether the tube stands before its own reflection, which then is its background."""
+    collector, focal = expected.collector, expected.collector.focal_length_m
+    axis_x, axis_z = float(np.mean(expected.absorber.x_m)), float(np.mean(expected.absorber.z_m))
+    x = axis_x
+    for _ in range(4):
+        x = axis_x - (eye_m[0] - axis_x) * (axis_z - x**2 / (4 * focal)) / (eye_m[2] - axis_z)
+    if abs(x) > collector.aperture_width_m / 2:
+        return False
+    point = np.array([[x, np.clip(eye_m[1], -1, 1) * 0.1, x**2 / (4 * focal)]])
+    found = design_misfit(point, eye_m[None], np.zeros(1), collector, expected.absorber)
+    half = collector.absorber_diameter_m / 2 / (axis_z - point[0, 2])
+    reach = half + 2 * expected.slope_error_rad + (_PRISM_RAD if collector.glass is not None else 0.0)
+    return bool(abs(found.angle_rad[0]) < reach)
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:
