@@ -53,7 +53,7 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -
         "median_sigma_slope_x_rad": float(np.median(sigma)),
         "measured_share": slope_map.measured_share,
         "seeable_share": seeable,
-        "measured_share_of_seeable": measured,
+        "seeable_measured_share": measured,
     }
 
 
@@ -150,7 +150,7 @@ def headline_text(summary: Summary) -> str:
         f"  sigma of a point {said('median_sigma_slope_x_rad')} (median)",
         f"  theta_ra         {said('rms_theta_ra_rad')} RMS",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
-        f"  measured         {said('measured_share')} of the mirror, {said('measured_share_of_seeable')} of what can "
+        f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
         "show the tube",
         f"  design           {summary.texts['design']}",
     ])  # fmt: skip

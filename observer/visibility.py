@@ -203,7 +203,7 @@ def shares(found: Visibility, aperture: BoolArray, valid: BoolArray) -> tuple[fl
 
     Returns
     -------
-    seeable_share, measured_share_of_seeable : float
+    seeable_share, seeable_measured_share : float
         Both between 0 and 1.
     """
     can = aperture & found.seeable
