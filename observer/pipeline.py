@@ -18,14 +18,28 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
-from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, read_absorber
-from observer.pipeline_photos import SeenInPhotos, look_at_photos
+from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
+from observer.pipeline_photos import SeenInPhotos, build_finder, look_again, look_first
+from observer.pipeline_slices import Overlay, overlay
 from observer.reflection import Expectation
 from observer.reflector import FATE_TEXTS, EdgeFate, Photos, Reflector, solve_reflector
 from observer.slope_field import Roughness
 from observer.slope_product import AngleMaps, angle_maps, known_theta_r, slope_map_of
+from observer.store_report import (
+    ANGLES,
+    COLLECTOR,
+    SLICES,
+    write_angles,
+    write_collector,
+    write_overlay,
+    write_slices,
+)
 from observer.visibility import Visibility, coverage_warning, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.pipeline_photos import gathered
+
+#: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.
+NETWORK_FOLDER = "network"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +81,10 @@ class Result:
         What the cameras can see of the tube by way of each node.
     angles : AngleMaps
         The same as angles, with the absorber's share.
+    photos : Photos
+        Poses of the photos with their joint covariance.
+    overlay : Overlay
+        One photo with what design and result predict of the reflection.
     warnings : tuple of str
         What makes the result doubtful.
     durations_s : dict of str to float
@@ -85,6 +103,8 @@ class Result:
     slope_map: SlopeMap
     visible: Visibility
     angles: AngleMaps
+    photos: Photos
+    overlay: Overlay
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -119,16 +139,20 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     collector = build_collector(model.collector)
-    network = photogrammetry_pipeline.run(
-        as_photogrammetry(measurement), photogrammetry_pipeline.Options(jobs=options.jobs), progress
-    )
-    photos, views, files = _photos(measurement, network)
     start = absorber_start(collector)
     step = 1e-3 * model.evaluation.row_step_mm
     rows = max(2, round(collector.length_m / step))
     y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
     expected = Expectation(collector, start, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
-    seen = look_at_photos(files, views, expected, jobs=options.jobs, progress=progress)
+    survey = as_photogrammetry(measurement)
+    finder = build_finder(survey, known_targets(survey), expected)
+    first = look_first(survey.photo_files, finder, jobs=options.jobs, progress=progress)
+    network = photogrammetry_pipeline.run(
+        survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
+        measured=gathered(first.targets) if first.targets else None, start=first.start,
+    )  # fmt: skip
+    photos, views, files = _photos(measurement, network)
+    seen = look_again(files, views, finder, first, jobs=options.jobs, progress=progress)
     absorber, solution = start, None
     with progress.stage("absorber"):
         if model.absorber.file is not None:
@@ -146,13 +170,22 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
         slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)
         angles = angle_maps(slope_map, absorber, collector)
+    with progress.stage("picture"):
+        clearest = _clearest_photo(seen, reflector)
+        tubes = (absorber_start(collector), absorber)
+        picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     doubts = () if coverage is None else (coverage,)
     return Result(
-        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles,
-        (*network.warnings, *doubts),
+        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles, photos,
+        picture, (*network.warnings, *doubts),
         dict(progress.durations_s), hashes,
     )  # fmt: skip
+
+
+def _clearest_photo(seen: SeenInPhotos, reflector: Reflector) -> int:
+    """Return the photo that gave most edges."""
+    return int(np.argmax(np.bincount(seen.edges.photo[reflector.fate == EdgeFate.USED])))
 
 
 def _photos(
@@ -184,6 +217,14 @@ def write(result: Result, folder: Path) -> None:
         A file cannot be written.
     """
     write_slope_map(folder / "slope_map.nc", {"": result.slope_map}, {"input_sha256": result.input_sha256})
+    write_angles(folder / ANGLES, result.slope_map, result.angles)
+    write_collector(folder / COLLECTOR, result.collector)
+    names = result.network.solved.bundle.problem.observations.photos
+    write_slices(folder / SLICES, result.seen.slices, result.photos.eyes_m, names)
+    write_overlay(folder, result.overlay, names[result.overlay.photo])
+    network = folder / NETWORK_FOLDER
+    network.mkdir()
+    photogrammetry_pipeline.write(result.network, network)
     write_table_csv(folder / "absorber.csv", _absorber_columns(result))
     write_points_csv(folder / "points.csv", result.network.points)
     write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))

@@ -19,7 +19,10 @@ from heliogauge.store_tables import read_table_csv
 from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube
+from photogrammetry.target_following import KnownTargets
 
+#: A coordinate known to worse than this is no help to find a photo's pose [m].
+_LARGEST_SIGMA_M = 0.1
 _AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
 
 
@@ -132,6 +135,9 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
     files = (*measurement.photo_files, *(file for file in measurement.absorber_files
                                          if file not in measurement.photo_files))  # fmt: skip
     targets = TargetsSection.model_validate(model.targets.model_dump(exclude={"file"}, exclude_unset=True))
+    if targets.dictionary is not None and not targets.is_listed and targets.find_uncoded is None:
+        # Dots that nobody lists add nothing to poses that a dozen known targets tell, and cost time in every photo.
+        targets = targets.model_copy(update={"find_uncoded": False})
     network = PhotogrammetryModel(
         kind="photogrammetry",
         name=model.name,
@@ -143,6 +149,28 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
         datum=DatumSection(kind="inner"),
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
+
+
+def known_targets(network: PhotogrammetryMeasurement) -> KnownTargets:
+    """Collect the targets whose three coordinates are listed.
+
+    Parameters
+    ----------
+    network : PhotogrammetryMeasurement
+        The photo network.
+
+    Returns
+    -------
+    KnownTargets
+        Targets to start from; those known to worse than 0.1 m are not among them.
+    """
+    values: dict[str, dict[str, tuple[float, float]]] = {}
+    for one in network.model.constraint:
+        if isinstance(one, CoordinateSection) and 1e-3 * one.sigma_mm <= _LARGEST_SIGMA_M:
+            values.setdefault(one.target, {})[one.axis] = (one.value_m, 1e-3 * one.sigma_mm)
+    whole = {name: [axes[axis] for axis in _AXES] for name, axes in values.items() if len(axes) == len(_AXES)}
+    table = np.array(list(whole.values()), dtype=np.float64).reshape(-1, len(_AXES), 2)
+    return KnownTargets(tuple(whole), np.ascontiguousarray(table[..., 0]), table[..., 1].max(axis=1, initial=0.0))
 
 
 def absorber_start(collector: Collector) -> AbsorberPath:

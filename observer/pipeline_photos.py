@@ -1,18 +1,52 @@
-"""All photos of a measurement to edges of the reflection and bearings of the tube."""
+"""All photos of a measurement to targets, edges of the reflection and bearings of the tube, each photo read once.
 
-from collections.abc import Sequence
+What a photo shows of the tube is looked for as soon as its targets give it a provisional pose, from the coordinates
+listed; the adjustment of all photos comes later, and what was found is carried to its poses (`observer.carried`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from heliogauge.camera import Camera
-from heliogauge.images import read_image
+from heliogauge.errors import InputError
+from heliogauge.images import Image, read_image
+from heliogauge.measurement import PhotogrammetryMeasurement
+from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import Progress
 from heliogauge.rigid import RigidTransform
 from observer.absorber_bearings import Bearings, tube_bearings
+from observer.carried import View, carried_bearings, carried_edges
+from observer.pipeline_slices import Slices, empty_slices
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
+from photogrammetry.detections import Detections
+from photogrammetry.network import StartValues
+from photogrammetry.photo_targets import TargetSearch
+from photogrammetry.pipeline_cameras import build_cameras
+from photogrammetry.pipeline_inputs import build_search
+from photogrammetry.pipeline_photos import OnePhoto, measure_photo
+from photogrammetry.target_following import (
+    KnownTargets,
+    Track,
+    Window,
+    follow,
+    provisional_pose,
+    start_following,
+    windows_of,
+)
+
+_Part = TypeVar("_Part", ReflectionEdges, Bearings)
+_Result = TypeVar("_Result")
+
+#: Photos that are followed through; each run begins with a search of the whole photo and is one thread's work.
+_FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 12, 50, 8
+#: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
+#: the photo is looked at again [m].
+_FAR_M = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,30 +59,285 @@ class SeenInPhotos:
         Edges that may be those of its reflection.
     bearings : Bearings
         Directions of the tube itself.
+    slices : Slices
+        A few rows of the mirror in all photos, to look at.
     """
 
     edges: ReflectionEdges
     bearings: Bearings
+    slices: Slices
 
 
-def look_at_photos(
-    files: Sequence[Path],
-    views: Sequence[tuple[Camera, RigidTransform]],
-    expected: Expectation,
-    *,
-    jobs: int | None,
-    progress: Progress,
-) -> SeenInPhotos:
-    """Find the absorber and its reflection in all photos.
+@dataclass(frozen=True, slots=True, eq=False)
+class Finder:
+    """What is looked for in each photo, and with what.
+
+    Parameters
+    ----------
+    section : TargetsSection
+        What targets there are.
+    search : TargetSearch
+        How circular ones are searched for.
+    known : KnownTargets
+        Those with listed coordinates.
+    camera_of : mapping of str to Camera
+        Camera of each photo to start with; empty where none is known.
+    expected : Expectation
+        Collector, absorber and rows.
+    """
+
+    section: TargetsSection
+    search: TargetSearch
+    known: KnownTargets
+    camera_of: Mapping[str, Camera]
+    expected: Expectation
+
+    @property
+    def measures_alone(self) -> bool:
+        """Whether the targets of a photo can be told without the other photos."""
+        return self.section.dictionary is not None and self.section.tracked_from is None
+
+    @property
+    def follows(self) -> bool:
+        """Whether targets can be followed: coded rings, with a camera that is known."""
+        return self.search.dictionary is not None and not self.search.with_uncoded and bool(self.camera_of)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstLook:
+    """What was found while the photos were read.
+
+    Parameters
+    ----------
+    photos : tuple of str
+        Names of all photos.
+    targets : tuple of OnePhoto
+        Targets of each photo; empty where they are not measured one by one.
+    poses : dict of str to RigidTransform
+        Provisional ``cam_from_frame`` of the photos whose listed targets tell it.
+    edges, bearings : dict of str to ReflectionEdges, dict of str to Bearings
+        What those photos show of the tube.
+    slices : Slices
+        A few rows of the mirror in all photos.
+    """
+
+    photos: tuple[str, ...]
+    targets: tuple[OnePhoto, ...]
+    poses: dict[str, RigidTransform]
+    edges: dict[str, ReflectionEdges]
+    bearings: dict[str, Bearings]
+    slices: Slices
+
+    @property
+    def start(self) -> StartValues | None:
+        """Start values for the adjustment; None where fewer than two photos have a pose."""
+        return StartValues(self.poses) if len(self.poses) >= 2 else None
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """Consecutive photos in one thread's hands: what was found so far, and windows that wait to be measured."""
+
+    finder: Finder
+    slices: Slices
+    track: Track | None = None
+    targets: dict[str, OnePhoto] = field(default_factory=dict)
+    poses: dict[str, RigidTransform] = field(default_factory=dict)
+    edges: dict[str, ReflectionEdges] = field(default_factory=dict)
+    bearings: dict[str, Bearings] = field(default_factory=dict)
+    waiting: list[tuple[str, Window]] = field(default_factory=list)
+
+    def take(self, number: int, file: Path) -> None:
+        """Read a photo and find what it shows."""
+        image, name, finder = read_image(file), file.name, self.finder
+        camera = finder.camera_of.get(name)
+        pose = self._followed(image, name, camera)
+        if pose is None:
+            pose = self._searched(image, name, camera)
+        if pose is not None and camera is not None:
+            self.poses[name] = pose
+            view = (camera, pose)
+            self.slices.take(number, image, view, finder.expected.collector)
+            self.edges[name] = reflection_edges(image, number, view, finder.expected)
+            self.bearings[name] = tube_bearings(image, number, view, finder.expected)
+
+    def _followed(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
+        if self.track is None or camera is None:
+            return None
+        self.track = follow(image, self.track, self.finder.known, camera)
+        if self.track is None:
+            return None
+        windows = windows_of(image, self.track, self.finder.known, camera)
+        self.waiting += [(name, window) for window in windows]
+        self.targets[name] = _empty(name, image)
+        return self.track.pose
+
+    def _searched(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
+        found = measure_photo(image, name, self.finder.section, self.finder.search)
+        self.targets[name] = found
+        pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
+        listed = set(found.detections.names) <= set(self.finder.known.names)
+        if pose is not None and listed and self.finder.follows:
+            self.track = start_following(image, found.detections, pose)
+        return pose
+
+    def measure_windows(self) -> None:
+        """Measure the targets in all windows that wait, as one picture."""
+        for half in sorted({window.image_dn.shape[0] for _, window in self.waiting}):
+            own = [one for one in self.waiting if one[1].image_dn.shape[0] == half]
+            for photo, found in _in_windows(own, self.finder).items():
+                before = self.targets[photo]
+                self.targets[photo] = replace(found, size_px=before.size_px)
+
+
+def _empty(name: str, image: Image) -> OnePhoto:
+    none = Detections(name, (), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=np.uint32))
+    shapes = np.zeros((0, 2, 2))
+    return OnePhoto(none, shapes, (int(image.shape[1]), int(image.shape[0])), (), none, shapes)
+
+
+def _in_windows(waiting: Sequence[tuple[str, Window]], finder: Finder) -> dict[str, OnePhoto]:
+    """Measure the targets of many windows laid side by side; say which photo and where in it each is."""
+    size = waiting[0][1].image_dn.shape[0]
+    across = int(np.ceil(np.sqrt(len(waiting))))
+    picture = np.zeros((-(-len(waiting) // across) * size, across * size), dtype=waiting[0][1].image_dn.dtype)
+    for k, (_, window) in enumerate(waiting):
+        row, column = divmod(k, across)
+        picture[row * size : (row + 1) * size, column * size : (column + 1) * size] = window.image_dn
+    found = measure_photo(picture, "windows", finder.section, finder.search)
+    pixels = found.detections.pixels_px
+    place = np.floor((pixels + 0.5) / size).astype(np.intp)
+    tile = place[:, 1] * across + place[:, 0]
+    corners = np.array([window.corner_px for _, window in waiting], dtype=np.float64)
+    off_middle = np.abs(pixels + 0.5 - (place + 0.5) * size).max(axis=1)
+    own: dict[str, dict[str, int]] = {}
+    for k, name in enumerate(found.detections.names):
+        # Windows may overlap: a target counts where it is nearest to the middle.
+        kept = own.setdefault(waiting[tile[k]][0], {})
+        if name not in kept or off_middle[k] < off_middle[kept[name]]:
+            kept[name] = k
+    return {
+        photo: _of_photo(photo, found, np.array(list(rows.values()), dtype=np.intp), corners[tile] - place * size)
+        for photo, rows in own.items()
+    }
+
+
+def _of_photo(photo: str, found: OnePhoto, rows: np.ndarray, shifts_px: np.ndarray) -> OnePhoto:
+    chosen = found.detections.chosen(rows)
+    moved = Detections(
+        photo, chosen.names, chosen.pixels_px + shifts_px[rows], chosen.covariance_px2, chosen.radius_px, chosen.flags
+    )
+    none = moved.chosen(np.zeros(0, dtype=np.intp))
+    return OnePhoto(moved, found.ellipses_px2[rows], found.size_px, (), none, np.zeros((0, 2, 2)))
+
+
+def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation) -> Finder:
+    """Say what is looked for in each photo.
+
+    Parameters
+    ----------
+    network : PhotogrammetryMeasurement
+        The photo network.
+    known : KnownTargets
+        Those with listed coordinates.
+    expected : Expectation
+        Collector, absorber and rows.
+
+    Returns
+    -------
+    Finder
+        With the cameras, where measurement.toml or their files tell them.
+
+    Raises
+    ------
+    InputError
+        Cameras or dictionary that cannot be used, or no targets.
+    """
+    section = network.model.targets
+    if section is None:
+        raise InputError("targets: the table [targets] is needed; it says what targets the photos show")
+    cameras: dict[str, Camera] = {}
+    names = [file.name for file in network.photo_files]
+    stated = network.model.camera
+    if all(one.is_known for one in stated):
+        sizes = None
+        if not all(one.has_size for one in stated):
+            height, width = read_image(network.photo_files[0]).shape
+            sizes = dict.fromkeys(names, (width, height))
+        built = build_cameras(network, names, sizes)
+        cameras = {name: built.cameras[place] for name, place in built.camera_of.items()}
+    return Finder(section, build_search(section, network.folder), known, cameras, expected)
+
+
+def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
+    """Read all photos once: measure their targets, find the absorber and its reflection.
 
     Parameters
     ----------
     files : sequence of Path
-        The photos.
+        The photos, in the order in which they were taken.
+    finder : Finder
+        What is looked for.
+    jobs : int or None
+        Photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    FirstLook
+        What was found, photos by their numbers among the files.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read.
+    """
+    slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
+    names = tuple(file.name for file in files)
+    if not finder.measures_alone:
+        return FirstLook(names, (), {}, {}, {}, slices)
+    length = min(max(-(-len(files) // _RUNS), _FEWEST_IN_RUN), _MOST_IN_RUN) if finder.follows else 1
+    first = range(0, len(files), length)
+    with progress.stage("measure photos", len(files)) as stage:
+
+        def one(start: int) -> _Run:
+            run = _Run(finder, slices)
+            for number, file in enumerate(files[start : start + length], start=start):
+                run.take(number, file)
+                stage.advance()
+            run.measure_windows()
+            return run
+
+        runs = _side_by_side(one, first, jobs)
+    targets = tuple(one for run in runs for one in run.targets.values())
+    poses = {name: pose for run in runs for name, pose in run.poses.items()}
+    edges = {name: part for run in runs for name, part in run.edges.items()}
+    bearings = {name: part for run in runs for name, part in run.bearings.items()}
+    return FirstLook(names, targets, poses, edges, bearings, slices)
+
+
+def look_again(
+    files: Sequence[Path],
+    views: Sequence[View],
+    finder: Finder,
+    first: FirstLook,
+    *,
+    jobs: int | None,
+    progress: Progress,
+) -> SeenInPhotos:
+    """Carry what was found to the adjusted poses; read again only photos that had no pose yet, or a wrong one.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos of the network.
     views : sequence of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each.
-    expected : Expectation
-        Collector, absorber and rows.
+        Camera and ``cam_from_frame`` of each, adjusted.
+    finder : Finder
+        What is looked for.
+    first : FirstLook
+        What was found when the photos were read.
     jobs : int or None
         Photos side by side.
     progress : Progress
@@ -64,24 +353,53 @@ def look_at_photos(
     InputError
         A photo cannot be read.
     """
+    expected = finder.expected
+    before, late = [], []
+    for number, (file, view) in enumerate(zip(files, views, strict=True)):
+        pose = first.poses.get(file.name)
+        if pose is not None and _distance_m(pose, view[1]) < _FAR_M:
+            before.append((finder.camera_of[file.name], pose))
+        else:
+            before.append(view)
+            late.append(number)
+    place = {name: k for k, name in enumerate(first.photos)}
+    order = [place[file.name] for file in files]
+    slices = replace(first.slices, brightness_dn=first.slices.brightness_dn[:, order])
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
-        image = read_image(files[number])
-        view = views[number]
+        image, view = read_image(files[number]), views[number]
+        slices.take(number, image, view, expected.collector)
+        stage.advance()
         return reflection_edges(image, number, view, expected), tube_bearings(image, number, view, expected)
 
-    found = []
-    with progress.stage("find the reflection", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(one, number) for number in range(len(files))]
+    with progress.stage("find the reflection", len(late)) as stage:
+        found = dict(zip(late, _side_by_side(one, late, jobs), strict=True))
+    edges = [found[k][0] if k in found else first.edges[file.name] for k, file in enumerate(files)]
+    bearings = [found[k][1] if k in found else first.bearings[file.name] for k, file in enumerate(files)]
+    everything = [_renumbered(part, k) for k, part in enumerate(edges)]
+    tubes = [_renumbered(part, k) for k, part in enumerate(bearings)]
+    together = Bearings(*(np.concatenate([getattr(one, name) for one in tubes]) for name in Bearings.__slots__))
+    return SeenInPhotos(
+        carried_edges(joined(everything), before, views, expected),
+        carried_bearings(together, before, views, expected),
+        slices,
+    )
+
+
+def _distance_m(first: RigidTransform, second: RigidTransform) -> float:
+    return float(np.linalg.norm(first.inverse().translation_m - second.inverse().translation_m))
+
+
+def _renumbered(part: _Part, number: int) -> _Part:
+    return replace(part, photo=np.full(part.photo.size, number, dtype=np.intp))
+
+
+def _side_by_side(work: Callable[[int], _Result], numbers: Sequence[int], jobs: int | None) -> list[_Result]:
+    """Do the same for many numbers in several threads; the first error ends it."""
+    with ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(work, number) for number in numbers]
         try:
-            for future in waiting:
-                found.append(future.result())
-                stage.advance()
+            return [future.result() for future in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    bearings = [part for _, part in found]
-    return SeenInPhotos(
-        joined([part for part, _ in found]),
-        Bearings(*(np.concatenate([getattr(one, name) for one in bearings]) for name in Bearings.__slots__)),
-    )

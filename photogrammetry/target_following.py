@@ -1,0 +1,318 @@
+"""Listed targets followed from photo to photo: where each must be, so that only there it is searched for and measured.
+
+Following gives no measurement. It says to a pixel or so where targets are and with what pose the photo was taken; their
+windows are then measured by `photogrammetry.photo_targets`, those of many photos in one picture.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.camera import Camera
+from heliogauge.errors import EstimationError
+from heliogauge.rigid import RigidTransform
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from photogrammetry.detections import Detections
+from photogrammetry.resection import LEAST_TARGETS, resect
+
+Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
+
+#: So far the picture may move from one photo to the next [px]: 3 degrees of a drone's nod at 2400 px focal length. Some
+#: targets are looked for that far, the others near to where the shift of those has them; 1 degree of a turn about the
+#: line of sight moves a target at the border of a photo of 2 megapixels by 17 px.
+_WIDE_PX, _SEARCH_PX = 128, 32
+#: How many targets tell the shift, and how far theirs may differ [px].
+_TELLING, _AGREEING_PX = 4, 32.0
+#: Radius in pixels that a dot has in the reduced pictures in which it is looked for.
+_REDUCED_RADIUS_PX = 2.5
+#: The pattern reaches this far, in radii of the dot: it has the code ring in it, which is another on each target.
+_PATTERN_RADII = 3.2
+#: Half the side of the window that is measured: the ring ends at 3 radii, the search wants its surroundings.
+_WINDOW_RADII, _WINDOW_PX = 4.5, 8.0
+#: Correlation below which a dot is not where it was looked for.
+_LEAST_LIKENESS = 0.6
+#: A dot farther than this from where the pose has it is another one [px].
+_FAR_PX = 3.0
+#: Following goes on while this share of the targets that should be in the photo is found.
+_LEAST_SHARE = 0.6
+#: Steps of a pose until it moves no image point by more than this [px].
+_MOST_STEPS, _ENOUGH_PX = 8, 0.05
+#: What a list of targets without their sigma is taken to be good for in the image [px].
+_START_SIGMA_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownTargets:
+    """Targets whose three coordinates are listed.
+
+    Parameters
+    ----------
+    names : tuple of str, length n
+        Their names.
+    points_m : ndarray, shape (n, 3)
+        Coordinates [m].
+    sigma_m : ndarray, shape (n,)
+        Largest standard deviation of the coordinates of each [m].
+    """
+
+    names: tuple[str, ...]
+    points_m: FloatArray
+    sigma_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """What following knows after a photo.
+
+    Parameters
+    ----------
+    pose : RigidTransform
+        ``cam_from_frame`` of the photo, to a pixel or so.
+    patterns : mapping of str to ndarray of float32
+        What each target looks like, reduced.
+    radius_px : float
+        Radius of the dots [px].
+    """
+
+    pose: RigidTransform
+    patterns: Mapping[str, Float32Array]
+    radius_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Part of a photo around a target.
+
+    Parameters
+    ----------
+    name : str
+        The target that must be there.
+    corner_px : (int, int)
+        Column and row of the window's first pixel [px].
+    image_dn : ndarray, shape (h, h)
+        Its pixels [DN].
+    """
+
+    name: str
+    corner_px: tuple[int, int]
+    image_dn: Image
+
+
+def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> RigidTransform | None:
+    """Find a photo's pose from the listed coordinates as they are.
+
+    Parameters
+    ----------
+    found : Detections
+        The photo's targets.
+    known : KnownTargets
+        The list.
+    camera : Camera
+        The camera, to start with.
+
+    Returns
+    -------
+    RigidTransform or None
+        ``cam_from_frame``; None where too few listed targets are seen or agree with each other.
+    """
+    place = {name: k for k, name in enumerate(known.names)}
+    rows = [k for k, name in enumerate(found.names) if name in place and found.usable[k]]
+    if len(rows) < LEAST_TARGETS:
+        return None
+    own = np.array([place[found.names[k]] for k in rows], dtype=np.intp)
+    points, pixels = known.points_m[own], found.pixels_px[rows]
+    per_metre = float(np.ptp(pixels, axis=0).sum()) / max(float(np.ptp(points, axis=0).sum()), 1e-9)
+    sigma = np.hypot(_START_SIGMA_PX, per_metre * known.sigma_m[own])
+    try:
+        return resect(camera, points, pixels, sigma[:, None, None] ** 2 * np.eye(2)).cam_from_world
+    except EstimationError:
+        return None
+
+
+def start_following(image: Image, found: Detections, pose: RigidTransform) -> Track:
+    """Begin with a photo whose targets were measured.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    found : Detections
+        Its targets.
+    pose : RigidTransform
+        ``cam_from_frame``.
+
+    Returns
+    -------
+    Track
+        Ready for the next photo.
+    """
+    radius = float(np.median(found.radius_px))
+    half = int(np.ceil(_PATTERN_RADII * radius))
+    patterns = {}
+    for name, pixel in zip(found.names, found.pixels_px, strict=True):
+        # The dot's centre lies in the middle of the pattern, to round-off.
+        size = (2 * half + 1, 2 * half + 1)
+        part, first = _as_float(image, pixel, half + 2)
+        sharp = cv2.getRectSubPix(part, size, (float(pixel[0] - first[0]), float(pixel[1] - first[1])))
+        patterns[name] = _reduced(np.asarray(sharp, dtype=np.float32), _reduction(radius))
+    return Track(pose, patterns, radius)
+
+
+def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> Track | None:
+    """Find the next photo's pose from the patterns of its targets.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    track : Track
+        After the photo before.
+    known : KnownTargets
+        The list.
+    camera : Camera
+        The camera.
+
+    Returns
+    -------
+    Track or None
+        After this photo; None where it is lost: too few dots are where a common pose has them.
+    """
+    pixels = camera.project(track.pose.apply(known.points_m))
+    has_pattern = np.array([name in track.patterns for name in known.names])
+    seen_before = np.nonzero(has_pattern & np.isfinite(pixels).all(axis=1))[0]
+    shift = _common_shift(image, [(pixels[k], track.patterns[known.names[k]]) for k in seen_before], track.radius_px)
+    if shift is None:
+        return None
+    pixels = pixels + shift
+    expected = has_pattern & _well_inside(pixels, camera, _PATTERN_RADII * track.radius_px + 2)
+    matched = np.full_like(pixels, np.nan)
+    for k in np.nonzero(expected)[0]:
+        matched[k] = _match(image, pixels[k], track.patterns[known.names[k]], track.radius_px, _SEARCH_PX)
+    usable = np.isfinite(matched[:, 0])
+    pose = track.pose
+    for _ in range(3):
+        if np.count_nonzero(usable) < max(LEAST_TARGETS, _LEAST_SHARE * np.count_nonzero(expected)):
+            return None
+        pose = _fitted(camera, known.points_m[usable], matched[usable], pose)
+        off = np.linalg.norm(camera.project(pose.apply(known.points_m)) - matched, axis=1)
+        agreeing = off < _FAR_PX
+        if (agreeing == usable).all():
+            return Track(pose, track.patterns, track.radius_px)
+        usable = agreeing
+    return None
+
+
+def windows_of(image: Image, track: Track, known: KnownTargets, camera: Camera) -> list[Window]:
+    """Cut out the windows in which a photo's targets are to be measured.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    track : Track
+        After this photo.
+    known : KnownTargets
+        The list.
+    camera : Camera
+        The camera.
+
+    Returns
+    -------
+    list of Window
+        One for each target that should be in the photo with its whole ring, all of one size.
+    """
+    half = int(np.ceil(_WINDOW_RADII * track.radius_px + _WINDOW_PX))
+    pixels = camera.project(track.pose.apply(known.points_m))
+    found = []
+    for k in np.nonzero(_well_inside(pixels, camera, 3 * track.radius_px))[0]:
+        middle = np.round(pixels[k]).astype(int)
+        first = np.clip(middle - half, 0, np.array(image.shape[::-1]) - 2 * half)
+        part = image[first[1] : first[1] + 2 * half, first[0] : first[0] + 2 * half]
+        if part.shape == (2 * half, 2 * half):
+            found.append(Window(known.names[k], (int(first[0]), int(first[1])), part.copy()))
+    return found
+
+
+def _common_shift(image: Image, targets: list[tuple[FloatArray, Float32Array]], radius_px: float) -> FloatArray | None:
+    """Return how far some targets, spread over the list, have moved in common; None where they do not agree."""
+    if not targets:
+        return None
+    chosen = [targets[k] for k in np.unique(np.linspace(0, len(targets) - 1, _TELLING).round().astype(np.intp))]
+    shifts = np.array([_match(image, pixel, pattern, radius_px, _WIDE_PX) - pixel for pixel, pattern in chosen])
+    shifts = shifts[np.isfinite(shifts[:, 0])]
+    for middle in shifts:
+        agreeing = shifts[np.linalg.norm(shifts - middle, axis=1) < _AGREEING_PX]
+        if len(agreeing) > len(chosen) / 2:
+            return np.asarray(agreeing.mean(axis=0))
+    return None
+
+
+def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolArray:
+    limits = np.array([camera.width_px, camera.height_px]) - 1 - margin_px
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((pixels > margin_px) & (pixels < limits)).all(axis=1))
+
+
+def _reduction(radius_px: float) -> int:
+    return max(1, round(radius_px / _REDUCED_RADIUS_PX))
+
+
+def _as_float(image: Image, pixel: FloatArray, half: int) -> tuple[Float32Array, tuple[int, int]]:
+    """Return the pixels around a place as float32, and the column and row of the first."""
+    column, row = (max(round(float(value)) - half, 0) for value in pixel)
+    part = image[row : row + 2 * half + 1, column : column + 2 * half + 1]
+    return np.ascontiguousarray(part, dtype=np.float32), (column, row)
+
+
+def _reduced(part: Float32Array, factor: int) -> Float32Array:
+    """Average blocks, from the middle outwards: the middle pixel stays the middle of the middle block."""
+    if factor == 1:
+        return part
+    smoothed = cv2.blur(part, (factor | 1, factor | 1))
+    middle = [size // 2 for size in part.shape]
+    return np.ascontiguousarray(smoothed[middle[0] % factor :: factor, middle[1] % factor :: factor])
+
+
+def _match(image: Image, pixel: FloatArray, pattern: Float32Array, radius_px: float, search_px: int) -> FloatArray:
+    """Return where near a place the pattern is, to some tenths of a pixel; NaN where it is not."""
+    factor = _reduction(radius_px)
+    half = search_px + int(np.ceil(_PATTERN_RADII * radius_px))
+    part, first = _as_float(image, pixel, half)
+    reduced = _reduced(part, factor)
+    if reduced.shape[0] <= pattern.shape[0] or reduced.shape[1] <= pattern.shape[1]:
+        return np.full(2, np.nan)
+    likeness = np.asarray(cv2.matchTemplate(reduced, pattern, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
+    _, best, _, (column, row) = cv2.minMaxLoc(likeness)
+    if best < _LEAST_LIKENESS:
+        return np.full(2, np.nan)
+    place = np.array([column + _top(likeness[row], column), row + _top(likeness[:, column], row)])
+    place += np.array([pattern.shape[1] // 2, pattern.shape[0] // 2])
+    start = np.array([(size // 2) % factor for size in part.shape[::-1]])
+    return np.asarray(np.array(first) + start + factor * place)
+
+
+def _top(values: Float32Array, index: int) -> float:
+    """Return how far from a largest value the parabola through it and its neighbours has its top."""
+    if not 0 < index < len(values) - 1:
+        return 0.0
+    before, here, after = (float(values[index + k]) for k in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return 0.0 if bend >= 0 else 0.5 * (before - after) / bend
+
+
+def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: RigidTransform) -> RigidTransform:
+    """Refine a pose by a few Gauss-Newton steps; it only tells windows, so 0.05 px are enough."""
+    pose = start
+    for _ in range(_MOST_STEPS):
+        seen = camera.project_posed(points_m, pose)
+        jacobian = seen.d_pixel_d_pose.reshape(-1, 6)
+        if not np.isfinite(jacobian).all():
+            return start
+        step = np.linalg.lstsq(jacobian, (pixels_px - seen.pixels_px).reshape(-1), rcond=None)[0]
+        pose = pose.moved(step)
+        if np.abs(jacobian @ step).max() < _ENOUGH_PX:
+            break
+    return pose
