@@ -36,7 +36,7 @@ REPORT_NOTEBOOK = "report.ipynb"
 #: Package that holds the report notebook of each kind of measurement.
 NOTEBOOK_PACKAGES: dict[str, str] = {
     "deflectometry": "deflectometry", "photogrammetry": "photogrammetry", "camera": "calibration.camera",
-    "photogrammetry-plan": "photogrammetry",
+    "photogrammetry-plan": "photogrammetry", "observer": "observer",
 }  # fmt: skip
 #: Notebooks that are called otherwise, where a package has several.
 OTHER_NOTEBOOKS: dict[str, str] = {"photogrammetry-plan": "report_plan.ipynb"}
