@@ -17,6 +17,9 @@ from observer.beam_profile import BeamProfile
 from observer.design import Collector
 from observer.intercept import MirrorNodes, TroughOptics, acceptance_windows, along_path, mirror_nodes
 
+#: Error of the light's table and its interpolation (`observer.beam_profile`), the least sigma there is.
+_TABLE_ERROR = 1e-6
+
 #: From weights of all slopes dz/dx, shape (k, ny, nx), to the covariance of the k weighted sums, shape (k, k).
 SumCovariance = Callable[[FloatArray], FloatArray]
 
@@ -284,7 +287,7 @@ def intercept_at_offsets(
     shift = np.zeros(ratio.size)
     if case is not Case.MIRROR_PERFECT:
         shift = np.array([optics.noise_shift(trough.sigma_slope, offset) for offset in offsets_rad])
-    return Intercept(ratio, np.sqrt(np.maximum(variance, 0.0) + shift**2))
+    return Intercept(ratio, np.sqrt(np.maximum(variance, 0.0) + shift**2 + _TABLE_ERROR**2))
 
 
 def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], case: Case) -> tuple[float, float]:
@@ -307,5 +310,5 @@ def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], 
     cases = (case, Case.AS_MEASURED)
     change = joined([sensitivity(trough, one, optics[one]) for one in cases]).mixed(np.array([[1.0, -1.0]]))
     shifts = [0.0 if one is Case.MIRROR_PERFECT else optics[one].noise_shift(trough.sigma_slope) for one in cases]
-    variance = float(trough.covariance(change)[0, 0]) + (shifts[0] - shifts[1]) ** 2
+    variance = float(trough.covariance(change)[0, 0]) + (shifts[0] - shifts[1]) ** 2 + _TABLE_ERROR**2
     return optics[case].ratio() - optics[Case.AS_MEASURED].ratio(), float(np.sqrt(max(variance, 0.0)))

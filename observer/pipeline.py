@@ -19,6 +19,7 @@ from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
+from observer.pipeline_intercept import InterceptResult, evaluate_intercept, intercept_numbers, write_intercept
 from observer.pipeline_photos import SeenInPhotos, build_finder, look_again, look_first
 from observer.pipeline_slices import Overlay, overlay
 from observer.reflection import Expectation
@@ -81,6 +82,8 @@ class Result:
         What the cameras can see of the tube by way of each node.
     angles : AngleMaps
         The same as angles, with the absorber's share.
+    intercept : InterceptResult
+        What mirror and absorber collect.
     photos : Photos
         Poses of the photos with their joint covariance.
     overlay : Overlay
@@ -103,6 +106,7 @@ class Result:
     slope_map: SlopeMap
     visible: Visibility
     angles: AngleMaps
+    intercept: InterceptResult
     photos: Photos
     overlay: Overlay
     warnings: tuple[str, ...]
@@ -165,11 +169,18 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
     with progress.stage("slopes"):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
-        reflector = solve_reflector(seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior)
+        reflector = solve_reflector(
+            seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior,
+            shaped=model.evaluation.shape_from_slopes,
+        )  # fmt: skip
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
         slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)
         angles = angle_maps(slope_map, absorber, collector)
+    with progress.stage("intercept factor"):
+        intercept = evaluate_intercept(
+            model, measurement.folder, slope_map, absorber, collector, reflector.sum_covariance()
+        )
     with progress.stage("picture"):
         clearest = _clearest_photo(seen, reflector)
         tubes = (absorber_start(collector), absorber)
@@ -177,8 +188,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     doubts = () if coverage is None else (coverage,)
     return Result(
-        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles, photos,
-        picture, (*network.warnings, *doubts),
+        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles, intercept,
+        photos, picture, (*network.warnings, *doubts, *intercept.warnings),
         dict(progress.durations_s), hashes,
     )  # fmt: skip
 
@@ -225,6 +236,7 @@ def write(result: Result, folder: Path) -> None:
     network = folder / NETWORK_FOLDER
     network.mkdir()
     photogrammetry_pipeline.write(result.network, network)
+    write_intercept(result.intercept, folder)
     write_table_csv(folder / "absorber.csv", _absorber_columns(result))
     write_points_csv(folder / "points.csv", result.network.points)
     write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))
@@ -280,10 +292,12 @@ def summarise(result: Result) -> Summary:
         What ``summary.json`` holds.
     """
     bundle = result.network.solved.bundle
+    collected, not_collected = intercept_numbers(result.intercept)
     numbers = {
         **slope_numbers(result.slope_map, result.angles, result.visible),
         **absorber_numbers(result.absorber, result.collector, result.absorber_solution),
         **edge_numbers(result.reflector),
+        **collected,
         "photos_count": len(bundle.problem.observations.photos),
         "image_residual_rms_px": float(np.sqrt((bundle.residuals_px**2).sum(axis=1).mean())),
     }
@@ -291,11 +305,13 @@ def summarise(result: Result) -> Summary:
         "design": result.slope_map.design,
         "removed": result.slope_map.removed,
         "frame": result.slope_map.frame,
+        "light": result.intercept.light,
+        "intercept": result.intercept.assumption,
         "datum": bundle.datum,
         "sign": "slope_x = dz/dx; theta_r = -(its angle error), positive where the normal is turned towards +x",
         "rejected": f"{len(result.network.refused)} image points and photos, see rejected.csv",
     }
     return Summary(
-        kind="observer", name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
-        durations_s=result.durations_s, input_sha256=result.input_sha256,
+        kind="observer", name=result.name, numbers=numbers, not_determined=not_collected, texts=texts,
+        warnings=result.warnings, durations_s=result.durations_s, input_sha256=result.input_sha256,
     )  # fmt: skip

@@ -150,6 +150,9 @@ def headline_text(summary: Summary) -> str:
         f"  sigma of a point {said('median_sigma_slope_x_rad')} (median)",
         f"  theta_ra         {said('rms_theta_ra_rad')} RMS",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
+        f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
+        f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
+        f"{said('intercept_gain_mirror_perfect_ratio')}",
         f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
         "show the tube",
         f"  design           {summary.texts['design']}",

@@ -94,6 +94,15 @@ class InterceptResult:
     light: str
     warnings: tuple[str, ...]
 
+    @property
+    def assumption(self) -> str:
+        """What the intercept factor stands on, in words."""
+        return (
+            f"{100 * (1 - self.measured_share):.1f} % of the mirror was not measured and is taken to be as the rest at "
+            "the same distance from the vertex; reflectance, absorptance, the tube's shadow and light beyond its ends "
+            "are not counted"
+        )
+
 
 def build_sun(section: SunSection, folder: Path) -> SunShape:
     """Return the sun shape that measurement.toml describes.
