@@ -23,6 +23,8 @@ _SLICES = 5
 _COLUMNS = 640
 #: A slice keeps away from panel edges and supports by this much [m].
 _CLEAR_M = 0.06
+#: So far from the ends the mirror shows what is beyond the absorber in some photos or in all [m].
+_BLIND_END_M = 0.75
 #: Nodes of the photo with outlines along each axis; the reflection is then some ten nodes wide at least.
 _NODES = 240
 #: Longest side of that photo [px].
@@ -90,7 +92,8 @@ def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Sli
     for support in collector.support_y_m:
         clear &= np.abs(rows_m - support) > collector.support_width_m / 2 + _CLEAR_M
     free = rows_m[clear] if clear.any() else rows_m
-    wanted = collector.length_m * ((np.arange(_SLICES) + 0.5) / _SLICES - 0.5)
+    reach = max(collector.length_m / 2 - _BLIND_END_M, collector.length_m / 4)
+    wanted = np.linspace(-reach, reach, _SLICES)
     chosen = np.unique([free[np.argmin(np.abs(free - y))] for y in wanted])
     half = collector.aperture_width_m / 2
     x = np.linspace(-half, half, _COLUMNS)

@@ -15,7 +15,8 @@ from heliogauge.figures_canvas import (
     map_figure,
     robust_limit,
 )
-from heliogauge.report_html import Html, join, show
+from heliogauge.report_html import Html, join, show, table
+from heliogauge.report_sections import uncertainty_shares
 from heliogauge.validate import FloatArray
 from observer.report_results import TroughResults
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MRAD = 1e3
-_SIGN = "+ towards +x;"
 
 
 def maps(results: TroughResults) -> Html:
@@ -44,9 +44,9 @@ def maps(results: TroughResults) -> Html:
     slope_map, angles = results.base.slope_map, results.angles
     limit = robust_limit(_MRAD * angles["theta_ra"], _MRAD * angles["theta_r"])
     drawn = [
-        _angle_map(results, "theta_ra", "theta_ra: mirror and absorber together", limit),
-        _angle_map(results, "theta_r", "theta_r: slope error of the mirror alone", limit),
-        _angle_map(results, "theta_a", "theta_a: what the displaced absorber looks like", None),
+        _angle_map(results, "theta_ra", "theta_ra (+ to +x): mirror and absorber", limit),
+        _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit),
+        _angle_map(results, "theta_a", "theta_a (+ to +x): absorber alone", None),
         _untilted(results, limit),
         _sigma_map(results),
         _with_panels(flag_map(slope_map), results),
@@ -58,20 +58,27 @@ def maps(results: TroughResults) -> Html:
         "slope_map.nc holds dz/dx, whose sign is the opposite: theta_r = atan(design slope) - atan(measured slope). "
         "Thin lines: edges of the panels; dashed lines: receiver supports."
     )
-    return join(show(*drawn, caption=note), show(*more))
+    return join(show(*drawn, caption=note), show(*more), _shares(results))
+
+
+def _shares(results: TroughResults) -> Html:
+    """Return where the uncertainty of the slopes comes from."""
+    shares = uncertainty_shares(results.base.slope_map)
+    rows = [(name, f"{_MRAD * across:.4f} mrad") for name, (across, _) in shares.items()]
+    return table(("uncertainty of theta_r, RMS over the mirror", "1 sigma"), rows, numbers=(1,))
 
 
 def _angle_map(results: TroughResults, name: str, title: str, limit: float | None) -> "Figure":
     values = np.where(results.base.slope_map.valid, results.angles[name], np.nan)
-    note = f"{_SIGN} RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad;"
+    note = f"RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad;"
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 
 def _untilted(results: TroughResults, limit: float) -> "Figure":
     theta = np.where(results.base.slope_map.valid, results.angles["theta_r"], np.nan)
     values = theta - np.nanmean(theta)
-    note = f"{_SIGN} RMS {_MRAD * _rms(values):.3f} mrad;"
-    title = "theta_r without its mean (tilt)"
+    note = f"RMS {_MRAD * _rms(values):.3f} mrad;"
+    title = "theta_r (+ to +x) without its mean"
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 

@@ -15,7 +15,7 @@ from heliogauge.figures_canvas import (
     new_figure,
 )
 from heliogauge.report_html import Html, show
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.report_results import TroughResults
 from observer.store_report import OVERLAY, read_overlay
 
@@ -118,7 +118,7 @@ def slices(results: TroughResults) -> Html:
     note = (
         "Left: one row of the mirror in every photo, one photo above the other; the band is the absorber's reflection, "
         "which moves across the mirror as the camera moves. Right: every edge alone (dots) and the solution (line with "
-        "a band of 1 sigma). Dots on one line, of both edges alike: the measurement agrees with itself."
+        "a band of 1 sigma of its noise). Dots on one line, of both edges alike: the measurement agrees with itself."
     )
     return show(*drawn, caption=note)
 
@@ -152,7 +152,7 @@ def slice_figure(results: TroughResults, number: int) -> "Figure":
     high = float(np.percentile(brightness.compressed(), 99.5)) if brightness.count() else 255.0
     axes.pcolormesh(_borders(stored.x_m), _borders(camera), brightness, cmap="gray", vmin=0, vmax=high, rasterized=True)
     edges = results.edges
-    here = np.abs(edges.y_m - stored.y_m[number]) < 1e-6
+    here = _in_row(results, float(stored.y_m[number]))
     place = results.eyes_m[edges.photo, 0]
     kinds = (
         ("lower edge", edges.used & (edges.side < 0), _LOWER, "."),
@@ -188,8 +188,8 @@ def angle_figure(results: TroughResults, number: int) -> "Figure":
     slope_map, edges = results.base.slope_map, results.edges
     row = int(np.argmin(np.abs(slope_map.y_m - y)))
     theta = np.where(slope_map.valid[row], results.angles["theta_ra"][row], np.nan)
-    band = results.angles["sigma_theta_r"][row]
-    here = edges.used & (np.abs(edges.y_m - y) < 1e-6)
+    band = slope_map.sigma_random_x[row]
+    here = edges.used & _in_row(results, y)
     alone = np.interp(edges.x_m, slope_map.x_m, theta) - 0.5 * edges.residual_rad
     rms = float(np.sqrt(np.mean(edges.residual_rad[here] ** 2))) if here.any() else float("nan")
     figure, axes = chart_figure(
@@ -209,6 +209,13 @@ def angle_figure(results: TroughResults, number: int) -> "Figure":
     _leave_room_for_legend(axes, _MRAD * theta)
     add_legend(axes, loc="upper center", ncols=3, markerscale=2)
     return figure
+
+
+def _in_row(results: TroughResults, y_m: float) -> BoolArray:
+    """Return which edges belong to a row of the map; poses that were adjusted later move them a little."""
+    rows = results.base.slope_map.y_m
+    half = 0.5 * float(rows[1] - rows[0]) if rows.size > 1 else np.inf
+    return np.asarray(np.abs(results.edges.y_m - y_m) < half)
 
 
 def _borders(middles: FloatArray) -> FloatArray:
