@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError, QualityWarning
 from heliogauge.progress import Progress, SilentProgress
+from heliogauge.video import read_frame, video_of
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
@@ -65,12 +66,14 @@ def read_image(path: Path) -> Image:
     Parameters
     ----------
     path : Path
-        JPEG, PNG, TIFF or another format OpenCV reads; 8 or 16 bit, mono or colour.
+        JPEG, PNG, TIFF or another format OpenCV reads; 8 or 16 bit, mono or colour. Or a frame of a video, such as
+        ``pass.mp4#00012`` (`heliogauge.video`).
 
     Returns
     -------
     ndarray of uint8, uint16 or float32, shape (height, width)
-        Grey values in the file's depth; float32 luminance of a photograph in colour [DN].
+        Grey values in the file's depth; float32 luminance of a photograph in colour [DN]. Luminance of a frame is
+        rounded to uint8: a video holds no more.
 
     Raises
     ------
@@ -84,6 +87,8 @@ def read_image(path: Path) -> Image:
     as saturated. A colour file whose three colours are equal is read as mono, with its integers. An alpha channel is
     ignored.
     """
+    if video_of(path) != path:
+        return np.asarray(np.rint(_grey(read_frame(path))), dtype=np.uint8)
     return _grey(_decode(path, _read_bytes(path)))
 
 

@@ -18,9 +18,10 @@ from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
-from heliogauge.measurement_observer import ObserverModel
+from heliogauge.measurement_observer import ObserverMeasurement, ObserverModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
 from heliogauge.measurement_plan import PhotogrammetryPlanModel
+from heliogauge.video import list_frames, video_of
 
 MEASUREMENT_FILE = "measurement.toml"
 Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
@@ -150,7 +151,8 @@ class PhotogrammetryMeasurement:
         named += model.files.names
         named += [] if model.targets is None else model.targets.names
         named += [] if model.surface is None else model.surface.names
-        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *self.photo_files)
+        images = dict.fromkeys(video_of(file) for file in self.photo_files)
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *images)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,37 +175,6 @@ class PhotogrammetryPlanMeasurement:
         """All files the plan consists of, measurement.toml first."""
         named = (self.model.object.targets, self.model.camera.file)
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObserverMeasurement:
-    """Checked photos of a trough: what the file says, and where its files are.
-
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : ObserverModel
-        What measurement.toml says.
-    photo_files : tuple of Path
-        The photos of the pass; none with a video.
-    absorber_files : tuple of Path
-        Photos that are taken for the absorber's position alone.
-    """
-
-    folder: Path
-    model: ObserverModel
-    photo_files: tuple[Path, ...]
-    absorber_files: tuple[Path, ...]
-
-    @property
-    def input_files(self) -> tuple[Path, ...]:
-        """All files the measurement consists of, measurement.toml first."""
-        model = self.model
-        named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
-        named.append(model.images.video)
-        own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
-        return (*own, *self.photo_files, *self.absorber_files)
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -353,11 +324,16 @@ def load_observer(folder: Path) -> ObserverMeasurement:
     model = parse_measurement(_read_toml(folder, "observer"), file)
     if not isinstance(model, ObserverModel):
         raise _other_kind(file, model, "observer")
-    named = model.images.photos
-    photos = () if named is None else _image_files(folder, "images.photos", named)
+    images = model.images
+    doubts: tuple[str, ...] = ()
+    if images.video is not None:
+        frames = list_frames(folder / images.video, every_nth=images.every_nth)
+        photos, doubts = frames.files, frames.doubts
+    else:
+        photos = _image_files(folder, "images.photos", images.photos or ())
     own = model.absorber.photos
     absorber = () if own is None else _image_files(folder, "absorber.photos", own)
-    found = ObserverMeasurement(folder, model, photos, absorber)
+    found = ObserverMeasurement(folder, model, photos, absorber, doubts)
     for path in found.input_files:
         if not path.is_file():
             raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")

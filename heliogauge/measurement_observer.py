@@ -1,6 +1,8 @@
 """What measurement.toml of ``kind = "observer"`` may say."""
 
 import datetime
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -9,6 +11,7 @@ from heliogauge.measurement_models import ImageFiles, Number, Positive, Section,
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
 from heliogauge.measurement_photogrammetry import DistanceSection, ScaleBarSection
 from heliogauge.measurement_targets import TargetsSection
+from heliogauge.video import video_of
 
 
 class TroughSection(Section):
@@ -128,3 +131,36 @@ class ObserverModel(Section):
     sun: SunSection = SunSection()
     optics: OpticsSection = OpticsSection()
     evaluation: ObserverEvaluationSection = ObserverEvaluationSection()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverMeasurement:
+    """Checked photos of a trough: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : ObserverModel
+        What measurement.toml says.
+    photo_files : tuple of Path
+        The photos of the pass, or the frames of its video (`heliogauge.video`).
+    absorber_files : tuple of Path
+        Photos that are taken for the absorber's position alone.
+    doubts : tuple of str, optional
+        What is wrong with a video and was got round.
+    """
+
+    folder: Path
+    model: ObserverModel
+    photo_files: tuple[Path, ...]
+    absorber_files: tuple[Path, ...]
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        model = self.model
+        named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
+        own = (self.folder / "measurement.toml", *(self.folder / name for name in named if name))
+        return (*own, *dict.fromkeys(video_of(file) for file in (*self.photo_files, *self.absorber_files)))

@@ -186,7 +186,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         tubes = (absorber_start(collector), absorber)
         picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
-    doubts = () if coverage is None else (coverage,)
+    doubts = (*measurement.doubts, *(() if coverage is None else (coverage,)))
     return Result(
         model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles, intercept,
         photos, picture, (*network.warnings, *doubts, *intercept.warnings),
