@@ -29,6 +29,8 @@ from photogrammetry.observations import ImagePoints, IntArray
 
 __all__ = ["Knowledge", "NetworkCameras", "SolveOptions", "Solved", "solve_from", "solve_network"]
 
+#: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
+_GROSS_SHARE, _GROSS_SIGMAS = 0.2, 10.0
 #: Sigmas from residuals need this many to spare to be worth more than the stated ones.
 _LEAST_REDUNDANCY = 20
 
@@ -223,7 +225,7 @@ def solve_from(
     Raises
     ------
     EstimationError
-        Something is not determined; it is named.
+        Something is not determined, or known lengths contradict each other by more than a fifth; it is named.
     """
     rows = _with_suspicious(points, network)
     table = points.subset(rows).compacted()
@@ -254,7 +256,9 @@ def solve_from(
         network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
     problem, unused = _problem(table, cameras, knowledge)
-    bundle = require(adjust(problem, _placed(state, table, problem, knowledge), options=chosen))
+    placed = _placed(state, table, problem, knowledge)
+    _refuse_gross_lengths(problem, placed)
+    bundle = require(adjust(problem, placed, options=chosen))
     factor = 1.0
     if options.rescale:
         bundle, factor = _rescaled(bundle)
@@ -326,6 +330,24 @@ def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, know
         # The world is the first photo's camera.
         return transformed(placed, placed.cam_from_world(table.photos.index(problem.datum.photos[0])))
     return placed
+
+
+def _refuse_gross_lengths(problem: BundleProblem, placed: BundleState) -> None:
+    """Refuse known lengths of another unit or of other targets: no adjustment could follow them and the rest."""
+    place = {name: i for i, name in enumerate(problem.observations.targets)}
+    texts = []
+    for one in problem.constraints:
+        if not isinstance(one, Distance):
+            continue
+        ends = placed.points_m[[place[one.target_a], place[one.target_b]]]
+        own = float(np.linalg.norm(ends[1] - ends[0]))
+        if abs(own - one.distance_m) > max(_GROSS_SHARE * one.distance_m, _GROSS_SIGMAS * one.sigma_m):
+            texts.append(f"{one.name} is given as {one.distance_m:.6g} m and measures {own:.6g} m")
+    if texts:
+        raise EstimationError(
+            f"network: at the scale of all that is known, {'; '.join(texts)}: known lengths (and control points) "
+            "contradict each other; check their units (metres) and targets, and that no photo is mirrored"
+        )
 
 
 def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle import BundleResult
 from photogrammetry.bundle_state import BundleState
 from photogrammetry.constraints import ControlPoint
@@ -151,12 +151,13 @@ def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict
     dots = Dots(index[rows], loose.dots.pixels_px[rows], scale * loose.dots.covariance_px2[rows],
                 loose.dots.ellipses_px2[rows])  # fmt: skip
     raw = match_dots(dots, known_views(bundle))
-    found, unread = _without_coded(raw, bundle, coded)
+    single, split = _without_split(raw, dots, bundle)
+    found, unread = _without_coded(single, bundle, coded)
     names, left, warnings = _named(found, bundle, loose.listed, (knowledge, set(coded)))
     numbers = (f"u{k}" for k in range(1, len(names) + len(coded) + 1) if f"u{k}" not in coded)
     final = tuple(name or next(numbers) for name in names)
     texts = [LeftOut(_with_photo(one.name, photos), one.reason) for one in found.rejected]
-    return _Round(found, final, rows, (*left, *unread, *texts), warnings)
+    return _Round(found, final, rows, (*left, *split, *unread, *texts), warnings)
 
 
 def _coded_radii(bundle: BundleResult, points: ImagePoints, ellipses_px2: FloatArray) -> dict[str, float]:
@@ -190,15 +191,57 @@ def _without_coded(
         LeftOut(f"target {table.targets[own[int(np.argmax(inside[k]))]]}", f"its code was not read in {count} photos")
         for k, count in zip(np.nonzero(gone)[0].tolist(), _rays(found)[gone].tolist(), strict=True)
     )
+    return _without(found, gone), texts
+
+
+def _without_split(found: MatchedDots, dots: Dots, bundle: BundleResult) -> tuple[MatchedDots, tuple[LeftOut, ...]]:
+    """Leave out points closer to another than their dots are large: one dot, covered or glaring in some photos.
+
+    Such images are displaced, in some photos alike, so that they agree with each other and with no other image of the
+    dot. The point of clearly more rays stays; with no more than one ray more neither can be believed.
+    """
+    rays, radius = _rays(found), _dot_radii(found, dots, bundle)
+    far = np.linalg.norm(found.points_m[:, None] - found.points_m[None], axis=2)
+    close = far < np.minimum(radius[:, None], radius[None])
+    np.fill_diagonal(close, False)
+    weaker = close & (rays[:, None] <= rays[None] + 1)
+    gone = weaker.any(axis=1)
+    texts = []
+    for k in np.nonzero(gone)[0].tolist():
+        other = int(np.argmin(np.where(weaker[k], far[k], np.inf)))
+        row = int(np.argmax(found.point_of_dot == k))
+        x, y = dots.pixels_px[row]
+        name = bundle.problem.observations.photos[int(dots.photo_index[row])]
+        reason = (
+            f"its images in {rays[k]} photos contradict those in {rays[other]} others by {1e3 * far[k, other]:.2g} mm, "
+            "less than its size: partly covered or in glare"
+        )
+        texts.append(LeftOut(f"dot at ({x:.0f}, {y:.0f}) in photo {name}", reason))
+    return _without(found, gone), tuple(texts)
+
+
+def _dot_radii(found: MatchedDots, dots: Dots, bundle: BundleResult) -> FloatArray:
+    """Return the radius of the dot of each point: the smallest of its images' larger semi-axes, in space [m]."""
+    state, camera = bundle.state, bundle.problem.camera_index
+    radii = np.full(len(found.points_m), np.inf)
+    for row in np.nonzero(found.point_of_dot >= 0)[0].tolist():
+        point, photo = int(found.point_of_dot[row]), int(dots.photo_index[row])
+        depth = float(state.cam_from_world(photo).apply(found.points_m[point])[2])
+        axis = float(np.sqrt(max(float(np.linalg.eigvalsh(dots.ellipses_px2[row])[1]), 0.0)))
+        radii[point] = min(float(radii[point]), axis * depth / state.cameras[camera[photo]].focal_x_px)
+    return radii
+
+
+def _without(found: MatchedDots, gone: BoolArray) -> MatchedDots:
+    """Leave out points, their dots becoming free."""
     renumbered = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1)
-    kept = MatchedDots(
+    return MatchedDots(
         found.points_m[~gone],
         found.covariance_m2[~gone],
         renumbered[found.point_of_dot],
         found.accidents[~gone],
         found.rejected,
     )
-    return kept, texts
 
 
 def _rays(found: MatchedDots) -> IntArray:

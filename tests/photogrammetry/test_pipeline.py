@@ -162,6 +162,15 @@ def test_contradictory_scale_bar_is_named(points_folder: Path, tmp_path: Path) -
     assert any("distance 33 - 40 contradicts the rest" in text and " mm" in text for text in result.warnings)
 
 
+def test_a_bar_in_millimetres_is_refused_by_name(points_folder: Path, tmp_path: Path) -> None:
+    def in_millimetres(content: dict) -> None:
+        content["scale_bar"][0]["length_m"] *= 1000
+
+    folder = changed(points_folder, tmp_path / "millimetres", in_millimetres)
+    with pytest.raises(EstimationError, match=r"distance 1 - 8 is given as 1397\.99 m and measures 1\.398.*units"):
+        run(load_photogrammetry(folder))
+
+
 def test_no_scale_is_said(points_folder: Path, tmp_path: Path) -> None:
     result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", lambda content: content.pop("scale_bar"))))
     assert any("there is no scale" in text for text in result.warnings)

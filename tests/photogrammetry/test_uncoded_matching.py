@@ -5,6 +5,9 @@ import pytest
 
 from heliogauge.errors import InputError
 from photogrammetry.bundle import BundleProblem, CameraModel, adjust
+from photogrammetry.datum import Datum
+from photogrammetry.solve_network import Knowledge, NetworkCameras, SolveOptions, solve_network
+from photogrammetry.solve_uncoded import LooseDots, add_dots
 from photogrammetry.uncertain_rays import Dots, KnownViews, known_views
 from photogrammetry.uncoded_matching import MatchLimits, match_dots
 from tests.photogrammetry.bundle_networks import network
@@ -119,3 +122,36 @@ def test_no_dots_and_strange_photos() -> None:
     with pytest.raises(InputError, match="match limits"):
         MatchLimits(significance=1.0)
     assert isinstance(known_views(result), KnownViews)
+
+
+def test_a_dot_displaced_in_some_photos_is_no_second_point() -> None:
+    """Glare or a cover moves a centre alike in three photos: the two places are nearer than the dot is large."""
+    truth, table = network(np.random.default_rng(3), 8, 30, sigma_px=SIGMA_PX)
+    points = targets_like(truth, 3, np.random.default_rng(4))
+    depth = float(np.mean([truth.cam_from_world(k).apply(points[0])[2] for k in range(8)]))
+    shift = 1.0 * depth / truth.cameras[0].focal_x_px * np.array([1.0, 0.0, 0.0])
+    real, _ = drawn(truth, points, np.random.default_rng(5))
+    moved, _ = drawn(truth, points[:1] + shift, np.random.default_rng(6))
+    odd = real.photo_index < 3
+    nearest = np.array([
+        np.argmin(np.linalg.norm(real.pixels_px - moved.pixels_px[k], axis=1) + 1e9 * (real.photo_index != photo))
+        for k, photo in enumerate(moved.photo_index)
+    ])  # fmt: skip
+    pixels = np.array(real.pixels_px)
+    for k, row in enumerate(nearest):
+        if odd[row]:
+            pixels[row] = moved.pixels_px[k]
+    dots = Dots(real.photo_index, pixels, real.covariance_px2, real.ellipses_px2)
+    free = (CameraModel("camera", ("focal_px", "k1")),)
+    cameras = NetworkCameras(truth.cameras, free, dict.fromkeys(table.photos, 0))
+    knowledge = Knowledge((), {}, Datum())
+    nothing = np.full((table.n, 2, 2), np.nan)
+    first = solve_network(table, nothing, cameras, knowledge, SolveOptions())
+    # In the network's own unit of length, radii are the same share of everything.
+    found = add_dots(first, (table, nothing), LooseDots(table.photos, dots), cameras, knowledge, SolveOptions())
+    assert found.names == ("u1", "u2", "u3")
+    rays = dict(zip(found.solved.bundle.problem.observations.targets,
+                    found.solved.bundle.problem.observations.n_rays.tolist(), strict=True))  # fmt: skip
+    assert sorted(rays[name] for name in found.names) == [5, 8, 8]
+    assert any("contradict those in 5 others" in one.reason and "covered or in glare" in one.reason
+               for one in found.left)  # fmt: skip
