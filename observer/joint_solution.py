@@ -1,6 +1,7 @@
 """Slopes of all rows together with what they have in common: camera positions, absorber and its radius."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,16 +18,25 @@ from observer.slope_field import (
     right_sides,
 )
 
-#: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else.
-_ROWS_FOR_COMMON = 48
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+#: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
+#: many photos fewer rows do, because each mirror point is seen by more of them.
+_MOST_ROWS_FOR_COMMON, _FEWEST_ROWS_FOR_COMMON = 48, 12
+_ROWS_TIMES_COMMON = 9600
 #: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
 _ROWS_FOR_ROUGHNESS = 16
+#: Common unknowns whose lines suffice for that: two of each of 100 photos.
+_COMMON_FOR_ROUGHNESS = 200
 #: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
 _MODES = 10
 _MODES_SHARE = 0.99
 #: Decimal exponents of the roughness [rad^2 / m^3] that are searched: from a mirror that bends by 0.1 mrad within a
 #: metre to a crumpled one.
 _EXPONENTS = (-8.0, 1.0)
+#: It is told to such a part of the range, by differences of the evidence over twice so many decades.
+_INTERVALS, _DIFFERENCE = 32, 0.125
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,32 +92,67 @@ def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covari
 
     Notes
     -----
-    Marginal likelihood with slopes and common unknowns integrated out, on a sample of the rows, by bisection of its
-    slope over the logarithm of the roughness.
+    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval in
+    which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is near
+    after the first round, and found by bisection.
     """
     rows = sample_rows(grid, _ROWS_FOR_ROUGHNESS)
     some, fewer = _sampled(lines, grid, rows)
-    known: dict[float, float] = {}
+    some, own_covariance = _fewer_common(some, covariance)
+    nothing = (np.zeros(len(own_covariance)), own_covariance)
+    still = np.zeros((fewer.n_rows, grid.x_m.size, 2))
+    low, high = _EXPONENTS
+    width = (high - low) / _INTERVALS
+    known: dict[int, bool] = {}
 
     def evidence(exponent: float) -> float:
-        if exponent not in known:
-            trial = Roughness(10.0**exponent, prior.along_rad, prior.along_length_m)
-            still = np.zeros((fewer.n_rows, grid.x_m.size, 2))
-            known[exponent] = _eliminate(some, fewer, trial, still, (np.zeros(len(covariance)), covariance)).evidence
-        return known[exponent]
+        trial = replace(prior, across=10.0**exponent)
+        return _eliminate(some, fewer, trial, still, nothing).evidence
 
-    low, high = _EXPONENTS
-    while high - low > 0.5:
-        middle = 0.5 * (low + high)
-        if evidence(middle + 0.125) > evidence(middle - 0.125):
-            low = middle
-        else:
-            high = middle
-    return Roughness(10.0 ** (0.5 * (low + high)), prior.along_rad, prior.along_length_m)
+    def rises(border: int) -> bool:
+        """Return whether the evidence rises at a border between intervals; the first and the last enclose it."""
+        if border <= 0 or border >= _INTERVALS:
+            return border <= 0
+        if border not in known:
+            middle = low + border * width
+            known[border] = evidence(middle + _DIFFERENCE) > evidence(middle - _DIFFERENCE)
+        return known[border]
+
+    first = int(np.clip((np.log10(prior.across) - low) / width, 0, _INTERVALS - 1))
+    last, stride = first + 1, 1
+    while not rises(first):
+        first, last, stride = max(first - stride, 0), first, 2 * stride
+    stride = 1
+    while rises(last):
+        first, last, stride = last, min(last + stride, _INTERVALS), 2 * stride
+    while last - first > 1:
+        middle = (first + last) // 2
+        first, last = (middle, last) if rises(middle) else (first, middle)
+    return replace(prior, across=10.0 ** (low + (first + 0.5) * width))
+
+
+def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
+    """Keep the lines of some of the common unknowns, evenly spread, numbered anew."""
+    count = len(covariance)
+    if count <= _COMMON_FOR_ROUGHNESS:
+        return lines, covariance
+    leading = np.unique(lines.common_index[:, 0])
+    most = max(1, _COMMON_FOR_ROUGHNESS // lines.common_index.shape[1])
+    chosen = leading[np.unique(np.linspace(0, leading.size - 1, min(most, leading.size)).round().astype(np.intp))]
+    some = lines.chosen(np.isin(lines.common_index[:, 0], chosen))
+    kept, number = np.unique(some.common_index, return_inverse=True)
+    index = np.asarray(number.reshape(some.common_index.shape), dtype=np.intp)
+    return replace(some, common_index=index), covariance[np.ix_(kept, kept)]
 
 
 def solve_jointly(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, start: FloatArray, common: tuple[FloatArray, FloatArray]
+    lines: TouchingLines,
+    grid: RowGrid,
+    prior: Roughness,
+    start: FloatArray,
+    common: tuple[FloatArray, FloatArray],
+    *,
+    with_shares: bool = True,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns by one Gauss-Newton step, which is exact for linear observations.
 
@@ -123,13 +168,17 @@ def solve_jointly(
         Slope errors where the lines were linearised [rad].
     common : (ndarray, ndarray), shapes (c,) and (c, c)
         Values of the common unknowns where the lines were linearised, and their prior covariance about zero.
+    with_shares : bool, optional
+        Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
+        there are no modes, which takes half the time.
 
     Returns
     -------
     SlopeErrors
         The solution.
     """
-    rows = sample_rows(grid, _ROWS_FOR_COMMON)
+    wanted = _ROWS_TIMES_COMMON // max(common[0].size, 1)
+    rows = sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
     shared = _eliminate(*_sampled(lines, grid, rows), prior, start[rows], common)
     step = shared.step
     system = assemble(lines, grid, prior)
@@ -141,6 +190,9 @@ def solve_jointly(
     random = np.empty((n_rows, 2 * n_blocks, 2, 2))
     random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
+    if not with_shares:
+        nothing = np.zeros((0, rows.size, grid.x_m.size))
+        return SlopeErrors(slopes, random, np.zeros_like(slopes), common[0] + step, shared.covariance, rows, nothing)
     between = _between_rows(shared.variance(), rows, grid.n_rows)
     return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance, rows, shared.modes())
 
@@ -214,7 +266,7 @@ def _eliminate(
         nothing = np.zeros((grid.x_m.size // 2, grid.n_rows, 4, 0))
         return _Eliminated(value, covariance, nothing, evidence)
     coupling = _coupling(system, lines, grid, count)
-    carried = system.factor.solve(coupling)
+    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count))
     normal = np.linalg.inv(covariance)
     gradient = normal @ value
     weighted = lines.sigma_rad**-2
@@ -226,7 +278,8 @@ def _eliminate(
             place = lines.common_index[:, i] * count + lines.common_index[:, j]
             normal += np.bincount(place, own * lines.d_common[:, j], count**2).reshape(count, count)
     flat = (-1, count)
-    normal -= coupling.reshape(flat).T @ carried.reshape(flat)
+    # Each common unknown touches a few nodes of a row only: with dense factors this product would cost the most of all.
+    normal -= coupling.T @ carried.reshape(flat)
     gradient -= carried.reshape(flat).T @ pull.reshape(-1)
     posterior = np.linalg.inv(0.5 * (normal + normal.T))
     posterior = 0.5 * (posterior + posterior.T)
@@ -236,17 +289,18 @@ def _eliminate(
     return _Eliminated(step, posterior, carried, evidence)
 
 
-def _coupling(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> FloatArray:
-    """Return the coupling of slopes and common unknowns, shape (b, r, 4, c)."""
-    n_nodes = grid.x_m.size
-    flat = np.zeros(grid.n_rows * n_nodes * 2 * count)
-    weighted = lines.sigma_rad[:, None] ** -2 * system.weights
-    node = lines.row * n_nodes + system.before
-    for i in range(lines.common_index.shape[1]):
-        for k in range(4):
-            place = ((node + k // 2) * 2 + k % 2) * count + lines.common_index[:, i]
-            flat += np.bincount(place, weighted[:, k] * lines.d_common[:, i], flat.size)
-    return np.ascontiguousarray(np.swapaxes(flat.reshape(grid.n_rows, n_nodes // 2, 4, count), 0, 1))
+def _coupling(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> "csr_array":
+    """Return the coupling of slopes and common unknowns, shape (b r 4, c), rows in the order of the blocks."""
+    from scipy.sparse import csr_array
+
+    # Node before and node after, each with two slopes.
+    node = system.before[:, None] + np.array([0, 0, 1, 1])
+    place = ((node // 2) * grid.n_rows + lines.row[:, None]) * 4 + 2 * (node % 2) + np.array([0, 1, 0, 1])
+    values = (lines.sigma_rad[:, None] ** -2 * system.weights)[:, :, None] * lines.d_common[:, None, :]
+    places = np.broadcast_to(place[:, :, None], values.shape)
+    columns = np.broadcast_to(lines.common_index[:, None, :], values.shape)
+    shape = (2 * grid.x_m.size * grid.n_rows, count)
+    return csr_array((values.ravel(), (places.ravel(), columns.ravel())), shape=shape)
 
 
 def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
