@@ -345,7 +345,7 @@ def _legend_below(figure: Figure, patches: list[Patch]) -> None:
         x, y = text.get_position()
         text.set_position((x, (y * height + extra) / (height + extra)))
     figure.set_size_inches(width, height + extra)
-    legend_axes = axes_in_inches(figure, 0.5, 0.02, WIDTH_IN - 0.6, extra)
+    legend_axes = axes_in_inches(figure, 0.15, 0.02, WIDTH_IN - 0.2, extra)
     legend_axes.set_axis_off()
     legend_axes.legend(handles=patches, loc="upper left", fontsize=7.5, frameon=False, labelcolor=INK, borderaxespad=0)
 

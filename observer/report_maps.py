@@ -42,6 +42,10 @@ def maps(results: TroughResults) -> Html:
     from heliogauge.figures import flag_map
 
     slope_map, angles = results.base.slope_map, results.angles
+    if not slope_map.valid.any():
+        return join(
+            Html("<p>No point of the mirror was measured.</p>"), show(_with_panels(flag_map(slope_map), results))
+        )
     limit = robust_limit(_MRAD * angles["theta_ra"], _MRAD * angles["theta_r"])
     drawn = [
         _angle_map(results, "theta_ra", "theta_ra (+ to +x): mirror and absorber", limit),
@@ -115,9 +119,10 @@ def histogram(results: TroughResults) -> "Figure":
         density, _ = np.histogram(values, bins)
         axes.stairs(density / max(values.size, 1) / np.diff(bins), bins, fill=filled, color=color,
                     alpha=0.6 if filled else 1.0, label=name, zorder=2 if filled else 3)  # fmt: skip
-    fine = np.linspace(bins[0], bins[-1], 200)
-    normal = np.exp(-0.5 * ((fine - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
-    axes.plot(fine, normal, color=INK, linewidth=1, label="normal, as wide as theta_r")
+    if width > 0:
+        fine = np.linspace(bins[0], bins[-1], 200)
+        normal = np.exp(-0.5 * ((fine - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+        axes.plot(fine, normal, color=INK, linewidth=1, label="normal, as wide as theta_r")
     axes.set_xlim(bins[0], bins[-1])
     axes.set_ylim(top=1.25 * axes.get_ylim()[1])
     add_legend(axes, loc="upper right")
