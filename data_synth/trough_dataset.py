@@ -226,6 +226,9 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
     if purposes == {"reflection", "absorber"}:
         content["absorber"] = {"photos": photos["absorber"]}
     content["scale_bar"] = _long_distances(scene)
+    if not scene.world.mirror.is_shaped:
+        # Its normals are turned on the design's surface: heights from its slopes would be of another mirror.
+        content["evaluation"] = {"shape_from_slopes": False}
     return content
 
 

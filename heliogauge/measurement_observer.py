@@ -105,13 +105,17 @@ class OpticsSection(Section):
 
 
 class ObserverEvaluationSection(Section):
-    """How the map is made."""
+    """How the map is made.
+
+    ``shape_from_slopes`` integrates the slopes to the mirror's shape and looks again at the lines of sight with it; to
+    be switched off for images of mirrors whose normals are turned on the design's surface.
+    """
 
     row_step_mm: Positive = 20.0
     column_step_mm: Positive = 20.0
     largest_slope_error_mrad: Positive = 12.0
     longitudinal_slope_mrad: Positive = 2.0
-    iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 3
+    shape_from_slopes: bool = True
 
 
 class ObserverModel(Section):

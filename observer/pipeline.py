@@ -169,7 +169,10 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
     with progress.stage("slopes"):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
-        reflector = solve_reflector(seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior)
+        reflector = solve_reflector(
+            seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior,
+            shaped=model.evaluation.shape_from_slopes,
+        )  # fmt: skip
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
         slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)

@@ -1,7 +1,7 @@
 """From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -12,8 +12,9 @@ from heliogauge.validate import BoolArray, FloatArray
 from observer.camera_modes import CameraModes, pose_derivatives, reduce_to_modes
 from observer.design import Collector
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
+from observer.mirror_shape import at_points, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
-from observer.sight import Sights, change_across
+from observer.sight import Sights, change_across, misfit
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slope_sums import sum_covariance
 
@@ -24,6 +25,10 @@ _ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
 _REJECT_TIMES = 4.0
 #: An edge of the tube has at least this share of the usual contrast.
 _LEAST_CONTRAST = 0.5
+#: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
+_STEEPEST_RAD = 0.04
+#: Where the slope along the trough is known better than this it helps to integrate the surface [rad].
+_ALONG_KNOWN_RAD = 0.7e-3
 #: An edge says something of the mirror up to this distance along its row [m].
 _REACH_M = 0.12
 
@@ -92,6 +97,10 @@ class Reflector:
         The unknowns that stand for the poses.
     lines : TouchingLines
         The edges that were used, as observations.
+    height_m : ndarray, shape (r, nx)
+        Height of the mirror over its design, mean zero on each panel [m].
+    last_change_m : float
+        RMS change of the height in the last round [m].
     """
 
     grid: RowGrid
@@ -104,6 +113,8 @@ class Reflector:
     noise_factor: float
     modes: CameraModes
     lines: TouchingLines
+    height_m: FloatArray
+    last_change_m: float
 
     def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
         """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
@@ -142,7 +153,13 @@ def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
 
 
 def solve_reflector(
-    edges: ReflectionEdges, photos: Photos, expected: Expectation, step_m: float, prior: Roughness
+    edges: ReflectionEdges,
+    photos: Photos,
+    expected: Expectation,
+    step_m: float,
+    prior: Roughness,
+    *,
+    shaped: bool = False,
 ) -> Reflector:
     """Estimate the slope errors of the mirror.
 
@@ -158,6 +175,8 @@ def solve_reflector(
         Wanted distance of the nodes across the trough [m].
     prior : Roughness
         What is known of the slope along the trough.
+    shaped : bool, optional
+        Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that.
 
     Returns
     -------
@@ -170,58 +189,98 @@ def solve_reflector(
         Too few edges.
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
-    lines, modes = _linearised(edges, photos, expected)
+    nominal = _nominal(edges, photos, expected)
+    modes = nominal.modes
     fate = _first_fate(edges)
-    is_bold = fate != EdgeFate.FAINT
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
         raise EstimationError(
             f"reflection: only {np.count_nonzero(fate == EdgeFate.USED)} edges of the absorber's reflection were found "
             f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
             "collector's dimensions and the targets right?"
         )
-    free = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    is_bold = fate != EdgeFate.FAINT
     nothing = (np.zeros(len(modes.covariance)), modes.covariance)
-    noise, roughness = 1.0, prior
-    for allowance in _ALLOWANCES_RAD:
-        keep = fate == EdgeFate.USED
-        sigma = np.hypot(noise * lines.sigma_rad, allowance)
-        used = _with_sigma(lines, sigma).chosen(keep)
-        roughness = find_roughness(used, grid, roughness, modes.covariance)
-        errors = solve_jointly(used, grid, roughness, free, nothing)
+    none = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    present = _Surface(none, none[..., 0])
+    noise, roughness, change = 1.0, prior, 0.0
+    for allowance in (*_ALLOWANCES_RAD, None):
+        lines = _lines(nominal, expected, present, grid)
+        keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+        sigma = np.hypot(noise * lines.sigma_rad, allowance or 0.0)
+        used = replace(lines, sigma_rad=sigma).chosen(keep)
+        if allowance is not None:
+            roughness = find_roughness(used, grid, roughness, modes.covariance)
+        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=allowance is None)
         residuals, predicted = _residuals(lines, grid, errors)
+        measured = _near_edges(used, grid)
+        if allowance is None:
+            break
         if allowance == 0.0:
             noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
-        beside = np.abs(residuals) > _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
-        fate[is_bold] = np.where(beside, int(EdgeFate.BESIDE), int(EdgeFate.USED))[is_bold]
-    keep = fate == EdgeFate.USED
-    used = _with_sigma(lines, noise * lines.sigma_rad).chosen(keep)
-    errors = solve_jointly(used, grid, roughness, free, nothing)
-    residuals, _ = _residuals(lines, grid, errors)
-    measured = _near_edges(used, grid, expected.collector)
-    return Reflector(grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes, used)
+        limit = _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
+        fate[is_bold] = np.where(np.abs(residuals) < limit, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
+        present, change = _next_surface(present, errors, measured, expected, grid)
+        if not shaped:
+            present = replace(present, height_m=none[..., 0])
+    return Reflector(
+        grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes, used, present.height_m, change
+    )
 
 
-def _linearised(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> tuple[TouchingLines, CameraModes]:
-    """Turn edges into observations of the slopes, with the design's slopes as the place of linearisation."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """The mirror that observations are linearised at: slope errors, shape (r, nx, 2), and height over the design."""
+
+    slopes: FloatArray
+    height_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nominal:
+    """Edges with what the design's surface suffices for: the noise of their angle and the effect of the poses."""
+
+    edges: ReflectionEdges
+    eyes_m: FloatArray
+    sigma_rad: FloatArray
+    modes: CameraModes
+
+
+def _nominal(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> _Nominal:
     eyes = photos.eyes_m[edges.photo]
     found = design_misfit(edges.points_m, eyes, edges.side, expected.collector, expected.absorber)
     sights = Sights(edges.points_m, eyes, edges.side)
     focal = expected.collector.focal_length_m
     sigma = np.abs(change_across(sights, found, focal)) * edges.sigma_x_m
     derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal)
-    modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
-    lines = TouchingLines(
-        edges.row, edges.points_m[:, 0], found.angle_rad, found.d_angle_d_slope_x, found.d_angle_d_slope_y, sigma,
-        modes.index, modes.derivative,
+    return _Nominal(edges, eyes, sigma, reduce_to_modes(derivatives, edges.photo, photos.covariance))
+
+
+def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: RowGrid) -> TouchingLines:
+    """Turn edges into observations of the slopes, linearised at the present surface but counted from the design."""
+    edges, collector = nominal.edges, expected.collector
+    focal = collector.focal_length_m
+    points = on_surface(edges.points_m, nominal.eyes_m, edges.row, present.height_m, grid, focal)
+    slopes = at_points(present.slopes, edges.row, points[:, 0], grid)
+    sights = Sights(points, nominal.eyes_m, edges.side)
+    found = misfit(
+        sights, (points[:, 0] / (2 * focal) + slopes[:, 0], slopes[:, 1]), expected.absorber,
+        collector.absorber_diameter_m / 2,
     )  # fmt: skip
-    return lines, modes
-
-
-def _with_sigma(lines: TouchingLines, sigma_rad: FloatArray) -> TouchingLines:
+    by_x, by_y = found.d_angle_d_slope_x, found.d_angle_d_slope_y
     return TouchingLines(
-        lines.row, lines.x_m, lines.misfit_rad, lines.d_slope_x, lines.d_slope_y, sigma_rad, lines.common_index,
-        lines.d_common,
+        edges.row, points[:, 0], found.angle_rad - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
+        nominal.sigma_rad, nominal.modes.index, nominal.modes.derivative,
     )  # fmt: skip
+
+
+def _next_surface(
+    present: _Surface, errors: SlopeErrors, measured: BoolArray, expected: Expectation, grid: RowGrid
+) -> tuple[_Surface, float]:
+    """Return the surface found, and the RMS change of its height [m]."""
+    slopes = np.where(measured[..., None], np.clip(errors.slopes, -_STEEPEST_RAD, _STEEPEST_RAD), 0.0)
+    known = errors.random[..., 1, 1] < _ALONG_KNOWN_RAD**2
+    height = heights(slopes, measured, known & measured, expected.collector, grid, expected.y_m)
+    return _Surface(slopes, height), float(np.sqrt(np.mean(np.square(height - present.height_m)[measured])))
 
 
 def _first_fate(edges: ReflectionEdges) -> IntArray:
@@ -244,8 +303,7 @@ def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tupl
     """Return what remains of all lines' misfits, and the variance that the solution itself has there."""
     before, share = nodes_of(grid, lines.x_m)
     nearest = before + (share > 0.5)
-    slopes = errors.slopes[lines.row, before] * (1 - share)[:, None]
-    slopes += errors.slopes[lines.row, before + 1] * share[:, None]
+    slopes = at_points(errors.slopes, lines.row, lines.x_m, grid)
     residuals = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
     residuals += np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index])
     gradient = np.stack([lines.d_slope_x, lines.d_slope_y], axis=1)
@@ -262,7 +320,7 @@ def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(normalised[informative] / freedom[informative])))
 
 
-def _near_edges(used: TouchingLines, grid: RowGrid, collector: Collector) -> BoolArray:
+def _near_edges(used: TouchingLines, grid: RowGrid) -> BoolArray:
     """Return the nodes that have an edge of their own row and panel within reach."""
     hit = np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
     before, share = nodes_of(grid, used.x_m)

@@ -11,7 +11,7 @@ import numpy as np
 
 from heliogauge.flags import SampleFlag
 from heliogauge.slope_map import SlopeMap
-from heliogauge.validate import FlagArray, FloatArray
+from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.common_share import common_share
 from observer.design import Collector
@@ -21,9 +21,13 @@ from observer.slope_field import IntArray
 from observer.visibility import Visibility
 
 #: A node is refused where noise and the distance to the next edge leave it less sure than this, and less sure than so
-#: many times the usual: 0.4 mrad keeps 98 % of an LS-2 in 100 photos and refuses most of what is wrong by 1 mrad.
-_LARGEST_SIGMA_RAD = 0.4e-3
+#: many times the usual: 0.5 mrad keeps 97 % of what can show the tube of an LS-2 in 100 photos.
+_LARGEST_SIGMA_RAD = 0.5e-3
 _LARGEST_TIMES_USUAL = 3.0
+#: Values that others may rest on are surer than this, or than so many times the usual: inside an island that no edge
+#: came near to all rows err together.
+_FIRM_SIGMA_RAD = 0.2e-3
+_FIRM_TIMES_USUAL = 1.5
 #: Below this longitudinal information the slope along the trough is the prior's, not a measurement.
 _LEAST_GAIN = 0.5
 
@@ -113,11 +117,17 @@ def slope_map_of(
         design_x + nodes.error, np.where(has_along, design_y + error_y, np.nan),
         design_x, design_y,
         np.where(valid, sigma_x, np.nan), np.where(has_along, sigma_y, np.nan),
-        1.0, common, np.full(x_nodes.shape, np.nan), nodes.flags, panel >= 0,
+        1.0, common, _height(reflector, collector, valid), nodes.flags, panel >= 0,
         design=collector.describe(),
         frame="trough: origin at the vertex in the middle, x across, y along, z to the absorber",
         removed="nothing",
     )  # fmt: skip
+
+
+def _height(reflector: Reflector, collector: Collector, valid: BoolArray) -> FloatArray:
+    """Return the height of the mirror; NaN everywhere unless its slopes were integrated."""
+    height = reflector.grid.x_m**2 / (4 * collector.focal_length_m) + reflector.height_m
+    return np.where(valid & bool(reflector.height_m.any()), height, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,21 +146,20 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     near = aperture & reflector.measured
     usual = float(np.median(variance[near])) if near.any() else 0.0
     limit = max(_LARGEST_SIGMA_RAD**2, _LARGEST_TIMES_USUAL**2 * usual)
-    good = near & (variance < limit)
+    firm = near & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     step = float(reflector.y_m[1] - reflector.y_m[0]) if reflector.y_m.size > 1 else 1.0
-    beside = bridge_rows(error, variance, good, panel, step)
-    good &= ~beside.contradicted
-    filled = aperture & ~good & visible.seeable & (beside.variance < limit)
-    lost = aperture & ~good & ~filled
+    beside = bridge_rows(error, variance, firm, panel, step)
+    own = near & (variance < limit) & ~beside.contradicted
+    filled = aperture & visible.seeable & (beside.variance < np.where(own, variance, limit))
+    lost = aperture & ~own & ~filled
     flags = np.zeros(panel.shape, dtype=np.uint32)
     flags[~aperture] = np.uint32(SampleFlag.OUTSIDE_MIRROR)
-    flags[filled] = np.uint32(SampleFlag.SMOOTHED_GAP)
+    flags[filled & ~own] = np.uint32(SampleFlag.SMOOTHED_GAP)
     flags[lost] = visible.flags[lost]
     flags[lost & (visible.flags == 0)] = np.uint32(SampleFlag.UNCERTAIN)
     flags[lost & beside.contradicted] = np.uint32(SampleFlag.OUTLIER)
-    return _Nodes(
-        np.where(good, error, np.where(filled, beside.value, np.nan)), np.where(good, variance, beside.variance), flags
-    )
+    value = np.where(filled, beside.value, np.where(own, error, np.nan))
+    return _Nodes(value, np.where(filled, beside.variance, variance), flags)
 
 
 def angle_maps(slope_map: SlopeMap, absorber: AbsorberPath, collector: Collector) -> AngleMaps:
