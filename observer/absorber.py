@@ -25,6 +25,8 @@ _PRIOR_M = 0.1
 _BEND_M = 0.01
 #: Edges of one photo share their error of pixel grid and background along a few rows: so many count as one.
 _ROWS_ALIKE = 3
+#: What the background does to the bisector stays alike over this length; stations do not average it out [m].
+_ALIKE_M = 1.0
 #: Times the standard deviation beyond which a bearing is not the tube's.
 _REJECT_TIMES = 4.0
 #: A photo that the others move by more than so many standard deviations of its pose shows something else.
@@ -157,7 +159,8 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Direct
     inside = np.abs(deviations - middle[:, None]) <= 3 * single[:, None]
     mean = np.nanmean(np.where(inside, deviations, np.nan), axis=1)
     place = np.nanmean(np.where(inside, table(bearings.y_m), np.nan), axis=1)
-    shared = np.nanmedian(table(bearings.shared_rad), axis=1)
+    alike = max(1.0, _ALIKE_M * (path.n - 1) / float(path.y_m[-1] - path.y_m[0]))
+    shared = np.sqrt(alike) * np.nanmedian(table(bearings.shared_rad), axis=1)
     own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
     return _Directions(names // path.n, names % path.n, place, mean, np.hypot(own, shared))
 

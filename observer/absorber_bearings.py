@@ -27,6 +27,8 @@ SEARCH_M = 0.06
 #: By what share the silhouette's width may differ from the tube's. The glass is wider by 60 %, blur of a tube of 7 px
 #: changes the width by 3 %.
 _WIDTH_SHARE = 0.12
+#: Samples across the tube for each pixel.
+_OVERSAMPLING = 2
 #: A silhouette that lies further from those of the rows around it is another thing's: pixels, and what a tube that
 #: slopes by 8 mrad moves within the rows that are compared [m].
 _BESIDE_PX, _BESIDE_M = 1.5, 2e-3
@@ -38,6 +40,9 @@ _SHARED_PX = 0.02
 #: Glass turns what passes it close to the metal by up to this: where the reflection is as near to the tube in the
 #: image, it shows up beside the tube [rad].
 _PRISM_RAD = 0.06
+#: What passes the inner rim of the glass is turned by up to this: until then the reflection makes the background in the
+#: glass darker on one side [rad].
+_LARGEST_PRISM_RAD = 0.35
 #: The end of a support is seen slantwise: so far beyond it one of the tube's two edges is still hidden [m].
 _SUPPORT_MARGIN_M = 0.03
 
@@ -123,17 +128,21 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     if eye[2] < level + 10 * radius:
         # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
         return _nothing()
-    if _is_before_reflection(eye, expected):
+    to_reflection = _angle_to_reflection(eye, expected)
+    if to_reflection <= (0.0 if collector.glass is None else _PRISM_RAD):
+        # The tube's reflection is its background; edges of both cannot be told apart.
         return _nothing()
     distance = float(np.hypot(eye[0] - middle, eye[2] - level))
     pixel_rad = 1 / max(camera.focal_x_px, camera.focal_y_px)
     pixel_m = distance * pixel_rad
     reach = SEARCH_M + 2.5 * radius * distance / (eye[2] - level)
-    x = np.arange(middle - reach, middle + reach + pixel_m, pixel_m)
+    # Seen slantwise, a pixel is wider on the plane.
+    step = pixel_m * distance / (eye[2] - level) / _OVERSAMPLING
+    x = np.arange(middle - reach, middle + reach + step, step)
     rows_each = max(1, round(float(expected.y_m[1] - expected.y_m[0]) / pixel_m)) if expected.y_m.size > 1 else 1
     plane = quadric([0, 0, 0, 0, 0, level], name="plane of the focal line")
     strip = rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each)
-    found = find_edges(strip)
+    found = find_edges(strip, oversampling=_OVERSAMPLING)
     seen = np.arctan2(found.x_m - eye[0], eye[2] - level)
     first, second = paired_edges(found, seen, eye[2] - level, radius)
     beside = _BESIDE_PX * pixel_rad + _BESIDE_M / distance
@@ -144,10 +153,10 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     height = eye[2] - level
     sigmas = np.stack([found.sigma_x_m[k] * np.cos(seen[k]) ** 2 / height for k in (first, second)])
     angle = 0.5 * (seen[first] + seen[second])
-    if collector.glass is not None:
+    if collector.glass is not None and to_reflection < _LARGEST_PRISM_RAD:
         left, right = found.x_m[first], found.x_m[second]
         glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
-        sides = level_edges(strip, found.row[first], 0.5 * (left + right), 0.5 * (right - left), glass)
+        sides = level_edges(strip, found.row[first], 0.5 * (left + right), 0.5 * (right - left), glass, _OVERSAMPLING)
         angle = 0.5 * (np.arctan2(sides[0] - eye[0], height) + np.arctan2(sides[1] - eye[0], height))
     bearings = Bearings(
         np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas),
@@ -157,20 +166,22 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     return bearings.chosen(np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m))
 
 
-def _is_before_reflection(eye_m: FloatArray, expected: Expectation) -> bool:
-    """Return whether the tube stands before its own reflection, which then is its background."""
+def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
+    """Return by what angle the line of sight through the tube misses the tube after reflection behind it [rad].
+
+    Small where the tube stands before its own reflection; infinite where there is no mirror behind it.
+    """
     collector, focal = expected.collector, expected.collector.focal_length_m
     axis_x, axis_z = float(np.mean(expected.absorber.x_m)), float(np.mean(expected.absorber.z_m))
     x = axis_x
     for _ in range(4):
         x = axis_x - (eye_m[0] - axis_x) * (axis_z - x**2 / (4 * focal)) / (eye_m[2] - axis_z)
     if abs(x) > collector.aperture_width_m / 2:
-        return False
+        return float("inf")
     point = np.array([[x, np.clip(eye_m[1], -1, 1) * 0.1, x**2 / (4 * focal)]])
     found = design_misfit(point, eye_m[None], np.zeros(1), collector, expected.absorber)
-    half = collector.absorber_diameter_m / 2 / (axis_z - point[0, 2])
-    reach = half + 2 * expected.slope_error_rad + (_PRISM_RAD if collector.glass is not None else 0.0)
-    return bool(abs(found.angle_rad[0]) < reach)
+    half = collector.absorber_diameter_m / 2 / float(np.hypot(axis_x - x, axis_z - point[0, 2]))
+    return max(abs(float(found.angle_rad[0])) - half - 2 * expected.slope_error_rad, 0.0)
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:

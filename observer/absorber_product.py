@@ -156,7 +156,7 @@ def shape_numbers(
         numbers |= {"absorber_sag_down_m": worst.sag_down_m, "sigma_absorber_sag_down_m": worst.sigma_sag_down_m}
     if solution is not None:
         numbers["absorber_diameter_seen_m"] = solution.diameter_m
-    return {name: None if value is None or not np.isfinite(value) else value for name, value in numbers.items()}
+    return {name: value for name, value in numbers.items() if value is not None and np.isfinite(value)}
 
 
 def absorber_warnings(

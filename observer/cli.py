@@ -39,3 +39,50 @@ def run_command(
     if not quiet:
         typer.echo(headline_text(summarise(result)))
         typer.echo(f"results: {out}")
+
+
+@app.command("absorber")
+def absorber_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    jobs: Jobs = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, summary.json."""
+    from heliogauge.measurement import load_observer
+    from heliogauge.store import ResultFolder
+    from heliogauge.terminal import terminal_progress
+    from observer.pipeline_absorber import Options, headline_text, run, summarise, write
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    with ResultFolder(out, force=force) as working:
+        result = run(load_observer(folder), Options(jobs=jobs), progress)
+        write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(summarise(result)))
+        typer.echo(f"results: {out}")
+
+
+@app.command("plan")
+def plan_command(
+    folder: MeasurementFolder, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
+) -> None:
+    """Plan a pass: the sigmas to be expected at every point, what will be missing, where to fly; stations.csv."""
+    from heliogauge.measurement import load_observer_plan
+    from heliogauge.store import ResultFolder
+    from heliogauge.terminal import terminal_progress
+    from observer.pipeline_plan import headline_text, run, summarise, write
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    with ResultFolder(out, force=force) as working:
+        result = run(load_observer_plan(folder), progress)
+        write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(summarise(result)))
+        typer.echo(f"results: {out}")

@@ -46,13 +46,16 @@ class Edges:
     contrast: FloatArray
 
 
-def find_edges(strip: Strip) -> Edges:
+def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
     """Find all edges across a strip.
 
     Parameters
     ----------
     strip : Strip
         Rectified brightness.
+    oversampling : int, optional
+        Samples of the strip for each pixel of the photo. With one, interpolation between pixels moves an edge by up to
+        0.025 px with its place among them; with two by less than 0.002 px.
 
     Returns
     -------
@@ -65,15 +68,17 @@ def find_edges(strip: Strip) -> Edges:
     the logarithms of three values, exact for an edge blurred by a Gaussian. A linear change of the background adds a
     constant to the derivative and leaves its peak where it is, other than a crossing of a level.
     """
-    reach = int(np.ceil(4 * _FILTER_SAMPLES))
+    width = _FILTER_SAMPLES * oversampling
+    reach = int(np.ceil(4 * width))
     place = np.arange(-reach, reach + 1)
-    bell = np.exp(-0.5 * (place / _FILTER_SAMPLES) ** 2)
+    bell = np.exp(-0.5 * (place / width) ** 2)
     bell /= bell.sum()
-    derivative = place / _FILTER_SAMPLES**2 * bell
+    derivative = place / width**2 * bell
     image = np.where(strip.seen, strip.image_dn, np.float32(0))
     gradient = cv2.sepFilter2D(image, cv2.CV_32F, derivative, np.ones(1), borderType=cv2.BORDER_REPLICATE)
     size = np.abs(gradient)
-    noise_dn = _noise(strip)
+    # Samples between the same pixels share their noise.
+    noise_dn = _noise(strip, oversampling) * float(np.sqrt(oversampling))
     noise = noise_dn * float(np.sqrt((derivative**2).sum()))
     strongest = float(np.median(size.max(axis=1)))
     least = max(_NOISE_TIMES * noise, _LEAST_SHARE * strongest, 1e-6)
@@ -90,19 +95,20 @@ def find_edges(strip: Strip) -> Edges:
     step = float(strip.x_m[1] - strip.x_m[0])
     height = gradient[row, column].astype(np.float64)
     # The derivative's noise moves its peak by noise of the second derivative over the peak's curvature.
-    second = (place**2 / _FILTER_SAMPLES**4 - 1 / _FILTER_SAMPLES**2) * bell
+    second = (place**2 / width**4 - 1 / width**2) * bell
     wander = noise_dn * np.sqrt((second**2).sum()) / (np.abs(height) * np.abs(bend))
     sigma = step * np.hypot(wander, _FLOOR_SAMPLES)
     rise = height * np.sqrt(-1 / bend) * np.sqrt(2 * np.pi)
     last = strip.x_m.size - 1
-    sides = [strip.image_dn[row, np.clip(column + way * _BESIDE_SAMPLES, 0, last)] for way in (-1, 1)]
+    sides = [strip.image_dn[row, np.clip(column + way * _BESIDE_SAMPLES * oversampling, 0, last)] for way in (-1, 1)]
     brighter = np.maximum(np.maximum(*sides), np.abs(rise)).astype(np.float64)
     return Edges(row, strip.x_m[column] + step * shift, sigma, rise, rise / np.maximum(brighter, 1e-6))
 
 
-def _noise(strip: Strip) -> float:
+def _noise(strip: Strip, stride: int) -> float:
     """Return the noise of a strip from third differences, which smooth shading leaves out [DN]."""
-    third = np.diff(strip.image_dn, 3, axis=1)[strip.seen[:, 3:] & strip.seen[:, :-3]]
+    image, seen = strip.image_dn[:, ::stride], strip.seen[:, ::stride]
+    third = np.diff(image, 3, axis=1)[seen[:, 3:] & seen[:, :-3]]
     if third.size < 100:
         return 1.0
     # Weights 1, 3, 3, 1; resampling makes neighbours alike, which the factor 1.2 allows for.

@@ -14,6 +14,8 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray
 #: Samples between exact projections. Across 8 of 6 mm the curved mirror departs from its chord by 0.1 mm in height,
 #: which moves its image by less than 0.001 px.
 _LATTICE = 8
+#: Columns that are closer than this are there to show the shape of an edge.
+_CLOSE_PX = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +67,19 @@ def rectified_strip(
     -------
     Strip
         Brightness on the mirror.
+
+    Notes
+    -----
+    Columns closer than the pixels are interpolated by 8 by 8 pixels, which keeps the shape of an edge wherever it lies
+    among them; others by 2 by 2, which blurs it by place but costs little.
     """
     step = float(y_m[1] - y_m[0]) if y_m.size > 1 else 0.0
     inner = step * ((np.arange(rows_each) + 0.5) / rows_each - 0.5)
     fine_y = (y_m[:, None] + inner).reshape(-1)
     map_x, map_y = (_spread(part, fine_y.size, x_m.size) for part in _lattice(view, surface, x_m, fine_y))
-    sampled = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    apart = np.hypot(np.diff(map_x[fine_y.size // 2]), np.diff(map_y[fine_y.size // 2]))
+    way = cv2.INTER_LANCZOS4 if apart.size and float(np.median(apart)) < _CLOSE_PX else cv2.INTER_LINEAR
+    sampled = cv2.remap(image, map_x, map_y, way, borderMode=cv2.BORDER_REPLICATE)
     values = np.asarray(sampled, dtype=np.float32).reshape(y_m.size, rows_each, x_m.size).mean(axis=1)
     height, width = image.shape
     inside = (map_x >= 0) & (map_x <= width - 1) & (map_y >= 0) & (map_y <= height - 1)

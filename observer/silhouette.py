@@ -22,7 +22,12 @@ _BEYOND_SAMPLES = (2.0, 6.0)
 
 
 def level_edges(
-    strip: Strip, row: IntArray, middle_m: FloatArray, half_width_m: FloatArray, glass_ratio: float
+    strip: Strip,
+    row: IntArray,
+    middle_m: FloatArray,
+    half_width_m: FloatArray,
+    glass_ratio: float,
+    oversampling: int = 1,
 ) -> tuple[FloatArray, FloatArray]:
     """Find both edges of the tube by a low level.
 
@@ -38,13 +43,15 @@ def level_edges(
         About half its width in each [m].
     glass_ratio : float
         Outer radius of the glass over that of the tube; 1 without glass.
+    oversampling : int, optional
+        Samples of the strip for each pixel of the photo.
 
     Returns
     -------
     left_m, right_m : ndarray, shape (m,)
         Edges at the smaller and at the larger x; NaN where the brightness does not cross the level near the edge [m].
     """
-    step = float(strip.x_m[1] - strip.x_m[0])
+    step = oversampling * float(strip.x_m[1] - strip.x_m[0])
     inside = np.median(_profiles(strip, row, middle_m, np.linspace(-0.5, 0.5, 9) * half_width_m[:, None]), axis=1)
     edges: list[FloatArray] = []
     for way in (-1.0, 1.0):
