@@ -252,6 +252,8 @@ def _started(empty: Growth) -> Growth:
 
 
 def _why_no_pair(empty: Growth) -> str:
+    if len(empty.table.photos) < 2:
+        return f"only {empty.table.photos[0]} shows targets; take photos from two places or more"
     seen = _visibility(empty.table)
     common = (seen @ seen.T).astype(int)
     np.fill_diagonal(common, 0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.camera_millimetres import SENSOR_NAMES, Sensor, sensor_parameters
+from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_photogrammetry import ImagePointsSection
@@ -173,6 +174,7 @@ def run(
     if measured is None:
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
+        _refuse_copies(measurement, hashes)
         measured, kinds = _read_kinds(measurement, options, progress)
     else:
         kinds = np.zeros(measured.points.n, dtype=np.intp)
@@ -206,6 +208,20 @@ def run(
             said = (*said, *surface.warnings)
     times = dict(progress.durations_s)
     return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
+
+
+def _refuse_copies(measurement: PhotogrammetryMeasurement, hashes: dict[str, str]) -> None:
+    """Refuse a photo that is there twice: counted as two measurements, its image points make sigmas too small."""
+    photos = {file.name for file in measurement.photo_files}
+    first: dict[str, str] = {}
+    for name, digest in hashes.items():
+        if name.rsplit("/", 1)[-1] not in photos:
+            continue
+        if digest in first:
+            raise InputError(
+                f"images.photos: {name} is a copy of {first[digest]}; remove one (counted twice, sigmas are too small)"
+            )
+        first[digest] = name
 
 
 def _read_kinds(

@@ -24,6 +24,8 @@ from photogrammetry.uncertain_rays import Dots
 
 #: Share of overexposed targets from which the user is told.
 _MANY_CLIPPED = 0.2
+#: Why a photo is left out.
+_NO_TARGET = "shows no target that can be used"
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +297,7 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
         refused += [Refused(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
         keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
         if not keep:
-            refused.append(Refused(photo, "shows no target that can be used"))
+            refused.append(Refused(photo, _NO_TARGET))
         photos += [photo] * len(keep)
         names += [one.detections.names[k] for k in keep]
         parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))
@@ -307,6 +309,10 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
             + (said[0] if said else "is it the right one, and are the targets large enough ([targets] smallest_px, "
                "largest_px)?")
         )  # fmt: skip
+    empty = [bad.name for bad in refused if bad.reason == _NO_TARGET]
+    if empty:
+        listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")
+        said.append(f"{len(empty)} of {len(found)} photos show no target that can be used: {listed}")
     if doubled:
         listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
         said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")

@@ -212,6 +212,16 @@ def test_photos_of_another_size_are_refused(photo_folder: Path) -> None:
         run(other)
 
 
+def test_a_photo_that_is_there_twice_is_refused(photo_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "twice"
+    folder.mkdir()
+    (folder / "measurement.toml").write_bytes((photo_folder / "measurement.toml").read_bytes())
+    for name in ("photo_001.png", "photo_002.png", "photo_009.png"):
+        (folder / name).write_bytes((photo_folder / name.replace("9", "1")).read_bytes())
+    with pytest.raises(InputError, match=r"photo_009\.png is a copy of photo_001\.png; remove one"):
+        run(load_photogrammetry(folder))
+
+
 def test_two_photos_of_the_wrong_dictionary(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
     targets = measurement.model.targets.model_copy(update={"dictionary": "DICT_6X6_50"})

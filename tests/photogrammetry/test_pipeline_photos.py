@@ -107,3 +107,13 @@ def test_a_charuco_board_needs_its_markers_dictionary() -> None:
     board = {"columns": 6, "rows": 5, "square_mm": 40.0, "marker_mm": 28.0}
     with pytest.raises(ValueError, match="that of the board's markers"):
         TargetsSection.model_validate({"dictionary": "aicon-12", "charuco": board})
+
+
+def test_a_photo_without_targets_is_named(tmp_path: Path) -> None:
+    first = photo(tmp_path, Sense.CLOCKWISE, RingRadii())
+    blank = tmp_path / "blank.png"
+    write_image(blank, np.full((300, 400), 128, dtype=np.uint8))
+    section = TargetsSection.model_validate({"dictionary": "aicon-12"})
+    search = build_search(section, tmp_path)
+    found = gathered(measure_each([first, blank], section, search, jobs=1, progress=SilentProgress()))
+    assert "1 of 2 photos show no target that can be used: blank.png" in found.warnings
