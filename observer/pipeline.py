@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from heliogauge.camera import Camera
-from heliogauge.flags import SampleFlag
 from heliogauge.measurement import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
@@ -16,6 +15,7 @@ from heliogauge.store import Summary, hash_files, write_points_csv, write_summar
 from heliogauge.store_slope_map import write_slope_map
 from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
+from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
@@ -66,6 +66,8 @@ class Result:
         Name of what was measured.
     collector : Collector
         The design.
+    orientation_rad : float
+        Turn of the collector from zenith, by the right hand about +y [rad].
     network : photogrammetry.pipeline.Result
         Cameras and targets.
     seen : SeenInPhotos
@@ -98,6 +100,7 @@ class Result:
 
     name: str
     collector: Collector
+    orientation_rad: float
     network: photogrammetry_pipeline.Result
     seen: SeenInPhotos
     absorber: AbsorberPath
@@ -157,15 +160,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     )  # fmt: skip
     photos, views, files = _photos(measurement, network)
     seen = look_again(files, views, finder, first, jobs=options.jobs, progress=progress)
-    absorber, solution = start, None
     with progress.stage("absorber"):
-        if model.absorber.file is not None:
-            absorber = read_absorber(measurement.folder / model.absorber.file)
-        elif model.absorber.source == "photos":
-            count = max(2, round(collector.length_m / model.absorber.station_step_m))
-            stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
-            solution = solve_absorber(seen.bearings, photos, start, stations)
-            absorber = solution.path
+        absorber, solution, absorber_doubts = _absorber(measurement, seen, photos, collector)
     prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
     with progress.stage("slopes"):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
@@ -186,12 +182,28 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         tubes = (absorber_start(collector), absorber)
         picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
-    doubts = (*measurement.doubts, *(() if coverage is None else (coverage,)))
+    doubts = (*measurement.doubts, *absorber_doubts, *(() if coverage is None else (coverage,)))
+    turn = float(np.radians(model.collector.orientation_deg))
     return Result(
-        model.name, collector, network, seen, absorber, solution, reflector, slope_map, visible, angles, intercept,
-        photos, picture, (*network.warnings, *doubts, *intercept.warnings),
+        model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,
+        intercept, photos, picture, (*network.warnings, *doubts, *intercept.warnings),
         dict(progress.durations_s), hashes,
     )  # fmt: skip
+
+
+def _absorber(
+    measurement: ObserverMeasurement, seen: SeenInPhotos, photos: Photos, collector: Collector
+) -> tuple[AbsorberPath, AbsorberSolution | None, tuple[str, ...]]:
+    """Return where the absorber is: measured, as a table says, or where the design has it; and what is doubtful."""
+    section, path, solution = measurement.model.absorber, absorber_start(collector), None
+    if section.file is not None:
+        path = read_absorber(measurement.folder / section.file)
+    elif section.source == "photos":
+        count = max(2, round(collector.length_m / section.station_step_m))
+        stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
+        solution = solve_absorber(seen.bearings, photos, path, stations)
+        path = solution.path
+    return path, solution, absorber_warnings(path, solution, collector, is_design=section.source == "design")
 
 
 def _clearest_photo(seen: SeenInPhotos, reflector: Reflector) -> int:
@@ -237,7 +249,9 @@ def write(result: Result, folder: Path) -> None:
     network.mkdir()
     photogrammetry_pipeline.write(result.network, network)
     write_intercept(result.intercept, folder)
-    write_table_csv(folder / "absorber.csv", _absorber_columns(result))
+    tube, turn = (result.absorber, result.absorber_solution, result.collector), result.orientation_rad
+    write_table_csv(folder / "absorber.csv", absorber_columns(*tube))
+    write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(*tube, turn)))
     write_points_csv(folder / "points.csv", result.network.points)
     write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))
     refused = result.network.refused
@@ -245,22 +259,6 @@ def write(result: Result, folder: Path) -> None:
         folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
     )
     write_summary(folder / "summary.json", summarise(result))
-
-
-def _absorber_columns(result: Result) -> dict[str, Any]:
-    path, solution = result.absorber, result.absorber_solution
-    sigma_x, sigma_z = path.sigma_at(path.y_m)
-    photos = np.zeros(path.n, dtype=np.intp) if solution is None else solution.n_photos
-    unseen = (photos < 2) & (solution is not None)
-    return {
-        "y_m": path.y_m,
-        "x_a_m": np.where(unseen, np.nan, path.x_m),
-        "z_a_m": np.where(unseen, np.nan, path.z_m),
-        "sigma_x_a_m": np.where(unseen, np.nan, sigma_x),
-        "sigma_z_a_m": np.where(unseen, np.nan, sigma_z),
-        "n_photos": photos,
-        "flag": np.where(unseen, int(SampleFlag.NOT_SEEN), 0),
-    }
 
 
 def _edge_columns(result: Result) -> dict[str, Any]:
@@ -296,6 +294,8 @@ def summarise(result: Result) -> Summary:
     numbers = {
         **slope_numbers(result.slope_map, result.angles, result.visible),
         **absorber_numbers(result.absorber, result.collector, result.absorber_solution),
+        **shape_numbers(result.absorber, result.absorber_solution, result.collector, result.orientation_rad),
+        "orientation_rad": result.orientation_rad,
         **edge_numbers(result.reflector),
         **collected,
         "photos_count": len(bundle.problem.observations.photos),
