@@ -23,20 +23,18 @@ from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
-from photogrammetry.detections import Detections
 from photogrammetry.network import StartValues
-from photogrammetry.photo_targets import TargetSearch
+from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.pipeline_cameras import build_cameras
 from photogrammetry.pipeline_inputs import build_search
 from photogrammetry.pipeline_photos import OnePhoto, measure_photo
+from photogrammetry.resection import LEAST_TARGETS
 from photogrammetry.target_following import (
     KnownTargets,
     Track,
-    Window,
     follow,
     provisional_pose,
     start_following,
-    windows_of,
 )
 
 _Part = TypeVar("_Part", ReflectionEdges, Bearings)
@@ -136,7 +134,7 @@ class FirstLook:
 
 @dataclass(slots=True, eq=False)
 class _Run:
-    """Consecutive photos in one thread's hands: what was found so far, and windows that wait to be measured."""
+    """Consecutive photos in one thread's hands, and what was found so far."""
 
     finder: Finder
     slices: Slices
@@ -145,7 +143,6 @@ class _Run:
     poses: dict[str, RigidTransform] = field(default_factory=dict)
     edges: dict[str, ReflectionEdges] = field(default_factory=dict)
     bearings: dict[str, Bearings] = field(default_factory=dict)
-    waiting: list[tuple[str, Window]] = field(default_factory=list)
 
     def take(self, number: int, file: Path) -> None:
         """Read a photo and find what it shows."""
@@ -167,9 +164,12 @@ class _Run:
         self.track = follow(image, self.track, self.finder.known, camera)
         if self.track is None:
             return None
-        windows = windows_of(image, self.track, self.finder.known, camera)
-        self.waiting += [(name, window) for window in windows]
-        self.targets[name] = _empty(name, image)
+        found, shapes = measure_at(image, name, self.track.ellipses, self.finder.search)
+        if np.count_nonzero(found.usable) < LEAST_TARGETS:
+            self.track = None
+            return None
+        none, size = found.chosen(np.zeros(0, dtype=np.intp)), (int(image.shape[1]), int(image.shape[0]))
+        self.targets[name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
         return self.track.pose
 
     def _searched(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
@@ -178,57 +178,8 @@ class _Run:
         pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
         listed = set(found.detections.names) <= set(self.finder.known.names)
         if pose is not None and listed and self.finder.follows:
-            self.track = start_following(image, found.detections, pose)
+            self.track = start_following(image, found.detections, found.ellipses_px2, pose)
         return pose
-
-    def measure_windows(self) -> None:
-        """Measure the targets in all windows that wait, as one picture."""
-        for half in sorted({window.image_dn.shape[0] for _, window in self.waiting}):
-            own = [one for one in self.waiting if one[1].image_dn.shape[0] == half]
-            for photo, found in _in_windows(own, self.finder).items():
-                before = self.targets[photo]
-                self.targets[photo] = replace(found, size_px=before.size_px)
-
-
-def _empty(name: str, image: Image) -> OnePhoto:
-    none = Detections(name, (), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=np.uint32))
-    shapes = np.zeros((0, 2, 2))
-    return OnePhoto(none, shapes, (int(image.shape[1]), int(image.shape[0])), (), none, shapes)
-
-
-def _in_windows(waiting: Sequence[tuple[str, Window]], finder: Finder) -> dict[str, OnePhoto]:
-    """Measure the targets of many windows laid side by side; say which photo and where in it each is."""
-    size = waiting[0][1].image_dn.shape[0]
-    across = int(np.ceil(np.sqrt(len(waiting))))
-    picture = np.zeros((-(-len(waiting) // across) * size, across * size), dtype=waiting[0][1].image_dn.dtype)
-    for k, (_, window) in enumerate(waiting):
-        row, column = divmod(k, across)
-        picture[row * size : (row + 1) * size, column * size : (column + 1) * size] = window.image_dn
-    found = measure_photo(picture, "windows", finder.section, finder.search)
-    pixels = found.detections.pixels_px
-    place = np.floor((pixels + 0.5) / size).astype(np.intp)
-    tile = place[:, 1] * across + place[:, 0]
-    corners = np.array([window.corner_px for _, window in waiting], dtype=np.float64)
-    off_middle = np.abs(pixels + 0.5 - (place + 0.5) * size).max(axis=1)
-    own: dict[str, dict[str, int]] = {}
-    for k, name in enumerate(found.detections.names):
-        # Windows may overlap: a target counts where it is nearest to the middle.
-        kept = own.setdefault(waiting[tile[k]][0], {})
-        if name not in kept or off_middle[k] < off_middle[kept[name]]:
-            kept[name] = k
-    return {
-        photo: _of_photo(photo, found, np.array(list(rows.values()), dtype=np.intp), corners[tile] - place * size)
-        for photo, rows in own.items()
-    }
-
-
-def _of_photo(photo: str, found: OnePhoto, rows: np.ndarray, shifts_px: np.ndarray) -> OnePhoto:
-    chosen = found.detections.chosen(rows)
-    moved = Detections(
-        photo, chosen.names, chosen.pixels_px + shifts_px[rows], chosen.covariance_px2, chosen.radius_px, chosen.flags
-    )
-    none = moved.chosen(np.zeros(0, dtype=np.intp))
-    return OnePhoto(moved, found.ellipses_px2[rows], found.size_px, (), none, np.zeros((0, 2, 2)))
 
 
 def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation) -> Finder:
@@ -306,7 +257,6 @@ def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progr
             for number, file in enumerate(files[start : start + length], start=start):
                 run.take(number, file)
                 stage.advance()
-            run.measure_windows()
             return run
 
         runs = _side_by_side(one, first, jobs)

@@ -1,6 +1,6 @@
 """All circular targets of one photo: found, read, centred."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from photogrammetry.pyramid import make_pyramid
 from photogrammetry.target_center import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
 from photogrammetry.template_center import template_center, template_centers
 
-__all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_targets"]
+__all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_at", "measure_targets"]
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
@@ -156,6 +156,37 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         detections.duplicated,
         tuple(unused),
     )
+
+
+def measure_at(
+    image_dn: npt.NDArray[np.generic], photo: str, starts: Mapping[str, Ellipse], search: TargetSearch
+) -> tuple[Detections, FloatArray]:
+    """Centre targets whose places are known to half a pixel or so, without a search.
+
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16 or float32 [DN].
+    photo : str
+        Name of the photo.
+    starts : mapping of str to Ellipse
+        Where each target's dot is, by its name.
+    search : TargetSearch
+        How targets are measured.
+
+    Returns
+    -------
+    detections : Detections
+        Those that are there: measured by the same estimator as after a search.
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Their ellipses [px^2].
+    """
+    centers = _centers(image_dn, list(starts.values()), search)
+    found = [(name, one) for name, one in zip(starts, centers, strict=True)
+             if isinstance(one, TargetCenter) and one.misfit < search.most_misfit]  # fmt: skip
+    measured = [one for _, one in found]
+    shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)
+    return _detections(image_dn, photo, [name for name, _ in found], measured), shapes
 
 
 def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:

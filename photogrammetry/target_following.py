@@ -1,7 +1,7 @@
-"""Listed targets followed from photo to photo: where each must be, so that only there it is searched for and measured.
+"""Listed targets followed from photo to photo: where each must be, so that only there it is measured.
 
-Following gives no measurement. It says to a pixel or so where targets are and with what pose the photo was taken; their
-windows are then measured by `photogrammetry.photo_targets`, those of many photos in one picture.
+Following gives no measurement. It says to half a pixel or so where targets are and with what pose the photo was taken;
+`photogrammetry.photo_targets` then measures them.
 """
 
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.detections import Detections
+from photogrammetry.ellipse import Ellipse
 from photogrammetry.resection import LEAST_TARGETS, resect
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
@@ -24,14 +25,14 @@ Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 #: targets are looked for that far, the others near to where the shift of those has them; 1 degree of a turn about the
 #: line of sight moves a target at the border of a photo of 2 megapixels by 17 px.
 _WIDE_PX, _SEARCH_PX = 128, 32
-#: How many targets tell the shift, and how far theirs may differ [px].
-_TELLING, _AGREEING_PX = 4, 32.0
+#: How many targets tell how the picture has moved, turned and grown, and how far they may be from that [px].
+_TELLING, _AGREEING_PX = 4, 16.0
 #: Radius in pixels that a dot has in the reduced pictures in which it is looked for.
 _REDUCED_RADIUS_PX = 2.5
 #: The pattern reaches this far, in radii of the dot: it has the code ring in it, which is another on each target.
 _PATTERN_RADII = 3.2
-#: Half the side of the window that is measured: the ring ends at 3 radii, the search wants its surroundings.
-_WINDOW_RADII, _WINDOW_PX = 4.5, 8.0
+#: A target is in the photo if its ring, which ends at 3 radii, is.
+_WHOLE_RADII = 3.2
 #: Correlation below which a dot is not where it was looked for.
 _LEAST_LIKENESS = 0.6
 #: A dot farther than this from where the pose has it is another one [px].
@@ -73,32 +74,16 @@ class Track:
         ``cam_from_frame`` of the photo, to a pixel or so.
     patterns : mapping of str to ndarray of float32
         What each target looks like, reduced.
+    ellipses : mapping of str to Ellipse
+        Where targets should be, and how large [px].
     radius_px : float
         Radius of the dots [px].
     """
 
     pose: RigidTransform
     patterns: Mapping[str, Float32Array]
+    ellipses: Mapping[str, Ellipse]
     radius_px: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Window:
-    """Part of a photo around a target.
-
-    Parameters
-    ----------
-    name : str
-        The target that must be there.
-    corner_px : (int, int)
-        Column and row of the window's first pixel [px].
-    image_dn : ndarray, shape (h, h)
-        Its pixels [DN].
-    """
-
-    name: str
-    corner_px: tuple[int, int]
-    image_dn: Image
 
 
 def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> RigidTransform | None:
@@ -132,7 +117,7 @@ def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> 
         return None
 
 
-def start_following(image: Image, found: Detections, pose: RigidTransform) -> Track:
+def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pose: RigidTransform) -> Track:
     """Begin with a photo whose targets were measured.
 
     Parameters
@@ -141,6 +126,8 @@ def start_following(image: Image, found: Detections, pose: RigidTransform) -> Tr
         The photo, grey [DN].
     found : Detections
         Its targets.
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Their ellipses [px^2].
     pose : RigidTransform
         ``cam_from_frame``.
 
@@ -158,7 +145,8 @@ def start_following(image: Image, found: Detections, pose: RigidTransform) -> Tr
         part, first = _as_float(image, pixel, half + 2)
         sharp = cv2.getRectSubPix(part, size, (float(pixel[0] - first[0]), float(pixel[1] - first[1])))
         patterns[name] = _reduced(np.asarray(sharp, dtype=np.float32), _reduction(radius))
-    return Track(pose, patterns, radius)
+    places = zip(found.names, found.pixels_px, shapes_px2, strict=True)
+    return Track(pose, patterns, {name: Ellipse(pixel, shape) for name, pixel, shape in places}, radius)
 
 
 def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> Track | None:
@@ -183,10 +171,10 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
     pixels = camera.project(track.pose.apply(known.points_m))
     has_pattern = np.array([name in track.patterns for name in known.names])
     seen_before = np.nonzero(has_pattern & np.isfinite(pixels).all(axis=1))[0]
-    shift = _common_shift(image, [(pixels[k], track.patterns[known.names[k]]) for k in seen_before], track.radius_px)
-    if shift is None:
+    if seen_before.size < LEAST_TARGETS:
         return None
-    pixels = pixels + shift
+    before = [(pixels[k], track.patterns[known.names[k]]) for k in seen_before]
+    pixels = _moved_in_common(image, before, track.radius_px, pixels)
     expected = has_pattern & _well_inside(pixels, camera, _PATTERN_RADII * track.radius_px + 2)
     matched = np.full_like(pixels, np.nan)
     for k in np.nonzero(expected)[0]:
@@ -200,54 +188,42 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
         off = np.linalg.norm(camera.project(pose.apply(known.points_m)) - matched, axis=1)
         agreeing = off < _FAR_PX
         if (agreeing == usable).all():
-            return Track(pose, track.patterns, track.radius_px)
+            return _at(pose, track, known, camera)
         usable = agreeing
     return None
 
 
-def windows_of(image: Image, track: Track, known: KnownTargets, camera: Camera) -> list[Window]:
-    """Cut out the windows in which a photo's targets are to be measured.
+def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
+    """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
+    pixels = camera.project(pose.apply(known.points_m))
+    usual = next(iter(track.ellipses.values())).shape_px2
+    ellipses = {}
+    for k in np.nonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))[0]:
+        before = track.ellipses.get(known.names[k])
+        ellipses[known.names[k]] = Ellipse(pixels[k], usual if before is None else before.shape_px2)
+    return Track(pose, track.patterns, ellipses, track.radius_px)
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    track : Track
-        After this photo.
-    known : KnownTargets
-        The list.
-    camera : Camera
-        The camera.
 
-    Returns
-    -------
-    list of Window
-        One for each target that should be in the photo with its whole ring, all of one size.
+def _moved_in_common(
+    image: Image, targets: list[tuple[FloatArray, Float32Array]], radius_px: float, pixels: FloatArray
+) -> FloatArray:
+    """Move places as some targets, spread over the list, have moved; NaN where those do not agree.
+
+    The movement is a shift, a turn and a change of scale: in complex numbers ``a + b z``.
     """
-    half = int(np.ceil(_WINDOW_RADII * track.radius_px + _WINDOW_PX))
-    pixels = camera.project(track.pose.apply(known.points_m))
-    found = []
-    for k in np.nonzero(_well_inside(pixels, camera, 3 * track.radius_px))[0]:
-        middle = np.round(pixels[k]).astype(int)
-        first = np.clip(middle - half, 0, np.array(image.shape[::-1]) - 2 * half)
-        part = image[first[1] : first[1] + 2 * half, first[0] : first[0] + 2 * half]
-        if part.shape == (2 * half, 2 * half):
-            found.append(Window(known.names[k], (int(first[0]), int(first[1])), part.copy()))
-    return found
-
-
-def _common_shift(image: Image, targets: list[tuple[FloatArray, Float32Array]], radius_px: float) -> FloatArray | None:
-    """Return how far some targets, spread over the list, have moved in common; None where they do not agree."""
-    if not targets:
-        return None
     chosen = [targets[k] for k in np.unique(np.linspace(0, len(targets) - 1, _TELLING).round().astype(np.intp))]
-    shifts = np.array([_match(image, pixel, pattern, radius_px, _WIDE_PX) - pixel for pixel, pattern in chosen])
-    shifts = shifts[np.isfinite(shifts[:, 0])]
-    for middle in shifts:
-        agreeing = shifts[np.linalg.norm(shifts - middle, axis=1) < _AGREEING_PX]
-        if len(agreeing) > len(chosen) / 2:
-            return np.asarray(agreeing.mean(axis=0))
-    return None
+    found = np.array([_match(image, pixel, pattern, radius_px, _WIDE_PX) for pixel, pattern in chosen])
+    seen = np.isfinite(found[:, 0])
+    before, after = (values[:, 0] + 1j * values[:, 1] for values in (np.array([pixel for pixel, _ in chosen]), found))
+    while np.count_nonzero(seen) > len(chosen) / 2:
+        design = np.stack([np.ones(before.size, dtype=complex), before], axis=1)
+        movement = np.linalg.lstsq(design[seen], after[seen], rcond=None)[0]
+        off = np.where(seen, np.abs(design @ movement - after), 0.0)
+        if off.max() < _AGREEING_PX:
+            moved = movement[0] + movement[1] * (pixels[:, 0] + 1j * pixels[:, 1])
+            return np.stack([moved.real, moved.imag], axis=1)
+        seen[np.argmax(off)] = False
+    return np.full_like(pixels, np.nan)
 
 
 def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolArray:
