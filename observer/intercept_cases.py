@@ -1,7 +1,7 @@
 """What a measured trough collects and why: as it is, with its absorber aligned, with perfect mirrors; with sigmas.
 
 The intercept factor's sigma is of first order in slopes and absorber, with their covariances, and holds the second
-order of the slopes' scatter: a perfect trough has no first order.
+order of the slopes' scatter (a perfect trough has no first order) and what the mirror's unmeasured part may differ by.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +16,7 @@ from observer.absorber_path import AbsorberPath
 from observer.beam_profile import BeamProfile
 from observer.design import Collector
 from observer.intercept import MirrorNodes, TroughOptics, acceptance_windows, along_path, mirror_nodes
+from observer.intercept_missing import MissingPart, missing_part
 
 #: Error of the light's table and its interpolation (`observer.beam_profile`), the least sigma there is.
 _TABLE_ERROR = 1e-6
@@ -80,6 +81,8 @@ class MeasuredTrough:
         What an error of the absorber's place did to the slopes; zero where both were measured apart [1/m].
     passing_y_m : ndarray, shape (m,)
         Where along the trough [m].
+    missing : MissingPart
+        What of the mirror was not measured.
     """
 
     nodes: MirrorNodes
@@ -89,6 +92,7 @@ class MeasuredTrough:
     sigma_slope: FloatArray
     d_slope_d_absorber: FloatArray
     passing_y_m: FloatArray
+    missing: MissingPart
 
     @property
     def radius_m(self) -> float:
@@ -149,6 +153,7 @@ def measured_trough(
     return MeasuredTrough(
         nodes, absorber, collector, slope_covariance or covariance_from_map(slope_map, absorber_held=from_reflection),
         slope_map.sigma_slope()[0].reshape(-1)[nodes.node], follows, seen.passing_y_m,
+        missing_part(slope_map, collector.panel_edges_x_m),
     )  # fmt: skip
 
 
@@ -284,10 +289,11 @@ def intercept_at_offsets(
     ratio = np.array([optics.ratio(offset) for offset in offsets_rad])
     weights = joined([sensitivity(trough, case, optics, offset) for offset in offsets_rad])
     variance = np.diagonal(trough.covariance(weights))
-    shift = np.zeros(ratio.size)
+    rest = np.full(ratio.size, _TABLE_ERROR**2)
     if case is not Case.MIRROR_PERFECT:
-        shift = np.array([optics.noise_shift(trough.sigma_slope, offset) for offset in offsets_rad])
-    return Intercept(ratio, np.sqrt(np.maximum(variance, 0.0) + shift**2 + _TABLE_ERROR**2))
+        rest += np.square([optics.noise_shift(trough.sigma_slope, offset) for offset in offsets_rad])
+        rest += np.square([trough.missing.sigma(optics.of_nodes(offset)) for offset in offsets_rad])
+    return Intercept(ratio, np.sqrt(np.maximum(variance, 0.0) + rest))
 
 
 def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], case: Case) -> tuple[float, float]:
@@ -309,6 +315,11 @@ def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], 
     """
     cases = (case, Case.AS_MEASURED)
     change = joined([sensitivity(trough, one, optics[one]) for one in cases]).mixed(np.array([[1.0, -1.0]]))
-    shifts = [0.0 if one is Case.MIRROR_PERFECT else optics[one].noise_shift(trough.sigma_slope) for one in cases]
-    variance = float(trough.covariance(change)[0, 0]) + (shifts[0] - shifts[1]) ** 2 + _TABLE_ERROR**2
-    return optics[case].ratio() - optics[Case.AS_MEASURED].ratio(), float(np.sqrt(max(variance, 0.0)))
+    shifts, values = [], []
+    for one in cases:
+        known = one is Case.MIRROR_PERFECT
+        shifts.append(0.0 if known else optics[one].noise_shift(trough.sigma_slope))
+        values.append(np.zeros(trough.nodes.node.size) if known else optics[one].of_nodes())
+    rest = (shifts[0] - shifts[1]) ** 2 + trough.missing.sigma(values[0] - values[1]) ** 2 + _TABLE_ERROR**2
+    variance = max(float(trough.covariance(change)[0, 0]), 0.0) + rest
+    return optics[case].ratio() - optics[Case.AS_MEASURED].ratio(), float(np.sqrt(variance))
