@@ -49,7 +49,7 @@ def maps(results: TroughResults) -> Html:
     limit = robust_limit(_MRAD * angles["theta_ra"], _MRAD * angles["theta_r"])
     drawn = [
         _angle_map(results, "theta_ra", "theta_ra (+ to +x): mirror and absorber", limit),
-        _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit),
+        theta_r_map(results, limit),
         _angle_map(results, "theta_a", "theta_a (+ to +x): absorber alone", None),
         _untilted(results, limit),
         _sigma_map(results),
@@ -70,6 +70,24 @@ def _shares(results: TroughResults) -> Html:
     shares = uncertainty_shares(results.base.slope_map)
     rows = [(name, f"{_MRAD * across:.4f} mrad") for name, (across, _) in shares.items()]
     return table(("uncertainty of theta_r, RMS over the mirror", "1 sigma"), rows, numbers=(1,))
+
+
+def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
+    """Draw the mirror's slope error.
+
+    Parameters
+    ----------
+    results : TroughResults
+        The results.
+    limit : float, optional
+        Where the colours end [mrad].
+
+    Returns
+    -------
+    Figure
+        A map [mrad].
+    """
+    return _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit)
 
 
 def _angle_map(results: TroughResults, name: str, title: str, limit: float | None) -> "Figure":
