@@ -166,6 +166,14 @@ def test_window_moves_by_twice_the_angle_of_the_normal() -> None:
     np.testing.assert_allclose(turned.upper_rad - still.upper_rad, 2e-3, atol=1e-12)
 
 
+def test_a_slanting_mirror_catches_less_of_a_sun_beside_the_axis() -> None:
+    optics = integrated(np.zeros((2, 50)), beam_profile(sun_profile(SUN)))
+    # A sun towards +x, where the mirror faces away from it.
+    sun = np.array([np.sin(0.1), np.cos(0.1)])
+    caught = np.stack([-optics.nodes.design_slope_x, np.ones(100)], axis=1) @ sun
+    np.testing.assert_allclose(optics.light(0.1), caught / caught.sum(), rtol=1e-12)
+
+
 def test_a_turned_mirror_wants_a_turned_sun() -> None:
     trough = measured_trough(slope_map(np.full((20, 100), 2e-3)), FOCUS, SOLTRACE)
     profile = beam_profile(sun_profile(SUN), tracking_error_rad=4e-3)
