@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliogauge.camera import Camera
-from heliogauge.measurement import ObserverMeasurement
+from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap

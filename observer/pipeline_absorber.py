@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.images import read_image
-from heliogauge.measurement import ObserverMeasurement
+from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.notation import number_text
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.store import Summary, hash_files, write_points_csv, write_summary, write_table_csv

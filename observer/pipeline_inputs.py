@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 
 from heliogauge.errors import InputError
-from heliogauge.measurement import ObserverMeasurement, PhotogrammetryMeasurement
+from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_models import PhotosSection
-from heliogauge.measurement_observer import TroughSection
+from heliogauge.measurement_observer import ObserverMeasurement, TroughSection
 from heliogauge.measurement_photogrammetry import (
     CoordinateSection,
     DatumSection,
