@@ -133,7 +133,8 @@ def init(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="deflectometry, photogrammetry, photogrammetry-plan, observer, response or camera."
+            metavar="KIND",
+            help="deflectometry, photogrammetry, photogrammetry-plan, observer, observer-plan, response or camera.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],

@@ -19,13 +19,14 @@ from heliogauge.measurement_faults import fault_lines
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
 from heliogauge.measurement_observer import ObserverMeasurement, ObserverModel
+from heliogauge.measurement_observer_plan import ObserverPlanMeasurement, ObserverPlanModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
-from heliogauge.measurement_plan import PhotogrammetryPlanModel
+from heliogauge.measurement_plan import PhotogrammetryPlanMeasurement, PhotogrammetryPlanModel
 from heliogauge.video import list_frames, video_of
 
 MEASUREMENT_FILE = "measurement.toml"
 Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
-         | ObserverModel)  # fmt: skip
+         | ObserverModel | ObserverPlanModel)  # fmt: skip
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
     "response": ResponseModel,
@@ -33,16 +34,15 @@ KINDS: dict[str, type[Model]] = {
     "photogrammetry": PhotogrammetryModel,
     "photogrammetry-plan": PhotogrammetryPlanModel,
     "observer": ObserverModel,
+    "observer-plan": ObserverPlanModel,
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
-    "deflectometry": "heliogauge deflectometry",
-    "response": "heliogauge calibrate response",
-    "camera": "heliogauge calibrate camera",
-    "photogrammetry": "heliogauge photogrammetry",
-    "photogrammetry-plan": "heliogauge photogrammetry plan",
-    "observer": "heliogauge observer",
-}
+    "deflectometry": "heliogauge deflectometry", "response": "heliogauge calibrate response",
+    "camera": "heliogauge calibrate camera", "photogrammetry": "heliogauge photogrammetry",
+    "photogrammetry-plan": "heliogauge photogrammetry plan", "observer": "heliogauge observer",
+    "observer-plan": "heliogauge observer plan",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,28 +153,6 @@ class PhotogrammetryMeasurement:
         named += [] if model.surface is None else model.surface.names
         images = dict.fromkeys(video_of(file) for file in self.photo_files)
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *images)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PhotogrammetryPlanMeasurement:
-    """A checked plan of a photo network: what the file says, and where its files are.
-
-    Parameters
-    ----------
-    folder : Path
-        The plan's folder.
-    model : PhotogrammetryPlanModel
-        What measurement.toml says.
-    """
-
-    folder: Path
-    model: PhotogrammetryPlanModel
-
-    @property
-    def input_files(self) -> tuple[Path, ...]:
-        """All files the plan consists of, measurement.toml first."""
-        named = (self.model.object.targets, self.model.camera.file)
-        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
 
 
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
@@ -296,9 +274,7 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
         raise _other_kind(file, model, "photogrammetry")
     photos = () if model.images is None else _image_files(folder, "images.photos", model.images.photos)
     found = PhotogrammetryMeasurement(folder, model, photos)
-    for path in found.input_files:
-        if not path.is_file():
-            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    _refuse_missing(file, found.input_files)
     return replace(found, model=with_known_files(model, folder))
 
 
@@ -334,9 +310,7 @@ def load_observer(folder: Path) -> ObserverMeasurement:
     own = model.absorber.photos
     absorber = () if own is None else _image_files(folder, "absorber.photos", own)
     found = ObserverMeasurement(folder, model, photos, absorber, doubts)
-    for path in found.input_files:
-        if not path.is_file():
-            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    _refuse_missing(file, found.input_files)
     return found
 
 
@@ -363,10 +337,41 @@ def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
     if not isinstance(model, PhotogrammetryPlanModel):
         raise _other_kind(file, model, "photogrammetry-plan")
     found = PhotogrammetryPlanMeasurement(folder, model)
-    for path in found.input_files:
-        if not path.is_file():
-            raise InputError(f"{file}: there is no file {path.relative_to(folder)} in {folder}")
+    _refuse_missing(file, found.input_files)
     return found
+
+
+def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
+    """Read and check a folder with the plan of a pass over a trough.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    ObserverPlanMeasurement
+        The plan; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    file = folder / MEASUREMENT_FILE
+    model = parse_measurement(_read_toml(folder, "observer-plan"), file)
+    if not isinstance(model, ObserverPlanModel):
+        raise _other_kind(file, model, "observer-plan")
+    found = ObserverPlanMeasurement(folder, model)
+    _refuse_missing(file, found.input_files)
+    return found
+
+
+def _refuse_missing(file: Path, paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"{file}: there is no file {path.relative_to(file.parent)} in {file.parent}")
 
 
 def _other_kind(file: Path, model: Model, wanted: str) -> InputError:

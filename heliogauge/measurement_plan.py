@@ -1,6 +1,8 @@
 """What measurement.toml of ``kind = "photogrammetry-plan"`` may say."""
 
 import datetime
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -102,3 +104,25 @@ class PhotogrammetryPlanModel(Section):
     stations: StationsSection = StationsSection()
     scale_bar: tuple[PlannedBarSection, ...] = ()
     goal: GoalSection
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotogrammetryPlanMeasurement:
+    """A checked plan of a photo network: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The plan's folder.
+    model : PhotogrammetryPlanModel
+        What measurement.toml says.
+    """
+
+    folder: Path
+    model: PhotogrammetryPlanModel
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the plan consists of, measurement.toml first."""
+        named = (self.model.object.targets, self.model.camera.file)
+        return (self.folder / "measurement.toml", *(self.folder / name for name in named if name))

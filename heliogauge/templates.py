@@ -5,6 +5,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.measurement import MEASUREMENT_FILE
+from heliogauge.measurement_plan_templates import OBSERVER_PLAN, PHOTOGRAMMETRY_PLAN
 from heliogauge.measurement_surface_template import SURFACE_TEMPLATE
 from heliogauge.measurement_writer import write_text
 
@@ -354,57 +355,6 @@ sigma_mm = 0.02
     + SURFACE_TEMPLATE
 )
 
-_PHOTOGRAMMETRY_PLAN = """\
-# Plan of a photogrammetric measurement: how many photos, from where, for a wanted sigma.
-# Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
-# `heliogauge photogrammetry plan FOLDER -o OUT` writes stations.csv, the sigmas to be expected, and a report.
-
-kind = "photogrammetry-plan"
-name = "collector 1"
-
-# A design surface with targets at equal spacing, z out of the mirror: plane | paraboloid | sphere | trough ...
-[object]
-design = "trough"
-focal_length_m = 1.71           # sphere: radius_m
-width_m = 4.0                   # along x, across the trough
-height_m = 2.0                  # along y
-spacing_m = 0.4
-#: center_m = [0.0, 0.0]        # the object's middle, for a panel beside the vertex
-diameter_mm = 20.0              # of the targets' dots; 0: their size in the image does not matter
-# ... or a list of targets: columns id, x_m, y_m, z_m and, for targets with one face, normal_x, normal_y, normal_z.
-#: targets = "targets.csv"
-
-[camera]
-width_px = 6000
-height_px = 4000
-focal_px = 6100.0               # focal length over pixel pitch
-#: file = "camera.json"         # instead of these three
-sigma_px = 0.04                 # standard deviation of an image coordinate
-#: free = ["focal_px", "center_x_px", "center_y_px", "k1", "k2"]   # estimated; [] for a camera that is known
-#: smallest_px = 6.0            # smallest diameter in the image
-
-# Cameras stand on rings round the object's normal, in pairs of rings or on one.
-[stations]
-#: distance_m = 6.0             # default: where the object fills the image
-#: rings_deg = [20.0, 35.0, 50.0]    # angles from the normal
-#: up = [0.0, 1.0, 0.0]         # the vertical in the object's frame: y for a mirror that looks at the horizon
-#: lowest_m = -1.0              # heights along it between which the camera can be
-#: highest_m = 3.0
-#: turned = true                # every other photo with the camera turned by 90 degrees
-#: largest_incidence_deg = 65.0 # between a target's normal and the ray
-
-# Scale bars with a target at either end.
-[[scale_bar]]
-from_m = [-1.0, -1.2, 0.3]
-to_m = [1.0, -1.2, 0.3]
-sigma_mm = 0.01
-
-[goal]
-sigma_mm = 0.03
-of = "rms"                      # of all coordinates' sigmas, or the "largest"
-#: most_photos = 80
-"""
-
 _OBSERVER = """\
 # Photos of the absorber's reflection in a parabolic trough: slope errors, absorber position, intercept factor.
 # Lines that begin with # are comments; those that begin with #: are keys you may want. Files are beside this one.
@@ -469,7 +419,8 @@ file = "targets.csv"
 
 _TEMPLATES: dict[str, str] = {
     "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
-    "photogrammetry-plan": _PHOTOGRAMMETRY_PLAN, "observer": _OBSERVER,
+    "photogrammetry-plan": PHOTOGRAMMETRY_PLAN, "observer": _OBSERVER,
+    "observer-plan": OBSERVER_PLAN,
 }  # fmt: skip
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
-from heliogauge.measurement import PhotogrammetryPlanMeasurement
-from heliogauge.measurement_plan import PlannedObjectSection
+from heliogauge.measurement_plan import PhotogrammetryPlanMeasurement, PlannedObjectSection
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.store import (
     PhotoPose,
