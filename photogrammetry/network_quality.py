@@ -19,6 +19,8 @@ Numbers = dict[str, float | int | None]
 _DOUBTFUL = 3.0
 #: So many rejected image points of one target, a quarter of them all, are no accident.
 _DOUBLED_RAYS = 2
+#: Doubtful targets that get a sentence each; of the others so many are listed in one.
+_NAMED_ALONE, _LISTED = 3, 10
 #: Probability of naming any good image point of all.
 _FAMILY = 0.01
 #: Intersections below this many degrees say little of the depth.
@@ -333,14 +335,17 @@ def _doubled_codes(solved: Solved) -> list[str]:
     rejected = [*(one.label for one in solved.rejected), *(one.name for one in solved.network.suspicious)]
     counts = Counter(label.removeprefix("target ").partition(" in photo ")[0] for label in rejected)
     rays = dict(zip(table.targets, table.n_rays.tolist(), strict=True))
-    texts = []
-    for name, count in counts.most_common(8):
-        total = count + rays.get(name, 0)
-        if count >= _DOUBLED_RAYS and count >= 0.25 * total:
-            texts.append(
-                f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, "
-                "or did the target move?"
-            )
+    doubled = [(name, count, count + rays.get(name, 0)) for name, count in counts.most_common()]
+    doubled = [one for one in doubled if one[1] >= _DOUBLED_RAYS and one[1] >= 0.25 * one[2]]
+    texts = [
+        f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, or did "
+        "the target move?"
+        for name, count, total in doubled[:_NAMED_ALONE]
+    ]
+    if len(doubled) > _NAMED_ALONE:
+        rest = ", ".join(f"{name} ({count} of {total})" for name, count, total in doubled[_NAMED_ALONE:][:_LISTED])
+        more = ", ..." if len(doubled) > _NAMED_ALONE + _LISTED else ""
+        texts.append(f"so do those of {len(doubled) - _NAMED_ALONE} more targets or features: {rest}{more}")
     return texts
 
 

@@ -203,6 +203,16 @@ def test_a_network_that_lost_many_image_points_says_so(points_folder: Path) -> N
     assert not any("too many for chance" in text for text in doubts(few))
 
 
+def test_many_doubtful_targets_are_all_counted(points_folder: Path) -> None:
+    solved = run(load_photogrammetry(points_folder)).solved
+    names = solved.bundle.problem.observations.targets[:20]
+    lost = tuple(Rejected(0, f"target {name} in photo {k}", 1.0, "far off") for name in names for k in range(5))
+    said = [text for text in doubts(replace(solved, rejected=lost)) if "5 of 13" in text or "5 of its 13" in text]
+    assert len(said) == 4
+    assert said[-1].startswith("so do those of 17 more targets or features: ")
+    assert said[-1].endswith(", ...")
+
+
 def test_photos_of_another_size_are_refused(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
     camera = (measurement.model.camera[0].model_copy(update={"width_px": 1601}),)
