@@ -25,6 +25,12 @@ _ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
 _REJECT_TIMES = 4.0
 #: An edge of the tube has at least this share of the usual contrast.
 _LEAST_CONTRAST = 0.5
+#: The tube's edge goes on from row to row; a curve of fewer edges is a cloud's, a glint or a seam.
+_LEAST_CURVE = 6
+#: Rows further apart do not show how an edge goes on [m].
+_CONTINUED_STEP_M = 0.05
+#: From one row to the next an edge moves by at most so many distances of the rows.
+_STEEPEST_CURVE = 4.0
 #: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
 _STEEPEST_RAD = 0.04
 #: Where the slope along the trough is known better than this it helps to integrate the surface [rad].
@@ -40,6 +46,7 @@ class EdgeFate(IntEnum):
     WRONG_STEP = 1
     FAINT = 2
     BESIDE = 3
+    ALONE = 4
 
 
 FATE_TEXTS = {
@@ -47,6 +54,7 @@ FATE_TEXTS = {
     EdgeFate.WRONG_STEP: "brightness steps the other way than at the tube's edge",
     EdgeFate.FAINT: "much less contrast than the tube's edges have",
     EdgeFate.BESIDE: "does not agree with the edges around it",
+    EdgeFate.ALONE: "not continued in the neighbouring rows",
 }
 
 
@@ -192,13 +200,14 @@ def solve_reflector(
     nominal = _nominal(edges, photos, expected)
     modes = nominal.modes
     fate = _first_fate(edges)
+    fate[_is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
         raise EstimationError(
             f"reflection: only {np.count_nonzero(fate == EdgeFate.USED)} edges of the absorber's reflection were found "
             f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
             "collector's dimensions and the targets right?"
         )
-    is_bold = fate != EdgeFate.FAINT
+    is_bold = (fate != EdgeFate.FAINT) & (fate != EdgeFate.ALONE)
     nothing = (np.zeros(len(modes.covariance)), modes.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = _Surface(none, none[..., 0])
@@ -297,6 +306,34 @@ def _first_fate(edges: ReflectionEdges) -> IntArray:
     fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
     fate[size < _LEAST_CONTRAST * usual] = int(EdgeFate.FAINT)
     return np.asarray(fate, dtype=np.intp)
+
+
+def _is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolArray:
+    """Return which edges do not belong to a curve through several rows, shape (m,)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    alone = np.zeros(which.size, dtype=bool)
+    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
+    if step > _CONTINUED_STEP_M:
+        return alone
+    chosen = np.nonzero(which)[0]
+    # One group for each photo, side and row; x is less than 40 m, so groups stay apart on one axis.
+    group = (2 * edges.photo[chosen] + (edges.side[chosen] > 0)) * (y_m.size + 1) + edges.row[chosen]
+    place = 100.0 * group + edges.points_m[chosen, 0]
+    order = np.argsort(place, kind="stable")
+    place, chosen = place[order], chosen[order]
+    after = np.searchsorted(place, place + 100.0)
+    links = []
+    for offset in (-1, 0):
+        other = np.clip(after + offset, 0, place.size - 1)
+        near = np.abs(place[other] - place - 100.0) < _STEEPEST_CURVE * step
+        links.append(np.stack([np.nonzero(near)[0], other[near]]))
+    first, second = np.concatenate(links, axis=1)
+    graph = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(place.size, place.size))
+    _, curve = connected_components(graph, directed=False)
+    alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
+    return alone
 
 
 def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tuple[FloatArray, FloatArray]:
