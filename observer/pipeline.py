@@ -17,6 +17,8 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
+from observer.design_checks import refuse_impossible_cameras
+from observer.pipeline_checks import design_doubts
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
 from observer.pipeline_intercept import InterceptResult, evaluate_intercept, intercept_numbers, write_intercept
@@ -159,6 +161,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         measured=gathered(first.targets) if first.targets else None, start=first.start,
     )  # fmt: skip
     photos, views, files = _photos(measurement, network)
+    refuse_impossible_cameras(photos.eyes_m, collector)
     seen = look_again(files, views, finder, first, jobs=options.jobs, progress=progress)
     with progress.stage("absorber"):
         absorber, solution, absorber_doubts = _absorber(measurement, seen, photos, collector)
@@ -182,7 +185,9 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         tubes = (absorber_start(collector), absorber)
         picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
-    doubts = (*measurement.doubts, *absorber_doubts, *(() if coverage is None else (coverage,)))
+    with progress.stage("check the design"):
+        design = design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector)
+    doubts = (*measurement.doubts, *design, *absorber_doubts, *(() if coverage is None else (coverage,)))
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
         model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,

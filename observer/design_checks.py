@@ -1,0 +1,279 @@
+"""What the measurement itself says of the collector's dimensions: where they differ, a number was stated wrongly."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.slope_map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector
+from observer.joint_solution import sample_rows, solve_jointly
+from observer.outline import Span
+from observer.reflection import ReflectionEdges
+from observer.reflector import EdgeFate, Reflector
+from observer.slope_field import RowGrid
+
+#: Slopes of a parabola whose focal length is wrong by this share are 4 mrad off at the rim of an LS-2: no mirror that
+#: anybody would measure has its panels all tilted like that.
+_FOCAL_SHARE = 5e-3
+#: With the absorber found at the focal length that the slopes have, less suffices.
+_FOCAL_SHARE_WITH_ABSORBER = 3e-3
+#: Rows of the mirror tell the focal length where they are measured out to this share of both halves of the aperture.
+_REACH_SHARE = 0.7
+#: Rows that suffice for the tube's diameter, which is one number.
+_ROWS = 24
+#: What the diameter may be wrong by before the measurement, as a standard deviation.
+_DIAMETER_PRIOR_SHARE = 0.03
+#: What is said of the tube's diameter: more than this share of it, and more than so many sigmas.
+_DIAMETER_SHARE, _TIMES_SIGMA = 5e-3, 5.0
+#: What is said of width and length: more than this share, and more than so many sigmas.
+_SPAN_SHARE = 4e-3
+#: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
+_CLIPPED_SHARE = 0.1
+#: No camera that sees a collector is further away than this many times its largest dimension.
+_FARTHEST_TIMES = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A dimension as the measurement has it.
+
+    Parameters
+    ----------
+    value_m, sigma_m : float
+        The dimension and its standard deviation [m].
+    """
+
+    value_m: float
+    sigma_m: float
+
+
+def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
+    """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
+
+    Parameters
+    ----------
+    eyes_m : ndarray, shape (n, 3)
+        The cameras in the trough's frame [m].
+    collector : Collector
+        The design.
+
+    Raises
+    ------
+    InputError
+        Most cameras are behind the mirror, or extremely far away.
+    """
+    height = float(np.median(eyes_m[:, 2]))
+    if height < collector.rim_height_m:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are behind the mirror (median z = {height:.2f} m): the "
+            "list is mirrored. x must go across the aperture, y along the trough and z to the absorber, right-handed: "
+            "change the sign of x_m or of y_m for all targets"
+        )
+    largest = max(collector.aperture_width_m, collector.length_m, collector.focal_length_m)
+    distance = float(np.median(np.linalg.norm(eyes_m, axis=1)))
+    if distance > _FARTHEST_TIMES * largest:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are {distance:.0f} m away from a collector of "
+            f"{largest:g} m; are the coordinates in metres?"
+        )
+
+
+def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
+    """Return the focal length of the parabola whose slopes across the trough are nearest to the measured ones.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    Found
+        The focal length; its sigma takes each of the mirror's rows for one sample.
+    """
+    x = np.broadcast_to(slope_map.x_m, slope_map.shape)
+    used = slope_map.valid & np.isfinite(slope_map.slope_x)
+    # From a part of the aperture a panel's own curvature or tilt looks like another focal length.
+    far = _REACH_SHARE * collector.aperture_width_m / 2
+    rows = np.nonzero((used & (x < -far)).any(axis=1) & (used & (x > far)).any(axis=1))[0]
+    # Slopes of z = x^2 / (4 f) are x / (2 f).
+    fits = np.array([np.polyfit(x[row, used[row]], slope_map.slope_x[row, used[row]], 1)[0] for row in rows])
+    if fits.size == 0 or np.median(fits) <= 0:
+        return Found(collector.focal_length_m, np.inf)
+    value = 1 / (2 * float(np.median(fits)))
+    scatter = float(np.std(1 / (2 * fits))) if fits.size > 1 else np.inf
+    return Found(value, scatter / np.sqrt(max(fits.size, 1)))
+
+
+def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collector) -> str | None:
+    """Say whether the stated focal length contradicts mirror and absorber.
+
+    Parameters
+    ----------
+    mirror : Found
+        From `focal_length_of_mirror`.
+    absorber : AbsorberPath
+        The tube as it was found.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it does not.
+    """
+    stated = collector.focal_length_m
+    off = mirror.value_m - stated
+    if abs(off) < _TIMES_SIGMA * mirror.sigma_m:
+        return None
+    height = float(np.mean(absorber.z_m))
+    agrees = abs(height - mirror.value_m) < 0.4 * abs(off)
+    if abs(off) < (_FOCAL_SHARE_WITH_ABSORBER if agrees else _FOCAL_SHARE) * stated:
+        return None
+    where = "the absorber is at that height too" if agrees else f"the absorber is at a height of {height:.4f} m"
+    return (
+        f"collector.focal_length_m = {stated:g} m does not fit: the mirror has the slopes of a parabola of "
+        f"{mirror.value_m:.4f} m ({100 * off / stated:+.2f} %), and {where}; check the number, and that the targets' "
+        "coordinates are from the vertex"
+    )
+
+
+def diameter_of_absorber(
+    reflector: Reflector, edges: ReflectionEdges, absorber: AbsorberPath, collector: Collector
+) -> Found:
+    """Estimate the tube's diameter from the width of its reflection, together with slopes and camera positions.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution with the stated diameter.
+    edges : ReflectionEdges
+        All edges it came from.
+    absorber : AbsorberPath
+        The tube's axis.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    Found
+        The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection, in photos
+        that are some ten apart.
+    """
+    used = reflector.fate == EdgeFate.USED
+    points, side = edges.points_m[used], edges.side[used]
+    axis_x, axis_z = absorber.at(points[:, 1])
+    radius = collector.absorber_diameter_m / 2
+    unit = _DIAMETER_PRIOR_SHARE * radius
+    square = (axis_x - points[:, 0]) ** 2 + (axis_z - points[:, 2]) ** 2 - radius**2
+    d_radius = side / np.sqrt(square)
+    rows = sample_rows(reflector.grid, _ROWS)
+    number = np.full(reflector.grid.n_rows, -1)
+    number[rows] = np.arange(rows.size)
+    chosen = number[reflector.lines.row] >= 0
+    some = reflector.lines.chosen(chosen)
+    prior = reflector.modes.covariance
+    count = len(prior)
+    lines = replace(
+        some,
+        row=number[some.row],
+        common_index=np.column_stack([some.common_index, np.full(some.row.size, count)]),
+        d_common=np.column_stack([some.d_common, unit * d_radius[chosen]]),
+    )
+    covariance = np.eye(count + 1)
+    covariance[:count, :count] = prior
+    grid = RowGrid(reflector.grid.x_m, reflector.grid.joined, rows.size)
+    nothing = (np.zeros(count + 1), covariance)
+    solved = solve_jointly(lines, grid, reflector.roughness, np.zeros((rows.size, grid.x_m.size, 2)), nothing)
+    variance = float(solved.covariance_common[-1, -1])
+    # Undo the pull of the prior: the value by the photos alone.
+    own = max(1 - variance, 1e-3)
+    return Found(2 * (radius + unit * float(solved.common[-1]) / own), 2 * unit * float(np.sqrt(variance / own)))
+
+
+def diameter_doubt(found: Found, collector: Collector) -> str | None:
+    """Say whether the stated diameter of the tube contradicts the width of its reflection.
+
+    Parameters
+    ----------
+    found : Found
+        From `diameter_of_absorber`.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it does not.
+    """
+    stated = collector.absorber_diameter_m
+    off = found.value_m - stated
+    if abs(off) < max(_TIMES_SIGMA * found.sigma_m, _DIAMETER_SHARE * stated):
+        return None
+    return (
+        f"collector.absorber_diameter_mm = {1e3 * stated:g} mm does not fit: the reflection has the width of a tube of "
+        f"{1e3 * found.value_m:.2f} +- {1e3 * found.sigma_m:.2f} mm ({100 * off / stated:+.1f} %); it is the diameter "
+        "of the metal tube, without the glass"
+    )
+
+
+def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str, ...]:
+    """Say whether the stated width or length contradicts the rims in the photos.
+
+    Parameters
+    ----------
+    across, along : Span
+        From `observer.outline.spans_of`.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each number that does not fit.
+    """
+    said = []
+    for span, key, axis in ((across, "aperture_width_m", "x"), (along, "length_m", "y")):
+        if not np.isfinite(span.value_m):
+            continue
+        stated = float(getattr(collector, key))
+        least = max(_TIMES_SIGMA * span.sigma_m, _SPAN_SHARE * stated)
+        off = span.value_m - stated
+        if abs(off) > least:
+            said.append(
+                f"collector.{key} = {stated:g} m does not fit: in the photos the mirror ends at {axis} = "
+                f"{span.middle_m - span.value_m / 2:.3f} and {span.middle_m + span.value_m / 2:.3f} m, which makes "
+                f"{span.value_m:.3f} m ({100 * off / stated:+.1f} %)"
+            )
+        elif abs(span.middle_m) > least:
+            said.append(
+                f"the mirror's middle is at {axis} = {span.middle_m:.3f} m of the targets' coordinates instead of 0; "
+                "the origin belongs at the vertex, in the middle of the length"
+            )
+    return tuple(said)
+
+
+def overexposure_doubt(clipped_share: float) -> str | None:
+    """Say whether too much of the mirror is overexposed.
+
+    Parameters
+    ----------
+    clipped_share : float
+        Share of the mirror at full scale in a usual photo.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where little is.
+    """
+    if not clipped_share > _CLIPPED_SHARE:
+        return None
+    return (
+        f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
+        "move and the tube looks thinner than it is; expose so that the sky stays below full scale"
+    )

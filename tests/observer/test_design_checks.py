@@ -1,0 +1,161 @@
+"""A wrong number in [collector] is named: sentences from known figures, and rims found in drawn photos."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliogauge.camera import Camera
+from heliogauge.errors import InputError
+from heliogauge.rigid import RigidTransform
+from observer.absorber_path import AbsorberPath
+from observer.design import Collector, GlassTube, ls2
+from observer.design_checks import (
+    Found,
+    diameter_doubt,
+    focal_length_doubt,
+    outline_doubts,
+    overexposure_doubt,
+    refuse_impossible_cameras,
+)
+from observer.outline import Span, clipped_share, photos_from_above, rims_in_photo, spans_of
+
+CAMERA = Camera(480, 640, 1030.0, 1030.0, 239.5, 319.5)
+SHORT = Collector(5.0, 3.16, 1.49, 0.070, GlassTube(0.115, 0.109))
+
+
+def absorber_at(height_m: float) -> AbsorberPath:
+    return AbsorberPath.straight(0.0, height_m, 4.0)
+
+
+def test_focal_length_that_mirror_and_absorber_contradict():
+    stated = replace(ls2(), focal_length_m=1.49 * 1.01)
+    said = focal_length_doubt(Found(1.490, 5e-4), absorber_at(1.4902), stated)
+    assert said is not None
+    assert "collector.focal_length_m = 1.5049 m does not fit" in said
+    assert "1.4900 m (-0.99 %)" in said
+    assert "the absorber is at that height too" in said
+
+
+@pytest.mark.parametrize(
+    ("mirror", "height", "doubted"),
+    [
+        (Found(1.4871, 5e-4), 1.4900, False),  # a usual mirror: 0.2 %
+        (Found(1.4842, 5e-4), 1.4842, True),  # 0.4 %, and the absorber says so too
+        (Found(1.4842, 5e-4), 1.4900, False),  # 0.4 %, and the absorber is where it belongs: the panels
+        (Found(1.4751, 5e-4), 1.4900, True),  # 1 % is more than panels do
+        (Found(1.4751, 5e-3), 1.4900, False),  # not known well enough
+    ],
+)
+def test_when_the_focal_length_is_doubted(mirror, height, doubted):
+    assert (focal_length_doubt(mirror, absorber_at(height), ls2()) is not None) == doubted
+
+
+@pytest.mark.parametrize(
+    ("diameter", "sigma", "doubted"),
+    [(0.0693, 3e-5, True), (0.0698, 3e-5, False), (0.0693, 3e-4, False), (0.077, 1e-4, True)],
+)
+def test_when_the_diameter_is_doubted(diameter, sigma, doubted):
+    said = diameter_doubt(Found(diameter, sigma), ls2())
+    assert (said is not None) == doubted
+    if said is not None:
+        assert "collector.absorber_diameter_mm = 70 mm" in said
+
+
+def test_width_length_and_origin_by_name():
+    design = ls2()
+    good = Span(5.001, 1e-3, 0.0), Span(7.889, 1e-3, 0.001)
+    assert outline_doubts(*good, design) == ()
+    (wide,) = outline_doubts(Span(4.95, 1e-3, 0.0), good[1], design)
+    assert "collector.aperture_width_m = 5 m does not fit" in wide
+    assert "-2.475 and 2.475 m, which makes 4.950 m (-1.0 %)" in wide
+    (long,) = outline_doubts(good[0], Span(7.97, 1e-3, 0.0), design)
+    assert "collector.length_m = 7.89 m" in long
+    (moved,) = outline_doubts(Span(5.0, 1e-3, 0.08), good[1], design)
+    assert "middle is at x = 0.080 m" in moved
+    assert outline_doubts(Span(np.nan, np.inf, np.nan), Span(np.nan, np.inf, np.nan), design) == ()
+
+
+def test_cameras_where_none_can_be():
+    above = np.array([[-2.0, 0.0, 12.0], [0.0, 0.1, 12.0], [2.0, 0.0, 12.0]])
+    refuse_impossible_cameras(above, ls2())
+    with pytest.raises(InputError, match=r"behind the mirror .* the list is mirrored"):
+        refuse_impossible_cameras(above * [1.0, 1.0, -1.0], ls2())
+    with pytest.raises(InputError, match=r"12\d{3} m away .* are the coordinates in metres"):
+        refuse_impossible_cameras(1000 * above, ls2())
+
+
+def test_overexposed_only_beyond_a_glint():
+    assert overexposure_doubt(0.04) is None
+    assert overexposure_doubt(float("nan")) is None
+    assert "70 % of the mirror is overexposed" in (overexposure_doubt(0.7) or "")
+
+
+def camera_above(x_m: float) -> tuple[Camera, RigidTransform]:
+    """A camera 12 m above that looks down; its x is the trough's y."""
+    turn = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return CAMERA, RigidTransform(turn, -turn @ np.array([x_m, 0.0, 12.0]))
+
+
+def drawn_mirror(collector: Collector, view: tuple[Camera, RigidTransform], rng: np.random.Generator) -> np.ndarray:
+    """A bright mirror before dark ground, with dark squares for targets, found pixel by pixel on the parabola."""
+    camera, pose = view
+    height, width = camera.height_px, camera.width_px
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float)
+    eye = pose.inverse().translation_m
+    rays = pose.inverse().rotation @ np.moveaxis(camera.cast_rays(pixels), -1, 0)
+    reach = np.full(len(pixels), eye[2])
+    for _ in range(30):
+        x = eye[0] + reach * rays[0] / -rays[2]
+        reach = eye[2] - np.minimum(x**2 / (4 * collector.focal_length_m), 1.2)
+    y = eye[1] + reach * rays[1] / -rays[2]
+    bright = (np.abs(x) < collector.aperture_width_m / 2) & (np.abs(y) < collector.length_m / 2)
+    picture = np.where(bright, 190.0, 70.0)
+    for place in (-1.2, 0.1, 1.3):
+        picture[(np.abs(np.abs(x) - 2.6) < 0.1) & (np.abs(y - place) < 0.1)] = 10.0
+    return np.clip(picture + rng.normal(0, 2, picture.size), 0, 255).astype(np.uint8).reshape(height, width)
+
+
+@pytest.fixture(scope="module")
+def seven():
+    views = [camera_above(x) for x in np.linspace(-0.9, 0.9, 7)]
+    rng = np.random.default_rng(4)
+    return [drawn_mirror(SHORT, view, rng) for view in views], views
+
+
+@pytest.mark.parametrize("wrong", [{}, {"aperture_width_m": 5.05}, {"aperture_width_m": 4.95, "length_m": 3.19}])
+def test_rims_are_found_where_they_are_whatever_is_stated(seven, wrong):
+    """A pixel is 12 mm; targets stand 20 mm beside the rim."""
+    images, views = seven
+    stated = replace(SHORT, panel_edges_x_m=(), panel_edges_y_m=(), **wrong)
+    rims = np.array([rims_in_photo(image, view, stated) for image, view in zip(images, views, strict=True)])
+    across, along = spans_of(rims)
+    assert across.value_m == pytest.approx(5.0, abs=5e-3)
+    assert along.value_m == pytest.approx(3.16, abs=5e-3)
+    assert across.sigma_m < 5e-3
+    assert {text.split()[0] for text in outline_doubts(across, along, stated)} == {f"collector.{key}" for key in wrong}
+
+
+def test_no_rim_in_a_photo_without_one(seven):
+    images, views = seven
+    grey = np.random.default_rng(1).normal(120, 5, images[0].shape).astype(np.uint8)
+    rims = np.array([rims_in_photo(grey, view, SHORT) for view in views])
+    assert outline_doubts(*spans_of(rims), SHORT) == ()
+
+
+def test_share_at_full_scale(seven):
+    images, views = seven
+    assert clipped_share(images[0], views[0], SHORT) == 0
+    bright = np.where(images[0] > 150, 255, images[0]).astype(np.uint8)
+    assert clipped_share(bright, views[0], SHORT) > 0.99
+    # 255 of 65535 is dark.
+    assert clipped_share(images[0].astype(np.uint16) * 100, views[0], SHORT) == 0
+
+
+def test_photos_near_the_axis_are_chosen():
+    eyes = np.column_stack([np.linspace(-3, 3, 25), np.zeros(25), np.full(25, 12.0)])
+    chosen = photos_from_above(eyes)
+    assert len(chosen) == 7
+    assert np.abs(eyes[chosen, 0]).max() < 1.6
+    assert photos_from_above(eyes[:2]) == [0, 1]
