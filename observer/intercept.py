@@ -264,8 +264,8 @@ class TroughOptics:
         d_absorber = at_upper[:, None] * windows.d_upper_d_absorber - at_lower[:, None] * windows.d_lower_d_absorber
         return (at_upper - at_lower) * windows.d_slope_x, d_absorber
 
-    def noise_shift(self, sigma_slope: FloatArray, offset_rad: float = 0.0) -> float:
-        """Return by how much the intercept factor changes on average where slopes scatter.
+    def scattered_ratio(self, sigma_slope: FloatArray, offset_rad: float = 0.0) -> float:
+        """Return the mean of the intercept factors with all slopes one sigma higher and lower, each on its own.
 
         Parameters
         ----------
@@ -277,12 +277,11 @@ class TroughOptics:
         Returns
         -------
         float
-            Mean of the two-sided change by one sigma: the second order of the propagation, also where the sun has an
-            edge.
+            What slopes that scatter so collect on average, to second order, also where the sun has an edge.
         """
         step = np.abs(self.windows.d_slope_x) * sigma_slope
         sides = [replace(self, windows=self.windows.moved(turn, turn)).of_nodes(offset_rad) for turn in (step, -step)]
-        return float(self.light(offset_rad) @ (0.5 * (sides[0] + sides[1]) - self.of_nodes(offset_rad)))
+        return float(self.light(offset_rad) @ (sides[0] + sides[1]) / 2)
 
 
 def along_path(absorber: AbsorberPath, passing_y_m: FloatArray, d_absorber: FloatArray) -> FloatArray:

@@ -286,13 +286,16 @@ def intercept_at_offsets(
     Intercept
         For each angle.
     """
-    ratio = np.array([optics.ratio(offset) for offset in offsets_rad])
-    weights = joined([sensitivity(trough, case, optics, offset) for offset in offsets_rad])
-    variance = np.diagonal(trough.covariance(weights))
-    rest = np.full(ratio.size, _TABLE_ERROR**2)
-    if case is not Case.MIRROR_PERFECT:
-        rest += np.square([optics.noise_shift(trough.sigma_slope, offset) for offset in offsets_rad])
-        rest += np.square([trough.missing.sigma(optics.of_nodes(offset)) for offset in offsets_rad])
+    ratio, rest = np.empty(len(offsets_rad)), np.full(len(offsets_rad), _TABLE_ERROR**2)
+    for i, offset in enumerate(offsets_rad):
+        values = optics.of_nodes(offset)
+        ratio[i] = optics.light(offset) @ values
+        if case is not Case.MIRROR_PERFECT:
+            rest[i] += (optics.scattered_ratio(trough.sigma_slope, offset) - ratio[i]) ** 2
+            rest[i] += trough.missing.sigma(values) ** 2
+    variance = np.diagonal(
+        trough.covariance(joined([sensitivity(trough, case, optics, offset) for offset in offsets_rad]))
+    )
     return Intercept(ratio, np.sqrt(np.maximum(variance, 0.0) + rest))
 
 
@@ -317,9 +320,9 @@ def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], 
     change = joined([sensitivity(trough, one, optics[one]) for one in cases]).mixed(np.array([[1.0, -1.0]]))
     shifts, values = [], []
     for one in cases:
-        known = one is Case.MIRROR_PERFECT
-        shifts.append(0.0 if known else optics[one].noise_shift(trough.sigma_slope))
-        values.append(np.zeros(trough.nodes.node.size) if known else optics[one].of_nodes())
+        known, light = one is Case.MIRROR_PERFECT, optics[one]
+        shifts.append(0.0 if known else light.scattered_ratio(trough.sigma_slope) - light.ratio())
+        values.append(np.zeros(trough.nodes.node.size) if known else light.of_nodes())
     rest = (shifts[0] - shifts[1]) ** 2 + trough.missing.sigma(values[0] - values[1]) ** 2 + _TABLE_ERROR**2
     variance = max(float(trough.covariance(change)[0, 0]), 0.0) + rest
     return optics[case].ratio() - optics[Case.AS_MEASURED].ratio(), float(np.sqrt(variance))

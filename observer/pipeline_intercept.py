@@ -196,8 +196,8 @@ def evaluate_intercept(
     )  # fmt: skip
     if abs(traced.ratio - own.ratio()) > 5 * traced.sampling_sigma + 3e-4:
         warnings.append(
-            f"intercept factor: {own.ratio():.4f} by integration but {traced.ratio:.4f} by {traced.rays} rays; part of "
-            "the light meets the tube from behind or the absorber is not where the mirror throws light"
+            f"intercept factor: {own.ratio():.4f} by integration but {traced.ratio:.4f} by {traced.rays} rays; "
+            "either the absorber is far from where the mirror throws the light, or the map's nodes are too far apart"
         )
     offset, shift = _best(trough, own, profile, warnings)
     inside = np.full(trough.nodes.node.size, 1.0 / trough.nodes.node.size)
