@@ -410,11 +410,20 @@ file = "targets.csv"
 #: photos = "absorber_*.jpg"
 #: station_step_m = 0.25
 
+# The light for the intercept factor.
+#: [sun]
+#: shape = "gaussian"           # with sigma_mrad; pillbox: half_angle_mrad; buie: circumsolar_ratio; table: file
+#: sigma_mrad = 2.73
+#: [optics]
+#: specularity_mrad = 0.0       # of the reflected beam, 1 sigma in one direction
+#: tracking_error_mrad = 0.0    # of the rotation about the trough's length, 1 sigma
+
 #: [evaluation]
 #: row_step_mm = 20.0
 #: column_step_mm = 20.0
 #: largest_slope_error_mrad = 12.0
 #: longitudinal_slope_mrad = 2.0   # standard deviation of slopes along the trough, where one pass cannot measure them
+#: shape_from_slopes = true        # lines of sight meet the mirror as measured; false for normals turned on the design
 """
 
 _TEMPLATES: dict[str, str] = {
