@@ -1,5 +1,6 @@
 """Intercept factor in the pipeline: sun of measurement.toml, numbers for summary.json, curves as tables."""
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,10 +8,11 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import InputError
-from heliogauge.measurement_observer import ObserverModel, SunSection
+from heliogauge.measurement_observer import ObserverModel, OpticsSection, SunSection
 from heliogauge.store import Summary, write_summary
 from heliogauge.store_tables import read_table_csv
 from heliogauge.sun_shapes import BuieSun, GaussianSun, PillboxSun, TabulatedSun
+from heliogauge.templates import write_template
 from observer.absorber_path import AbsorberPath
 from observer.intercept_cases import Case
 from observer.pipeline_intercept import (
@@ -128,3 +130,13 @@ def test_an_absorber_away_from_the_light_is_said(tmp_path: Path) -> None:
     assert found.warnings != ()
     assert numbers["best_tracking_offset_rad"] is None
     assert "warnings" in why["best_tracking_offset_rad"]
+
+
+def test_template_shows_the_keys_of_the_light(tmp_path: Path) -> None:
+    text = write_template("observer", tmp_path).read_text()
+    light = text[text.index("#: [sun]") : text.index("#: [evaluation]")].replace("#: ", "")
+    sections = tomllib.loads(light)
+    given = model(**sections)
+    assert given.sun == SunSection()
+    assert given.optics == OpticsSection()
+    assert sections.keys() == {"sun", "optics"}
