@@ -13,7 +13,7 @@ from heliogauge.errors import InputError
 from heliogauge.validate import Float32Array, FloatArray, float_array
 from observer.design import Collector
 
-#: Arrays of a block of rays: float32 for photos, float64 as the reference in tests.
+# Arrays of a block of rays: float32 for photos, float64 as the reference in tests.
 RayArray = npt.NDArray[Any]
 
 #: Step of the table of smooth errors: joining it by straight lines is wrong by 0.006 mrad for a ripple of 3 mrad and

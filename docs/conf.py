@@ -18,6 +18,7 @@ release = __version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
 # The pages of the source tree that are included here link to each other by file name; those links work on disk.
 suppress_warnings = ["myst.xref_missing"]
 

@@ -93,7 +93,7 @@ def reach_needed_m(collector: Collector, height_m: float, slope_error_rad: float
     Returns
     -------
     float
-        |X_c| at the ends of the pass [m].
+        Size of X_c at the ends of the pass [m].
 
     Notes
     -----

@@ -3,7 +3,7 @@ r"""Lines of sight by way of the mirror: what a camera that sees the tube's edge
 The observation equation of the whole method. At a mirror point P with slopes (s_x, s_y) the normal is
 n = (-s_x, -s_y, 1). The line of sight from P to the camera, unit vector v, goes on after reflection along
 r = 2 (n.v) n / n.n - v. Across the trough it leaves under psi = atan2(r_x, r_z). It touches the absorber tube of
-radius a, whose axis it passes at A = (X_a, Z_a), where
+radius a, whose axis it passes at A = (X_a, Z_a), where::
 
     e = psi - beta + side * w = 0,   beta = atan2(X_a - P_x, Z_a - P_z),   w = asin(a / |A - P|),
 
