@@ -21,6 +21,13 @@ AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 _SAMPLES_PER_PIXEL = 1.0
 #: Near the end of the tube or a support the slope along the trough, unknown to some mrad, decides what is seen [m].
 _END_MARGIN_M = 0.04
+#: Edges with at least this contrast, and so many of them, show how dark the tube is.
+_CLEAR_CONTRAST = 0.4
+_CLEAR_EDGES = 30
+#: This share of their dark sides is darker than the tube: by noise and blur.
+_DARKEST_SHARE = 0.1
+#: The tube's side of an edge may be brighter than the tube by this share of the step: blur, weak images in the glass.
+_DARK_SHARE = 0.2
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -198,11 +205,31 @@ def _plausible(found: Edges, photo: int, eye_m: FloatArray, expected: Expectatio
     keep = np.abs(angle) < 2 * expected.slope_error_rad
     keep &= is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
     keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
+    keep &= _is_tube_dark(found, side, keep)
     keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m + _END_MARGIN_M)
     edges = ReflectionEdges(
         np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast
     )
     return edges.chosen(keep)
+
+
+def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray:
+    """Return which edges have on one side the darkness that the tube has in this photo.
+
+    The coated tube is the darkest thing that a mirror shows; ground, clouds and what lies about have edges as sharp,
+    but are brighter on both sides. Where most edges step the other way (a tube lit before a dark sky) all are kept.
+    """
+    size = np.abs(found.contrast)
+    clear = among & (size > _CLEAR_CONTRAST)
+    darkens = found.contrast * side < 0
+    if np.count_nonzero(clear) < _CLEAR_EDGES or float(size[clear & darkens].sum()) < float(
+        size[clear & ~darkens].sum()
+    ):
+        return np.ones(size.shape, dtype=bool)
+    bright = np.abs(found.rise_dn) / np.maximum(size, 1e-6)
+    dark = bright - np.abs(found.rise_dn)
+    tube = float(np.quantile(dark[clear], _DARKEST_SHARE))
+    return np.asarray(dark - tube < _DARK_SHARE * np.maximum(bright - tube, 0.0))
 
 
 def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_m: float) -> BoolArray:

@@ -207,7 +207,7 @@ def solve_reflector(
             f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
             "collector's dimensions and the targets right?"
         )
-    is_bold = (fate != EdgeFate.FAINT) & (fate != EdgeFate.ALONE)
+    is_bold = fate == EdgeFate.USED
     nothing = (np.zeros(len(modes.covariance)), modes.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = _Surface(none, none[..., 0])
@@ -295,8 +295,7 @@ def _next_surface(
 def _first_fate(edges: ReflectionEdges) -> IntArray:
     """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
 
-    Weak images in the glass, thin clouds and seams have little contrast; a step the wrong way is found again later if
-    the mirror folds the reflection there.
+    Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
     """
     darker = edges.contrast * edges.side < 0
     size = np.abs(edges.contrast)

@@ -1,0 +1,50 @@
+"""Which edges of a photo can be the tube's: by darkness, by how they go on from row to row."""
+
+import numpy as np
+
+from observer.edges import Edges
+from observer.reflection import ReflectionEdges, _is_tube_dark
+from observer.reflector import _is_alone
+
+Y = np.arange(50) * 0.02
+
+
+def curve(photo: int, rows: np.ndarray, x: np.ndarray) -> ReflectionEdges:
+    n = rows.size
+    points = np.stack([x, Y[rows], np.zeros(n)], axis=1)
+    return ReflectionEdges(np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8))
+
+
+def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() -> None:
+    long = curve(0, np.arange(40), 0.1 + 0.05 * np.arange(40))
+    short = curve(0, np.arange(10, 14), np.full(4, -0.5))
+    elsewhere = curve(1, np.arange(14, 40), np.full(26, -0.5))
+    jump = curve(1, np.arange(3), np.full(3, -0.2))
+    edges = ReflectionEdges(
+        *(
+            np.concatenate([getattr(one, name) for one in (long, short, elsewhere, jump)])
+            for name in ReflectionEdges.__slots__
+        )
+    )
+    alone = _is_alone(edges, np.ones(edges.row.size, dtype=bool), Y)
+    np.testing.assert_array_equal(alone, np.repeat([False, True, False, True], [40, 4, 26, 3]))
+    # Rows 0.4 m apart do not show how an edge goes on.
+    assert not _is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
+
+
+def edges_between(dark: np.ndarray, bright: np.ndarray) -> Edges:
+    n = dark.size
+    rise = dark - bright
+    return Edges(np.arange(n), np.zeros(n), np.full(n, 1e-3), rise, rise / bright)
+
+
+def test_edges_of_bright_things_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    tube = edges_between(np.full(60, 18.0) + rng.normal(0, 1, 60), rng.uniform(80, 200, 60))
+    ground = edges_between(rng.uniform(60, 90, 60), rng.uniform(130, 200, 60))
+    both = Edges(*(np.concatenate([getattr(one, name) for one in (tube, ground)]) for name in Edges.__slots__))
+    everything = np.ones(120, dtype=bool)
+    kept = _is_tube_dark(both, np.ones(120), everything)
+    np.testing.assert_array_equal(kept, np.repeat([True, False], 60))
+    # Steps the other way: a bright tube is not judged by its darkness.
+    assert _is_tube_dark(both, -np.ones(120), everything).all()
