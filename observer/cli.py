@@ -1,5 +1,8 @@
 """``heliogauge observer``: photos of a trough to slope errors, absorber position and intercept factor."""
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
@@ -38,6 +41,32 @@ def run_command(
         typer.echo(f"warning: {text}", err=True)
     if not quiet:
         typer.echo(headline_text(summarise(result)))
+        typer.echo(f"results: {out}")
+
+
+@app.command("align")
+def align_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Result of heliogauge observer.", show_default=False)
+    ],
+    out: OutFolder,
+    mounts: Annotated[
+        Path | None, typer.Option("--mounts", metavar="FILE", help="Table of the mounts: columns x_m, y_m.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Prescribe how panels are to be aligned to the absorber: panels.csv, mounts.csv, overlay.csv."""
+    from heliogauge.store import ResultFolder
+    from observer.pipeline_alignment import headline_text, run, write
+
+    with ResultFolder(out, force=force) as working:
+        result = run(folder, mounts)
+        write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(result))
         typer.echo(f"results: {out}")
 
 
