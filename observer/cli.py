@@ -115,3 +115,26 @@ def plan_command(
     if not quiet:
         typer.echo(headline_text(summarise(result)))
         typer.echo(f"results: {out}")
+
+
+@app.command("compare")
+def compare_command(
+    results: Annotated[
+        list[Path], typer.Argument(metavar="RESULT RESULT ...", help="Results at different orientations.")
+    ],
+    out: OutFolder,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Gravity study: one trough at several orientations; orientations.png, orientations.csv, sag_by_weight.csv."""
+    from heliogauge.store import ResultFolder
+    from observer.pipeline_compare import headline_text, run, write
+
+    with ResultFolder(out, force=force) as working:
+        result = run(results)
+        write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(result))
+        typer.echo(f"results: {out}")
