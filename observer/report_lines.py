@@ -7,7 +7,7 @@ import numpy as np
 from heliogauge.figures_canvas import FAINT, INK, LINE_X, LINE_Y, add_legend, chart_figure
 from heliogauge.report_html import Html, join, show, table
 from heliogauge.validate import FloatArray
-from observer.report_results import TroughResults, numbers
+from observer.report_results import Columns, TroughResults, numbers
 from observer.sight import Sights, change_across, misfit
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def absorber(results: TroughResults) -> Html:
         Two profiles.
     """
     note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations that no two photos show from different sides."
-    return show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
+    drawn = show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
+    return join(drawn, _listed(results.table("absorber_spans.csv")))
 
 
 def absorber_figure(results: TroughResults, axis: str) -> "Figure":
@@ -165,7 +166,12 @@ def spread_figure(results: TroughResults) -> "Figure | None":
     axes.fill_between(_MRAD * angle, error / _MRAD, color=FAINT, alpha=0.35, linewidth=0, label="errors alone")
     axes.plot(_MRAD * angle, beam / _MRAD, color=LINE_X, linewidth=1.3, label="with the sun")
     axes.set_ylim(bottom=0)
+    # Room for the second scale.
+    left, bottom, width, height = axes.get_position().bounds
+    axes.set_position((left, bottom, width - 0.09, height))
     other = axes.twinx()
+    for side in ("top", "right", "left", "bottom"):
+        other.spines[side].set_visible(False)
     other.plot(_MRAD * angle, accepted, color=LINE_Y, linewidth=1.2, linestyle="--", label="accepted share")
     other.set_ylim(0, 1.05)
     other.set_ylabel("accepted share", fontsize=8.5, color=LINE_Y)
@@ -195,31 +201,47 @@ def panels(results: TroughResults) -> Html:
     columns = results.table("panels.csv")
     if columns is None:
         return Html("")
+    return join(Html("<h2>Panels</h2>"), _listed(columns))
+
+
+def _listed(columns: Columns | None) -> Html:
+    """Return a table of results with units that are easy to read; nothing without one."""
+    if not columns:
+        return Html("")
     names = list(columns)
-    shown, factors = zip(*(_readable(name) for name in names), strict=True)
-    rows = [
-        tuple(_cell(columns[name][k], factor) for name, factor in zip(names, factors, strict=True))
-        for k in range(len(columns[names[0]]))
-    ]
-    return join(Html("<h2>Panels</h2>"), table(shown, rows, numbers=range(1, len(names))))
+    count = len(columns[names[0]])
+    shown, rows = [], [[""] * len(names) for _ in range(count)]
+    for place, name in enumerate(names):
+        values = [float(cell) for cell in columns[name] if _is_number(cell)]
+        heading, factor = _readable(name, max((abs(value) for value in values), default=0.0))
+        shown.append(heading)
+        for k in range(count):
+            rows[k][place] = _cell(columns[name][k], factor)
+    return table(shown, rows, numbers=range(1, len(names)))
 
 
-def _readable(name: str) -> tuple[str, float]:
+def _readable(name: str, largest: float) -> tuple[str, float]:
     """Return a column's heading with its unit, and the factor to that unit."""
-    units = (("_rad", "mrad", _MRAD), ("_m", "m", 1.0), ("_share", "%", 100.0), ("_ratio", "", 1.0))
-    for ending, unit, factor in units:
+    metres = ("_m", "mm", _MM) if largest < 0.1 else ("_m", "m", 1.0)
+    for ending, unit, factor in (("_rad", "mrad", _MRAD), metres, ("_share", "%", 100.0), ("_ratio", "", 1.0)):
         if name.endswith(ending):
             words = name.removesuffix(ending).replace("_", " ")
             return (f"{words} [{unit}]" if unit else words), factor
     return name.replace("_", " "), 1.0
 
 
-def _cell(text: str, factor: float) -> str:
+def _is_number(text: str) -> bool:
     try:
-        value = float(text) * factor
+        float(text)
     except ValueError:
+        return False
+    return True
+
+
+def _cell(text: str, factor: float) -> str:
+    if not _is_number(text):
         return text or "-"
-    return f"{value:.0f}" if text.lstrip("-").isdigit() else f"{value:.4g}"
+    return text if text.lstrip("-").isdigit() else f"{float(text) * factor:.4g}"
 
 
 def residuals(results: TroughResults) -> Html:

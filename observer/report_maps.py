@@ -92,21 +92,21 @@ def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
 
 def _angle_map(results: TroughResults, name: str, title: str, limit: float | None) -> "Figure":
     values = np.where(results.base.slope_map.valid, results.angles[name], np.nan)
-    note = f"RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad;"
+    note = f"RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad"
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 
 def _untilted(results: TroughResults, limit: float) -> "Figure":
     theta = np.where(results.base.slope_map.valid, results.angles["theta_r"], np.nan)
     values = theta - np.nanmean(theta)
-    note = f"RMS {_MRAD * _rms(values):.3f} mrad;"
+    note = f"RMS {_MRAD * _rms(values):.3f} mrad"
     title = "theta_r (+ to +x) without its mean"
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 
 def _sigma_map(results: TroughResults) -> "Figure":
     values = np.where(results.base.slope_map.valid, results.angles["sigma_theta_r"], np.nan)
-    note = f"median {_MRAD * float(np.nanmedian(values)):.3f} mrad;"
+    note = f"median {_MRAD * float(np.nanmedian(values)):.3f} mrad"
     style = MapStyle("Uncertainty of theta_r (1 sigma)", "mrad", _MRAD, diverging=False, note=note)
     return _panelled(results, values, style)
 
