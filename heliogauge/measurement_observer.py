@@ -87,7 +87,7 @@ class SunSection(Section):
     shape: Literal["gaussian", "pillbox", "buie", "table"] = "gaussian"
     sigma_mrad: Positive = 2.73
     half_angle_mrad: Positive = 4.65
-    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, lt=0.9)] = 0.05
+    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.7)] = 0.05
     file: Text | None = None
 
     @model_validator(mode="after")

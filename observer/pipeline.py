@@ -21,7 +21,13 @@ from observer.design_checks import refuse_impossible_cameras
 from observer.pipeline_checks import design_doubts
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
-from observer.pipeline_intercept import InterceptResult, evaluate_intercept, intercept_numbers, write_intercept
+from observer.pipeline_intercept import (
+    InterceptResult,
+    build_sun,
+    evaluate_intercept,
+    intercept_numbers,
+    write_intercept,
+)
 from observer.pipeline_photos import SeenInPhotos, build_finder, look_again, look_first
 from observer.pipeline_slices import Overlay, overlay
 from observer.reflection import Expectation
@@ -148,6 +154,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     collector = build_collector(model.collector)
+    sun = build_sun(model.sun, measurement.folder)
     start = absorber_start(collector)
     step = 1e-3 * model.evaluation.row_step_mm
     rows = max(2, round(collector.length_m / step))
@@ -177,9 +184,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)
         angles = angle_maps(slope_map, absorber, collector)
     with progress.stage("intercept factor"):
-        intercept = evaluate_intercept(
-            model, measurement.folder, slope_map, absorber, collector, reflector.sum_covariance()
-        )
+        intercept = evaluate_intercept(sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance())
     with progress.stage("picture"):
         clearest = _clearest_photo(seen, reflector)
         tubes = (absorber_start(collector), absorber)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement_observer import ObserverModel, SunSection
+from heliogauge.measurement_observer import OpticsSection, SunSection
 from heliogauge.slope_map import SlopeMap
 from heliogauge.store import write_table_csv
 from heliogauge.store_tables import read_table_csv
@@ -143,8 +143,8 @@ def build_sun(section: SunSection, folder: Path) -> SunShape:
 
 
 def evaluate_intercept(
-    model: ObserverModel,
-    folder: Path,
+    sun_shape: SunShape,
+    section: OpticsSection,
     slope_map: SlopeMap,
     absorber: AbsorberPath,
     collector: Collector,
@@ -154,10 +154,10 @@ def evaluate_intercept(
 
     Parameters
     ----------
-    model : ObserverModel
-        With ``[sun]`` and ``[optics]``.
-    folder : Path
-        Folder of the measurement.
+    sun_shape : SunShape
+        From `build_sun`.
+    section : OpticsSection
+        ``[optics]`` of measurement.toml.
     slope_map : SlopeMap
         The mirror.
     absorber : AbsorberPath
@@ -174,15 +174,12 @@ def evaluate_intercept(
 
     Raises
     ------
-    InputError
-        A sun that cannot be.
     EstimationError
         No node of the mirror was measured.
     """
-    sun_shape = build_sun(model.sun, folder)
     scatter = {
-        "specularity_rad": 1e-3 * model.optics.specularity_mrad,
-        "tracking_error_rad": 1e-3 * model.optics.tracking_error_mrad,
+        "specularity_rad": 1e-3 * section.specularity_mrad,
+        "tracking_error_rad": 1e-3 * section.tracking_error_mrad,
     }
     sun = sun_profile(sun_shape)
     profile = beam_profile(sun, **scatter)

@@ -46,7 +46,8 @@ def result(folder: Path) -> InterceptResult:
     slopes = np.array(mirror.slope_x)
     slopes[:6] = np.nan
     given = model(optics={"specularity_mrad": 1.0, "tracking_error_mrad": 2.0})
-    return evaluate_intercept(given, folder, replace(mirror, slope_x=slopes), absorber(), SOLTRACE)
+    sun = build_sun(given.sun, folder)
+    return evaluate_intercept(sun, given.optics, replace(mirror, slope_x=slopes), absorber(), SOLTRACE)
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:
@@ -123,9 +124,9 @@ def test_curves_are_written_as_tables(tmp_path: Path) -> None:
     assert spread["beam_density_per_rad"].sum() * step == pytest.approx(1.0, abs=1e-6)
 
 
-def test_an_absorber_away_from_the_light_is_said(tmp_path: Path) -> None:
+def test_an_absorber_away_from_the_light_is_said() -> None:
     mirror = slope_map(gaussian_errors(1e-3, (20, 40)))
-    found = evaluate_intercept(model(), tmp_path, mirror, absorber(0.09, 1.71), SOLTRACE)
+    found = evaluate_intercept(GaussianSun(2.73e-3), OpticsSection(), mirror, absorber(0.09, 1.71), SOLTRACE)
     numbers, why = intercept_numbers(found)
     assert found.warnings != ()
     assert numbers["best_tracking_offset_rad"] is None
