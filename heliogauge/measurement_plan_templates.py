@@ -86,6 +86,7 @@ file = "targets.csv"
 sigma_px = 0.1                  # of a target's image
 
 #: [[distance]]                 # tape measurements between targets
+#: kind = "distance"
 #: a = "1"
 #: b = "6"
 #: distance_m = 7.8

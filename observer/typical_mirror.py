@@ -10,10 +10,10 @@ from heliogauge.validate import FloatArray
 from observer.design import Collector
 
 #: Waves of a typical mirror, and the range of their periods [m].
-_WAVES = 6
+_WAVES = 7
 _PERIODS_M = (0.5, 3.0)
 #: Shares of a typical mirror's variance: panels that are turned, panels that are bent, waves.
-_SHARES = np.array([0.3, 0.3, 0.4])
+_SHARES = np.array([0.15, 0.15, 0.7])
 
 
 class Mirror(Protocol):
