@@ -100,7 +100,7 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
     index = MODES_PER_PHOTO * photo[:, None] + np.arange(MODES_PER_PHOTO)
     derivative = np.zeros((photo.size, MODES_PER_PHOTO))
     steps = np.zeros((count, 6, MODES_PER_PHOTO))
-    reading = np.zeros((MODES_PER_PHOTO * count, 6 * count))
+    reading = np.zeros((count, MODES_PER_PHOTO, 6))
     order = np.argsort(photo, kind="stable")
     first = np.searchsorted(photo[order], np.arange(count + 1))
     for k in range(count):
@@ -115,6 +115,9 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
         strongest = np.linalg.eigh(effect.T @ effect)[1][:, ::-1][:, :MODES_PER_PHOTO]
         steps[k] = root @ strongest
         derivative[rows] = derivatives[rows] @ steps[k]
-        reading[MODES_PER_PHOTO * k : MODES_PER_PHOTO * (k + 1), 6 * k : 6 * k + 6] = strongest.T @ back
-    joint = reading @ covariance @ reading.T
+        reading[k] = strongest.T @ back
+    # Each photo's unknowns read its own six movements only: blocks, not a product of whole matrices.
+    half = reading @ covariance.reshape(count, 6, 6 * count)
+    joint = reading @ np.swapaxes(half.reshape(-1, 6 * count), 0, 1).reshape(count, 6, -1)
+    joint = joint.reshape(MODES_PER_PHOTO * count, -1)
     return CameraModes(index, derivative, 0.5 * (joint + joint.T), steps)

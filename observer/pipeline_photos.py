@@ -32,6 +32,7 @@ from photogrammetry.resection import LEAST_TARGETS
 from photogrammetry.target_following import (
     KnownTargets,
     Track,
+    agrees_with_list,
     follow,
     provisional_pose,
     start_following,
@@ -176,8 +177,9 @@ class _Run:
         found = measure_photo(image, name, self.finder.section, self.finder.search)
         self.targets[name] = found
         pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
-        listed = set(found.detections.names) <= set(self.finder.known.names)
-        if pose is not None and listed and self.finder.follows:
+        if pose is None or camera is None:
+            return None
+        if self.finder.follows and agrees_with_list(found.detections, self.finder.known, camera, pose):
             self.track = start_following(image, found.detections, found.ellipses_px2, pose)
         return pose
 
@@ -301,9 +303,14 @@ def look_again(
     Raises
     ------
     InputError
-        A photo cannot be read.
+        A photo cannot be read, or all cameras stand behind the mirror.
     """
     expected = finder.expected
+    if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
+        raise InputError(
+            "targets: with the coordinates listed all cameras stand behind the mirror (z below 0); is the list "
+            "mirrored? x goes across, y along, z from the vertex to the absorber, right-handed"
+        )
     before, late = [], []
     for number, (file, view) in enumerate(zip(files, views, strict=True)):
         pose = first.poses.get(file.name)

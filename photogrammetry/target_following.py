@@ -37,6 +37,8 @@ _WHOLE_RADII = 3.2
 _LEAST_LIKENESS = 0.6
 #: A dot farther than this from where the pose has it is another one [px].
 _FAR_PX = 3.0
+#: A target that was read farther than this from where the list has it is listed wrongly [px].
+_LISTED_PX = 8.0
 #: Following goes on while this share of the targets that should be in the photo is found.
 _LEAST_SHARE = 0.6
 #: Steps of a pose until it moves no image point by more than this [px].
@@ -117,6 +119,33 @@ def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> 
         return None
 
 
+def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pose: RigidTransform) -> bool:
+    """Return whether all targets that were read are listed, and are where the list has them.
+
+    Parameters
+    ----------
+    found : Detections
+        A photo's targets, told by their codes.
+    known : KnownTargets
+        The list.
+    camera : Camera
+        The camera.
+    pose : RigidTransform
+        ``cam_from_frame``.
+
+    Returns
+    -------
+    bool
+        Whether following may name targets by their places; with a wrong list only codes may.
+    """
+    place = {name: k for k, name in enumerate(known.names)}
+    if not set(found.names) <= set(place):
+        return False
+    points = known.points_m[[place[name] for name in found.names]]
+    off = np.linalg.norm(camera.project(pose.apply(points)) - found.pixels_px, axis=1)
+    return bool((off < _LISTED_PX).all())
+
+
 def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pose: RigidTransform) -> Track:
     """Begin with a photo whose targets were measured.
 
@@ -188,19 +217,23 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
         off = np.linalg.norm(camera.project(pose.apply(known.points_m)) - matched, axis=1)
         agreeing = off < _FAR_PX
         if (agreeing == usable).all():
-            return _at(pose, track, known, camera)
+            seen = {known.names[k]: matched[k] for k in np.nonzero(usable)[0]}
+            return _at(pose, track, known, camera, seen)
         usable = agreeing
     return None
 
 
-def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
-    """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
+def _at(
+    pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera, seen: Mapping[str, FloatArray]
+) -> Track:
+    """Say where all listed targets are that the photo shows whole: as seen; those that come in look like the others."""
     pixels = camera.project(pose.apply(known.points_m))
     usual = next(iter(track.ellipses.values())).shape_px2
     ellipses = {}
     for k in np.nonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))[0]:
-        before = track.ellipses.get(known.names[k])
-        ellipses[known.names[k]] = Ellipse(pixels[k], usual if before is None else before.shape_px2)
+        name = known.names[k]
+        before = track.ellipses.get(name)
+        ellipses[name] = Ellipse(seen.get(name, pixels[k]), usual if before is None else before.shape_px2)
     return Track(pose, track.patterns, ellipses, track.radius_px)
 
 

@@ -13,7 +13,7 @@ from heliogauge.distortion import BrownDistortion
 from photogrammetry.coded_targets import Polarity, aicon_dictionary
 from photogrammetry.detect import SearchLimits
 from photogrammetry.photo_targets import TargetSearch, measure_at, measure_targets
-from photogrammetry.target_following import KnownTargets, follow, provisional_pose, start_following
+from photogrammetry.target_following import KnownTargets, agrees_with_list, follow, provisional_pose, start_following
 
 CAMERA = Camera(
     SMALL_CAMERA.width_px, SMALL_CAMERA.height_px, SMALL_CAMERA.focal_x_px, SMALL_CAMERA.focal_y_px,
@@ -79,6 +79,15 @@ def test_one_wrong_entry_of_the_list_neither_stops_following_nor_moves_it(walk) 
     assert track is not None
     off = CAMERA.project(track.pose.apply(known.points_m)) - CAMERA.project(right.pose.apply(known.points_m))
     assert np.abs(off).max() < 1.5
+
+
+def test_a_list_that_exchanges_two_targets_does_not_agree(walk) -> None:
+    _, known, images = walk
+    found = measure_targets(images[0], "walk_0", SEARCH).detections
+    exchanged = KnownTargets((known.names[1], known.names[0], *known.names[2:]), known.points_m, known.sigma_m)
+    for listed, agrees in ((known, True), (exchanged, False)):
+        pose = provisional_pose(found, listed, CAMERA)
+        assert agrees_with_list(found, listed, CAMERA, pose) is agrees
 
 
 def test_another_picture_is_not_followed(walk) -> None:
