@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -13,7 +14,6 @@ from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import Float32Array, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
-from observer.rectify import rectified_strip
 from observer.sight import Sights, misfit
 
 AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
@@ -65,9 +65,13 @@ class Slices:
         collector : Collector
             The design.
         """
-        for place, y in enumerate(self.y_m):
-            strip = rectified_strip(image, view, collector.surface, self.x_m, np.array([y]))
-            self.brightness_dn[place, photo] = np.where(strip.seen[0], strip.image_dn[0], np.nan)
+        x, y = np.meshgrid(self.x_m, self.y_m)
+        points = np.stack([x, y, collector.surface.height(x, y)], axis=-1)
+        pixels = np.nan_to_num(view[0].project(view[1].apply(points)), nan=-1.0).astype(np.float32)
+        values = cv2.remap(image, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        last = np.array(image.shape[::-1]) - 1
+        inside = ((pixels >= 0) & (pixels <= last)).all(axis=-1)
+        self.brightness_dn[:, photo] = np.where(inside, values, np.nan)
 
 
 def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Slices:
