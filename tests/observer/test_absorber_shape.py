@@ -1,15 +1,19 @@
 """Offset, tilt and sag of the tube: beams held in different ways, gravity, hidden supports, sigmas, warnings."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from heliogauge.errors import InputError
+from heliogauge.store_tables import write_table_csv
 from observer.absorber import AbsorberSolution, StationFate
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.absorber_shape import alignment, spans, supports_of
 from observer.design import Collector, ls2
+from observer.pipeline_inputs import read_absorber
 
 COLLECTOR = replace(ls2(), support_y_m=np.array([-3.945, 0.0, 3.945]))
 Y_M = np.linspace(-3.945, 3.945, 33)
@@ -105,6 +109,18 @@ def test_table_says_why_a_station_has_no_value() -> None:
     assert absorber_columns(path, None, COLLECTOR)["flag"].max() == 0
     spans_table = span_columns(tube_spans(path, solution_of(path), COLLECTOR, 0.0))
     assert spans_table["from_y_m"] == [-3.945, 0.0]
+
+
+def test_a_table_of_an_earlier_result_is_read_without_the_stations_that_were_hidden(tmp_path: Path) -> None:
+    path = path_of(4e-4 * Y_M, 2e-3 * np.cos(Y_M), 4e-8 * np.eye(66))
+    write_table_csv(tmp_path / "absorber.csv", absorber_columns(path, solution_of(path), COLLECTOR))
+    again = read_absorber(tmp_path / "absorber.csv")
+    np.testing.assert_allclose(again.y_m, Y_M[VISIBLE])
+    np.testing.assert_allclose(again.z_m, path.z_m[VISIBLE])
+    np.testing.assert_allclose(again.sigma_at(again.y_m)[0], 2e-4)
+    (tmp_path / "empty.csv").write_text("y_m,x_a_m,z_a_m,sigma_x_a_m,sigma_z_a_m\n0,,,,\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no row is complete"):
+        read_absorber(tmp_path / "empty.csv")
 
 
 def test_numbers_and_what_is_warned_of() -> None:
