@@ -17,7 +17,12 @@ from pydantic import ValidationError
 from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
 from heliogauge.measurement_known import with_known_files
-from heliogauge.measurement_models import CameraCalibrationModel, DeflectometryModel, ResponseModel
+from heliogauge.measurement_models import (
+    CameraCalibrationModel,
+    DeflectometryModel,
+    ResponseModel,
+    TargetFieldSection,
+)
 from heliogauge.measurement_observer import ObserverMeasurement, ObserverModel
 from heliogauge.measurement_observer_plan import ObserverPlanMeasurement, ObserverPlanModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
@@ -119,9 +124,9 @@ class CameraCalibrationMeasurement:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
-        board = getattr(self.model.board, "file", None)
-        own = (self.folder / MEASUREMENT_FILE, *((self.folder / board,) if board else ()))
-        return (*own, *self.photo_files)
+        board = self.model.board
+        named = board.named_files if isinstance(board, TargetFieldSection) else ()
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for _, name in named), *self.photo_files)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,9 +249,9 @@ def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
     model = parse_measurement(_read_toml(folder, "camera"), file)
     if not isinstance(model, CameraCalibrationModel):
         raise _other_kind(file, model, "camera")
-    board = getattr(model.board, "file", None)
-    if board is not None and not (folder / board).is_file():
-        raise InputError(f"{file}: board.file = {board!r}: there is no such file in {folder}")
+    for key, name in model.board.named_files if isinstance(model.board, TargetFieldSection) else ():
+        if not (folder / name).is_file():
+            raise InputError(f"{file}: board.{key} = {name!r}: there is no such file in {folder}")
     return CameraCalibrationMeasurement(folder, model, _image_files(folder, "images.photos", model.images.photos))
 
 

@@ -429,12 +429,19 @@ class CircleGridSection(Section):
 class TargetFieldSection(Section):
     """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent.
 
-    Without a file nothing is known of the targets' places, and they need not be near a plane.
+    Without a file nothing is known of the targets' places, and they need not be near a plane. A dictionary that ends in
+    .csv or .toml is a file with ring codes of one's own.
     """
 
     type: Literal["targets"]
     dictionary: Text
     file: Text | None = None
+
+    @property
+    def named_files(self) -> tuple[tuple[str, str], ...]:
+        """Keys that name files, with the names."""
+        own = self.dictionary if self.dictionary.lower().endswith((".csv", ".toml")) else None
+        return tuple((key, name) for key, name in (("dictionary", own), ("file", self.file)) if name)
 
 
 BoardSection = Annotated[

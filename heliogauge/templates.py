@@ -194,7 +194,7 @@ square_mm = 30.0
 #: pitch_mm = 30.0
 #: diameter_mm = 15.0
 #: type = "targets"             # ring-coded targets, on a plate or anywhere
-#: dictionary = "aicon-12"
+#: dictionary = "aicon-12"      # or a file with ring codes of your own: "codes.csv" (see docs/targets.md)
 #: file = "targets.csv"         # rough places: columns id, x_m, y_m (z_m); without it nothing is known of them
 
 [images]

@@ -28,7 +28,7 @@ from calibration.camera.pipeline_checks import (
     known_from_others,
     mirrored_rms_px,
 )
-from calibration.camera.pipeline_inputs import described_board, different_photos
+from calibration.camera.pipeline_inputs import described_board, different_photos, known_codes
 from calibration.camera.pipeline_photos import FoundBoards, UnknownField, search_photos
 from calibration.camera.pipeline_targets import started_from_targets
 from calibration.camera.projection_sigma import radial_profile, sigma_map
@@ -126,7 +126,9 @@ def run(
         hashes = hash_files(measurement.input_files, measurement.folder)
     left_out: dict[str, str] = {}
     files = different_photos(measurement.photo_files, measurement.folder, hashes, left_out)
-    found = search_photos(files, board, model.camera, jobs=options.jobs, progress=progress)
+    found = search_photos(
+        files, board, model.camera, known=known_codes(measurement), jobs=options.jobs, progress=progress
+    )
     left_out |= {str(error).split(":", 1)[0]: str(error) for error in found.failures}
     found, held = _held_out(found, options.hold_out)
     with progress.stage("start values"):

@@ -11,6 +11,8 @@ from heliogauge.errors import InputError
 from heliogauge.measurement import CameraCalibrationMeasurement
 from heliogauge.measurement_models import CharucoSection, ChessboardSection, CircleGridSection, TargetFieldSection
 from heliogauge.store import read_table_csv
+from photogrammetry.coded_targets import RingDictionary
+from photogrammetry.store_ring_codes import load_dictionary
 
 
 def described_board(measurement: CameraCalibrationMeasurement) -> Board | UnknownField:
@@ -44,6 +46,28 @@ def described_board(measurement: CameraCalibrationMeasurement) -> Board | Unknow
     if section.file is None:
         return UnknownField(section.dictionary)
     return _target_field(section, measurement.folder / section.file)
+
+
+def known_codes(measurement: CameraCalibrationMeasurement) -> RingDictionary | None:
+    """Return the codes of the board's targets: a vendor's, or those of a file beside measurement.toml.
+
+    Parameters
+    ----------
+    measurement : CameraCalibrationMeasurement
+        The measurement.
+
+    Returns
+    -------
+    RingDictionary or None
+        The dictionary; None for boards without ring codes.
+
+    Raises
+    ------
+    InputError
+        No such dictionary, or a file with faults.
+    """
+    section = measurement.model.board
+    return load_dictionary(section.dictionary, measurement.folder) if isinstance(section, TargetFieldSection) else None
 
 
 def _in_metres(value_mm: float | None) -> float | None:

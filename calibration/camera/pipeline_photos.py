@@ -16,7 +16,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.images import read_image
 from heliogauge.measurement_models import CalibratedCameraSection
 from heliogauge.progress import Progress
-from photogrammetry.coded_targets import RingDictionary, ring_dictionary
+from photogrammetry.coded_targets import RingDictionary
 from photogrammetry.detect import measure_center
 from photogrammetry.ellipse import Ellipse
 from photogrammetry.photo_targets import TargetSearch, measure_targets
@@ -57,6 +57,7 @@ def search_photos(
     board: Board | UnknownField,
     asked: CalibratedCameraSection,
     *,
+    known: RingDictionary | None,
     jobs: int | None,
     progress: Progress,
 ) -> FoundBoards:
@@ -70,6 +71,8 @@ def search_photos(
         What they show.
     asked : CalibratedCameraSection
         The size that photos should have.
+    known : RingDictionary or None
+        Codes of the board's targets; None for boards without.
     jobs : int or None
         Photos searched side by side.
     progress : Progress
@@ -88,7 +91,6 @@ def search_photos(
     found: list[BoardPoints] = []
     failures: list[EstimationError] = []
     names: dict[str, int] = {}
-    known = _dictionary(board)
     size: tuple[int, int] | None = None
 
     def one(file: Path) -> tuple[BoardPoints | EstimationError, tuple[str, ...], tuple[int, int]]:
@@ -119,10 +121,6 @@ def search_photos(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return FoundBoards(tuple(found), tuple(failures), size or (0, 0), tuple(names))
-
-
-def _dictionary(board: Board | UnknownField) -> RingDictionary | None:
-    return ring_dictionary(board.dictionary) if isinstance(board, TargetField | UnknownField) else None
 
 
 def _check_size(

@@ -5,18 +5,23 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from calibration.camera.comparison import compare
 from calibration.camera.pipeline import Options, run, write
+from calibration.camera.pipeline_inputs import described_board, known_codes
+from calibration.camera.pipeline_photos import search_photos
 from calibration.camera.report_summary import headline_text
 from calibration.camera.result import Result
 from data_synth.board_scene import board_scene, board_table
 from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
 from heliogauge.camera import PARAMETER_NAMES
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.images import write_image
 from heliogauge.measurement import load_camera_calibration
+from heliogauge.progress import SilentProgress
 from heliogauge.store import read_cameras_json, read_points_csv, read_summary
 
 FREE = [0, 1, 2, 3, 5, 6, 7, 8, 9]
@@ -241,3 +246,35 @@ def test_six_real_photos(shared_data: Path, tmp_path: Path) -> None:
     assert result.kept_apart_px < 0.06
     assert 0.15 < result.quality.rms_as_drawn_px < 0.20
     assert any(text.startswith("no roll") for text in result.warnings)
+
+
+def own_codes_folder(folder: Path) -> Path:
+    """One photo of one target: dot and two sectors of twelve, those of the word 000001000111 by one's own list."""
+    y, x = np.mgrid[:400, :400] - 200.0
+    radius, angle = np.hypot(x, y) / 20.0, np.degrees(np.arctan2(y, x)) % 360
+    word = 0b000001000111
+    sector = (angle / 30).astype(np.int64)
+    ink = (radius <= 1) | ((radius > 2) & (radius <= 3) & ((word >> (11 - sector)) & 1 == 1))
+    photo = cv2.GaussianBlur(np.where(ink, 30.0, 200.0), (0, 0), 1.0) + np.random.default_rng(0).normal(0, 1, ink.shape)
+    write_image(folder / "a.png", np.round(photo).astype(np.uint8))
+    (folder / "codes.csv").write_text("# bits = 12\nname,word\nleft,65\nright,000001000111\n", encoding="utf-8")
+    board = 'kind = "camera"\nname = "a"\n[board]\ntype = "targets"\ndictionary = "codes.csv"\n'
+    (folder / "measurement.toml").write_text(f'{board}[images]\nphotos = "*.png"\n', encoding="utf-8")
+    return folder
+
+
+def test_ring_codes_of_ones_own(tmp_path: Path) -> None:
+    measurement = load_camera_calibration(own_codes_folder(tmp_path))
+    assert [file.name for file in measurement.input_files] == ["measurement.toml", "codes.csv", "a.png"]
+    board, known = described_board(measurement), known_codes(measurement)
+    found = search_photos(
+        measurement.photo_files, board, measurement.model.camera, known=known, jobs=1, progress=SilentProgress()
+    )
+    assert found.names == ("right",)
+    np.testing.assert_allclose(found.points[0].pixels_px, [[200.0, 200.0]], atol=0.1)
+
+
+def test_a_missing_list_of_codes_is_named(tmp_path: Path) -> None:
+    (own_codes_folder(tmp_path) / "codes.csv").unlink()
+    with pytest.raises(InputError, match=r"board\.dictionary = 'codes\.csv': there is no such file"):
+        load_camera_calibration(tmp_path)
