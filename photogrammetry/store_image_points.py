@@ -91,8 +91,8 @@ def read_image_points_csv(
     if missing.any():
         warnings.append(
             f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; "
-            f"{sigmas[np.argmax(missing), 0]:g} px was taken, so only ratios are known and the covariance should be "
-            "scaled by the residuals"
+            f"{sigmas[np.argmax(missing), 0]:g} px was taken. Only ratios of the sigmas are known then, so the "
+            'residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"'
         )
     if origin is PixelOrigin.CORNER:
         pixels = pixels - 0.5

@@ -37,6 +37,10 @@ def test_corner_origin_and_missing_sigma(tmp_path):
     np.testing.assert_array_equal(found.points.pixels_px[0], [10.0, 20.0])
     np.testing.assert_allclose(found.points.covariance_px2[1], np.eye(2) * 0.04)
     assert found.sigma_assumed
+    # What is done by default is said as done, with the key that undoes it.
+    assert 'the residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"' in "".join(
+        found.warnings
+    )
     assert "2 of 2" in found.warnings[0]
     some = read_image_points_csv(written(tmp_path, HEADER + "a,1,1,2,0.3,\na,2,3,4,,\n"))
     np.testing.assert_allclose(some.points.covariance_px2, np.broadcast_to(np.eye(2) * 0.09, (2, 2, 2)))
