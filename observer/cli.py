@@ -20,7 +20,7 @@ def run_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Evaluate a measurement folder: slope_map.nc, absorber.csv, cameras.json, summary.json, report.html."""
+    """Evaluate a measurement folder: slope_map.nc, angles.nc, absorber.csv, summary.json, report.html."""
     from heliogauge.measurement import load_observer
     from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
