@@ -46,8 +46,9 @@ _PRISM_RAD = 0.06
 #: What passes the inner rim of the glass is turned by up to this: until then the reflection makes the background in the
 #: glass darker on one side [rad].
 _LARGEST_PRISM_RAD = 0.35
-#: The end of a support is seen slantwise: so far beyond it one of the tube's two edges is still hidden [m].
-_SUPPORT_MARGIN_M = 0.03
+#: So far beside a support it is seen in the mirror behind the tube and moves its edges: from 15 m by 90 urad, which is
+#: 2.6 mm in height, up to 0.1 m beside the last support of an LS-2, by 20 urad up to 0.2 m, by nothing beyond [m].
+_SUPPORT_MARGIN_M = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
