@@ -169,7 +169,9 @@ def build_network(
 
 def _attempt(empty: Growth, start: StartValues | None) -> Network:
     grown = _started(empty) if start is None else _resumed(empty, start)
-    grow(grown)
+    # A start with all photos was adjusted as a whole; only what is missing needs growth.
+    if len(grown.poses) < len(grown.table.photos) or not grown.known.all():
+        grow(grown)
     return _finished(grown)
 
 
