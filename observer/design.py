@@ -89,6 +89,11 @@ class Collector:
                 f"collector: absorber diameter {self.absorber_diameter_m:g} m against focal length "
                 f"{self.focal_length_m:g} m; are the units right?"
             )
+        if self.aperture_width_m > 12 * self.focal_length_m or self.absorber_diameter_m < 1e-3 * self.focal_length_m:
+            raise InputError(
+                f"collector: aperture {self.aperture_width_m:g} m, focal length {self.focal_length_m:g} m and absorber "
+                f"{1e3 * self.absorber_diameter_m:g} mm do not belong to one trough; are the units right?"
+            )
         if self.glass is not None and self.glass.inner_diameter_m <= self.absorber_diameter_m:
             raise InputError(
                 f"collector: the glass (inner diameter {1e3 * self.glass.inner_diameter_m:g} mm) is smaller than the "

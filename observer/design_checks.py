@@ -22,6 +22,8 @@ _FOCAL_SHARE = 5e-3
 _FOCAL_SHARE_WITH_ABSORBER = 3e-3
 #: Rows of the mirror tell the focal length where they are measured out to this share of both halves of the aperture.
 _REACH_SHARE = 0.7
+#: ... and on this share of their nodes.
+_ROW_SHARE = 0.4
 #: Rows that suffice for the tube's diameter, which is one number.
 _ROWS = 24
 #: What the diameter may be wrong by before the measurement, as a standard deviation.
@@ -32,6 +34,10 @@ _DIAMETER_SHARE, _TIMES_SIGMA = 5e-3, 5.0
 _SPAN_SHARE = 4e-3
 #: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
 _CLIPPED_SHARE = 0.1
+#: What a pass with photos near enough to each other measures of what can show the tube, and how near that is [m].
+_SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
+#: Image points that fit so much worse than they were measured are not bad photos any more.
+_MISFIT_FACTOR = 3.0
 #: No camera that sees a collector is further away than this many times its largest dimension.
 _FARTHEST_TIMES = 100.0
 
@@ -100,7 +106,8 @@ def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
     used = slope_map.valid & np.isfinite(slope_map.slope_x)
     # From a part of the aperture a panel's own curvature or tilt looks like another focal length.
     far = _REACH_SHARE * collector.aperture_width_m / 2
-    rows = np.nonzero((used & (x < -far)).any(axis=1) & (used & (x > far)).any(axis=1))[0]
+    enough = used.sum(axis=1) > _ROW_SHARE * slope_map.aperture.sum(axis=1)
+    rows = np.nonzero((used & (x < -far)).any(axis=1) & (used & (x > far)).any(axis=1) & enough)[0]
     # Slopes of z = x^2 / (4 f) are x / (2 f).
     fits = np.array([np.polyfit(x[row, used[row]], slope_map.slope_x[row, used[row]], 1)[0] for row in rows])
     if fits.size == 0 or np.median(fits) <= 0:
@@ -276,4 +283,55 @@ def overexposure_doubt(clipped_share: float) -> str | None:
     return (
         f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
         "move and the tube looks thinner than it is; expose so that the sky stays below full scale"
+    )
+
+
+def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
+    """Say whether the photos are too far apart to measure the mirror.
+
+    Parameters
+    ----------
+    measured_share : float
+        Share of the mirror with a value, of what can show the tube to these cameras.
+    eyes_m : ndarray, shape (n, 3)
+        The cameras [m].
+
+    Returns
+    -------
+    str or None
+        A sentence; None where enough is measured.
+    """
+    if measured_share > _SPARSE_SHARE:
+        return None
+    steps = np.diff(np.sort(eyes_m[:, 0]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    remedy = (
+        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough" if usual > _GOOD_STEP_M
+        else "look at reflection_edges.csv for why edges were refused"
+    )  # fmt: skip
+    return (
+        f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "
+        f"some {usual:.2f} m apart: an edge of the reflection tells the slope only where it lies; {remedy}"
+    )
+
+
+def camera_doubt(image_sigma_factor: float) -> str | None:
+    """Say whether camera and target list contradict each other.
+
+    Parameters
+    ----------
+    image_sigma_factor : float
+        How much worse image points fit than they were measured.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where they fit.
+    """
+    if image_sigma_factor < _MISFIT_FACTOR:
+        return None
+    return (
+        f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
+        "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. Let the "
+        'photos tell: under [camera] free = ["focal_px"], or calibrate the camera'
     )

@@ -17,7 +17,7 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
-from observer.design_checks import refuse_impossible_cameras
+from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.pipeline_checks import design_doubts
 from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
@@ -43,7 +43,7 @@ from observer.store_report import (
     write_overlay,
     write_slices,
 )
-from observer.visibility import Visibility, coverage_warning, visibility
+from observer.visibility import Visibility, coverage_warning, shares, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.pipeline_photos import gathered
 
@@ -191,8 +191,13 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     with progress.stage("check the design"):
-        design = design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector)
-    doubts = (*measurement.doubts, *design, *absorber_doubts, *(() if coverage is None else (coverage,)))
+        design = (
+            camera_doubt(network.solved.image_sigma_factor),
+            sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
+            *design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector),
+        )
+    said = (*measurement.doubts, *design, *absorber_doubts, coverage)
+    doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
         model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,

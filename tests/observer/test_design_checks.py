@@ -12,11 +12,13 @@ from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube, ls2
 from observer.design_checks import (
     Found,
+    camera_doubt,
     diameter_doubt,
     focal_length_doubt,
     outline_doubts,
     overexposure_doubt,
     refuse_impossible_cameras,
+    sparse_doubt,
 )
 from observer.outline import Span, clipped_share, photos_from_above, rims_in_photo, spans_of
 
@@ -89,6 +91,25 @@ def test_overexposed_only_beyond_a_glint():
     assert overexposure_doubt(0.04) is None
     assert overexposure_doubt(float("nan")) is None
     assert "70 % of the mirror is overexposed" in (overexposure_doubt(0.7) or "")
+
+
+def test_camera_and_sparse_photos_by_their_figures():
+    assert camera_doubt(0.85) is None
+    assert "4.4 times worse" in (camera_doubt(4.38) or "")
+    eyes = np.column_stack([np.linspace(-3, 3, 4), np.zeros(4), np.full(4, 12.0)])
+    assert sparse_doubt(0.8, eyes) is None
+    said = sparse_doubt(0.15, eyes) or ""
+    assert "only 15 % of the mirror" in said
+    assert "4 photos some 2.00 m apart" in said
+    assert "at most 0.2 m apart" in said
+
+
+@pytest.mark.parametrize("wrong", [{"aperture_width_m": 5000.0}, {"absorber_diameter_m": 7e-5}])
+def test_dimensions_in_other_units_are_refused(wrong):
+    with pytest.raises(InputError, match="are the units right"):
+        Collector(
+            **{"aperture_width_m": 5.0, "length_m": 7.9, "focal_length_m": 1.49, "absorber_diameter_m": 0.07} | wrong
+        )
 
 
 def camera_above(x_m: float) -> tuple[Camera, RigidTransform]:

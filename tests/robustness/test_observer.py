@@ -1,0 +1,202 @@
+"""Bad input of the Observer through the command: one clear message, or a flagged and explained result."""
+
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data_synth.trough_dataset import TroughOptions, write_trough_dataset
+from data_synth.trough_presets import TroughChoice, trough_scene
+from heliogauge.errors import MetrologyError
+from heliogauge.measurement import load_observer
+from observer.pipeline import Options, run
+
+
+@pytest.fixture(scope="session")
+def drawn_trough(tmp_path_factory) -> Path:
+    """Sixteen photos of a short trough: no test may change it."""
+    folder = tmp_path_factory.mktemp("trough") / "measurement"
+    write_trough_dataset(folder, trough_scene("small", TroughChoice(n_photos=16)), TroughOptions(0))
+    return folder
+
+
+@pytest.fixture
+def trough(drawn_trough, tmp_path) -> Path:
+    """A copy to spoil, in a folder with spaces and letters that are not ASCII."""
+    return shutil.copytree(drawn_trough, tmp_path / "Rinne Süd 1")
+
+
+def photos_of(folder: Path) -> list[Path]:
+    return sorted(folder.glob("photo_*.png"))
+
+
+def each_target(folder: Path, change) -> None:
+    file = folder / "targets.csv"
+    head, *lines = file.read_text().splitlines()
+    rows = [change(number, line.split(",")) for number, line in enumerate(lines)]
+    file.write_text("\n".join([head, *(",".join(row) for row in rows if row)]) + "\n")
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(MetrologyError) as caught:
+        run(load_observer(folder), Options(jobs=1))
+    return str(caught.value)
+
+
+def warnings_of(folder: Path) -> str:
+    return "\n".join(run(load_observer(folder), Options(jobs=1)).warnings)
+
+
+def scaled(factor: float, *columns: int):
+    def change(_, row):
+        return [str(float(cell) * factor) if place in columns else cell for place, cell in enumerate(row)]
+
+    return change
+
+
+# --- refused before anything is computed ----------------------------------------------------------------------------
+
+
+def test_no_list_of_targets(trough):
+    (trough / "targets.csv").unlink()
+    assert "there is no file targets.csv in" in refused(trough)
+
+
+def test_folder_without_photos(trough):
+    for file in photos_of(trough):
+        file.unlink()
+    assert "images.photos = 'photo_*.png': no file in" in refused(trough)
+
+
+def test_target_listed_twice(trough):
+    each_target(trough, lambda number, row: ["1", *row[1:]] if number == 3 else row)
+    assert "targets.csv, line 5: target 1 stands in line 2 already" in refused(trough)
+
+
+@pytest.mark.parametrize(("cell", "said"), [("1;5", "is not a number"), ("0", "a value above 0 is needed")])
+def test_cells_that_cannot_be_meant(trough, cell, said):
+    each_target(trough, lambda number, row: [*row[:4], cell, *row[5:]] if number == 2 else row)
+    text = refused(trough)
+    assert "targets.csv, line 4: sigma_x_mm" in text
+    assert said in text
+
+
+@pytest.mark.parametrize(("key", "new"), [("aperture_width_m", "5000.0"), ("absorber_diameter_mm", "0.07")])
+def test_collector_in_other_units(trough, rewrite, key, new):
+    rewrite(trough, (rf"^{key} = .*", f"{key} = {new}"))
+    assert "are the units right" in refused(trough)
+
+
+def test_photo_cut_off(trough):
+    file = photos_of(trough)[5]
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    assert re.search(rf"{file.name}: the PNG file is cut off", refused(trough))
+
+
+def test_video_that_is_none(trough, rewrite):
+    (trough / "pass.mp4").write_bytes(b"no video" * 100)
+    rewrite(trough, (r"^photos = .*", 'video = "pass.mp4"'))
+    assert "pass.mp4: cannot be opened as a video" in refused(trough)
+
+
+def test_output_that_cannot_be_written(trough, tmp_path, start):
+    """The result's folder would lie in a file."""
+    (tmp_path / "file").write_text("x")
+    done = start("observer", trough, "-o", tmp_path / "file" / "result", "-q")
+    _, said = done.communicate(timeout=60)
+    assert done.returncode == 2
+    assert said.count("\n") == 1
+    assert "Traceback" not in said
+
+
+# --- refused by what the photos say ---------------------------------------------------------------------------------
+
+
+def test_list_mirrored(trough):
+    each_target(trough, scaled(-1.0, 1))
+    assert "the cameras are behind the mirror" in refused(trough)
+
+
+def test_list_in_millimetres(trough):
+    each_target(trough, scaled(1000.0, 1, 2, 3))
+    assert "are the coordinates in metres" in refused(trough)
+
+
+def test_one_photo(trough):
+    for file in photos_of(trough)[1:]:
+        file.unlink()
+    assert refused(trough)
+
+
+# --- flagged --------------------------------------------------------------------------------------------------------
+
+
+def test_good_photos_have_no_doubts(trough):
+    """Sixteen bit, colour, one coordinate unknown."""
+    files = photos_of(trough)
+    for file in files[:3]:
+        grey = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(file), cv2.merge([grey, np.minimum(grey, 250), grey]))
+    each_target(trough, lambda number, row: [*row[:1], "nan", *row[2:]] if number == 3 else row)
+    assert "does not fit" not in warnings_of(trough)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("key", "new"),
+    [("aperture_width_m", 5.05), ("length_m", 3.1916), ("focal_length_m", 1.5049), ("absorber_diameter_mm", 70.7)],
+)
+def test_dimension_wrong_by_a_hundredth_is_named(trough, rewrite, key, new):
+    rewrite(trough, (rf"^{key} = .*", f"{key} = {new}"))
+    said = warnings_of(trough)
+    assert re.findall(r"collector\.(\w+) = \S+ m?m does not fit", said) == [key], said
+
+
+@pytest.mark.slow
+def test_pass_over_one_half(trough):
+    for file in photos_of(trough)[7:]:
+        file.unlink()
+    said = warnings_of(trough)
+    assert re.search(r"no photo shows an edge .* on \d+ % of the mirror \(x = .*; fly from x = ", said), said
+
+
+@pytest.mark.slow
+def test_photos_far_apart(trough):
+    for number, file in enumerate(photos_of(trough)):
+        if number % 5:
+            file.unlink()
+    assert "at most 0.2 m apart" in warnings_of(trough)
+
+
+@pytest.mark.slow
+def test_overexposed(trough):
+    for file in photos_of(trough):
+        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED).astype(float)
+        cv2.imwrite(str(file), np.clip(1.6 * image, 0, 255).astype(np.uint8))
+    assert "% of the mirror is overexposed" in warnings_of(trough)
+
+
+@pytest.mark.slow
+def test_wrong_focal_length_of_the_camera(trough, rewrite):
+    rewrite(trough, (r"^focal_px = .*", "focal_px = 1060.9"))
+    assert "the camera (its focal length, its distortion) or the list of targets is wrong" in warnings_of(trough)
+
+
+@pytest.mark.slow
+def test_video_with_dropped_frames_measures_the_same(trough, rewrite):
+    """Every photo a frame; some are lost, one is there twice."""
+    writer = cv2.VideoWriter(str(trough / "Überflug.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (480, 640))
+    for number, file in enumerate(photos_of(trough)):
+        frame = cv2.cvtColor(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), cv2.COLOR_GRAY2BGR)
+        for _ in range({3: 0, 8: 2}.get(number, 1)):
+            writer.write(frame)
+    writer.release()
+    rewrite(trough, (r"^photos = .*", 'video = "Überflug.avi"'))
+    result = run(load_observer(trough), Options(jobs=1))
+    assert len(result.photos.poses) == 15
+    assert "1 frames are exact copies" in "\n".join(result.warnings)
+    assert result.network.solved.bundle.problem.observations.photos[0] == "Überflug.avi#00000"
