@@ -33,6 +33,8 @@ _REJECT_TIMES = 4.0
 _FURTHEST_MODE = 5.0
 #: Rounds of rejection; each may leave out one photo.
 _MOST_ROUNDS = 12
+#: With less than this share of the stations measured, what was found is by chance as wide as the tube.
+_LEAST_SHARE = 0.15
 #: A station whose place is less certain than this in its worst direction is not measured [m].
 _LARGEST_SIGMA_M = 0.01
 
@@ -130,7 +132,7 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
         path, used, residuals = _adjusted(directions, photos, path)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
-    if not (fate == StationFate.MEASURED).any():
+    if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
         raise EstimationError(_why_nothing(path, n_photos, bearings))
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
     return AbsorberSolution(path, n_photos, fate, used, rms, float(np.median(bearings.diameter_m)))
@@ -298,10 +300,11 @@ def _fates(path: AbsorberPath, n_photos: IntArray) -> IntArray:
 
 
 def _why_nothing(path: AbsorberPath, n_photos: IntArray, bearings: Bearings) -> str:
-    if n_photos.max() < 2:
+    found = int(np.count_nonzero(n_photos >= 2))
+    if found < max(1.0, _LEAST_SHARE * path.n):
         return (
-            "absorber: no place along the tube is seen with both edges by two photos that agree; are the collector's "
-            "dimensions and the targets right?"
+            f"absorber: only {found} of {path.n} places along the tube are seen with both edges by two photos that "
+            "agree; are absorber_diameter_mm, focal_length_m and the targets right?"
         )
     spread = np.degrees(np.ptp(bearings.angle_rad))
     sigma = 1e3 * float(np.median(np.hypot(*path.sigma_at(path.y_m))))

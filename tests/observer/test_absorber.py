@@ -193,6 +193,13 @@ def test_a_stripe_as_wide_as_the_tube_is_not_taken_for_it() -> None:
     assert bearings.y_m.size >= 66
 
 
+def test_a_few_rows_that_look_like_a_tube_are_no_tube() -> None:
+    photos = photos_at([-5.0, 5.0])
+    bearings = simulated(photos, line(0.0, 0.0), np.random.default_rng(5))
+    with pytest.raises(EstimationError, match=r"only 1 of 9 places.*absorber_diameter_mm"):
+        solved(bearings.chosen(np.abs(bearings.y_m) < 0.05), photos)
+
+
 def test_a_photo_whose_pose_is_wrong_does_not_spoil_the_tube() -> None:
     photos = photos_at([-5.0, -3.0, -1.0, 1.0, 3.0, 5.0])
     bearings = simulated(photos, line(0.0, 0.0), np.random.default_rng(4))
