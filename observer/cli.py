@@ -70,6 +70,27 @@ def align_command(
         typer.echo(f"results: {out}")
 
 
+@app.command("overview")
+def overview_command(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULT RESULT ...", help="Results of the modules.")],
+    out: OutFolder,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put the results of several modules, as of one flight over a field, into one table: overview.csv."""
+    from heliogauge.store import ResultFolder
+    from observer.pipeline_overview import headline_text, run, write
+
+    with ResultFolder(out, force=force) as working:
+        result = run(results)
+        write(result, working)
+    for text in result.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline_text(result))
+        typer.echo(f"results: {out}")
+
+
 @app.command("absorber")
 def absorber_command(
     folder: MeasurementFolder,
