@@ -189,7 +189,9 @@ def run(
     how = SolveOptions(model.adjustment.reject, model.adjustment.family_significance, rescale)
     with progress.stage("adjust"):
         weighed = solve_weighed(measured.points, measured.ellipses_px2, kinds, cameras, knowledge, how)
-        measured, solved = replace(measured, points=weighed.points), weighed.solved
+        # Dots without a code are measured as the coded targets are, which are the first kind.
+        loose = measured.loose and measured.loose.with_sigmas_times(float(weighed.factors[0]))
+        measured, solved = replace(measured, points=weighed.points, loose=loose), weighed.solved
     with progress.stage("match targets without a code"):
         measured, solved = with_uncoded(measured, solved, listed, cameras, knowledge, how)
     checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar

@@ -116,7 +116,9 @@ def _joined(
         return MeasuredPhotos(tracks.points, shapes, sizes, (left,), (_DOUBT,), True), kinds
     points = _both(coded.points, tracks.points)
     ellipses: FloatArray = np.concatenate([coded.ellipses_px2, shapes])
-    measured = MeasuredPhotos(points, ellipses, sizes, (*coded.refused, left), (*coded.warnings, _DOUBT), True)
+    measured = MeasuredPhotos(
+        points, ellipses, sizes, (*coded.refused, left), (*coded.warnings, _DOUBT), True, coded.loose
+    )
     return measured, np.concatenate([np.zeros(coded.points.n, dtype=np.intp), kinds + 1])
 
 

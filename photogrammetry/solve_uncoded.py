@@ -43,6 +43,21 @@ class LooseDots:
     dots: Dots
     listed: ListedTargets | None = None
 
+    def with_sigmas_times(self, factor: float) -> "LooseDots":
+        """Return the dots with other sigmas.
+
+        Parameters
+        ----------
+        factor : float
+            By what the sigmas are multiplied.
+
+        Returns
+        -------
+        LooseDots
+            The dots.
+        """
+        return replace(self, dots=replace(self.dots, covariance_px2=factor**2 * self.dots.covariance_px2))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extended:

@@ -8,22 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_synth.prints import DotPrint
 from data_synth.target_dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.target_presets import PrintChoice, target_scene
+from data_synth.target_scene import Sheet
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement import load_photogrammetry, parse_measurement
 from heliogauge.measurement_natural import NaturalSection
 from heliogauge.measurement_writer import dump_toml
 from heliogauge.rigid import RigidTransform, vector_from_rotation
-from photogrammetry import natural
+from photogrammetry import natural, pipeline
 from photogrammetry.bundle import BundleResult, CameraModel
 from photogrammetry.datum import similarity_movements
 from photogrammetry.feature_tracks import Keypoints, TrackChoice, follow_tracks
-from photogrammetry.group_sigmas import solve_weighed
+from photogrammetry.group_sigmas import Weighed, solve_weighed
 from photogrammetry.network import StartValues
 from photogrammetry.pipeline import Result, run
+from photogrammetry.pipeline_photos import MeasuredPhotos
 from photogrammetry.solve_network import Datum, Knowledge, NetworkCameras, SolveOptions
+from photogrammetry.solve_uncoded import LooseDots
+from photogrammetry.uncertain_rays import Dots
 from tests.photogrammetry.bundle_networks import network
+from tests.photogrammetry.network_jobs import write_job
 
 
 def photos_of(counts: list[int]) -> list[Keypoints]:
@@ -106,9 +112,37 @@ def test_one_kind_is_left_alone() -> None:
     assert found.points is points
 
 
+def test_dots_take_what_residuals_say_of_coded_targets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The factor of the first kind is that of the dots, which are measured alike."""
+    truth, points = network(np.random.default_rng(0), 6, 20)
+    size = {"width_px": truth.cameras[0].width_px, "height_px": truth.cameras[0].height_px}
+    job = write_job(tmp_path / "in", points, camera=size)
+    dots = Dots([0], [[10.0, 20.0]], 0.01 * np.eye(2)[None], 9.0 * np.eye(2)[None])
+    shapes = np.full((points.n, 2, 2), np.nan)
+    measured = MeasuredPhotos(points, shapes, None, (), (), True, LooseDots(points.photos, dots))
+    seen = []
+
+    class EnoughError(Exception):
+        pass
+
+    def matching(given: MeasuredPhotos, *_: object) -> None:
+        seen.append(given.loose)
+        raise EnoughError
+
+    monkeypatch.setattr(pipeline, "_read_kinds", lambda *_: (measured, np.zeros(points.n, dtype=np.intp)))
+    monkeypatch.setattr(pipeline, "solve_weighed", lambda *_: Weighed(None, points, np.array([5.0, 0.5])))
+    monkeypatch.setattr(pipeline, "with_uncoded", matching)
+    with pytest.raises(EnoughError):
+        run(load_photogrammetry(job))
+    np.testing.assert_allclose(seen[0].dots.covariance_px2, [0.25 * np.eye(2)])
+
+
 def made(folder: Path, *, coded: bool, scale: float = 1.0, n_photos: int = 8) -> Path:
     scene = target_scene("natural", 0, PrintChoice(None, False, False))
-    scene = replace(scene, views=scene.views[:n_photos]).scaled(scale)
+    # Two dots without a code in gaps between the tiles.
+    places = [RigidTransform(np.eye(3), np.array([side * 0.5, 0.0, 0.05])) for side in (-1, 1)]
+    dots = tuple(Sheet(f"dot{k + 1}", DotPrint(0.028), place) for k, place in enumerate(places)) if coded else ()
+    scene = replace(scene, sheets=(*scene.sheets, *dots), views=scene.views[:n_photos]).scaled(scale)
     content = photogrammetry_content(scene) | {"natural": {"max_points": 250, "max_features": 1500}}
     if not coded:
         del content["targets"], content["scale_bar"]
@@ -193,6 +227,28 @@ def test_features_beside_coded_targets(mixed: tuple[Result, Path]) -> None:
     assert np.median(sigma[coded]) < 0.5 * np.median(sigma[~coded])
     assert any("no independent measurements" in text for text in result.warnings)
     assert any(one.name == "natural features" for one in result.refused)
+
+
+def test_dots_without_a_code_beside_features(mixed: tuple[Result, Path]) -> None:
+    """They are matched as without features, with the sigmas of the coded targets, and texture makes none of its own."""
+    result, folder = mixed
+    bundle = result.solved.bundle
+    table = bundle.problem.observations
+    dots = [i for i, name in enumerate(table.targets) if name.startswith("u")]
+    assert [table.targets[i] for i in dots] == ["u1", "u2"]
+    truth = json.loads((folder / "truth.json").read_text())["points_m"]
+    own, sigma = np.linalg.norm(np.subtract(*bundle.points_m[dots])), np.linalg.norm(bundle.sigma_points_m[dots])
+    assert abs(own - np.linalg.norm(np.subtract(truth["dot1"], truth["dot2"]))) < 4 * sigma
+    assert 0.5 < share_of_sigma(result) < 2
+
+
+def share_of_sigma(result: Result) -> float:
+    """Sigma of the image points of dots without a code, in those of coded targets."""
+    table = result.solved.bundle.problem.observations
+    sigma = np.sqrt(table.covariance_px2[:, 0, 0])
+    dots, coded = (np.array([name.startswith(first) for name in table.targets])[table.target_index] for first in
+                   ("u", tuple("0123456789")))  # fmt: skip
+    return float(np.median(sigma[dots]) / np.median(sigma[coded]))
 
 
 def test_poses_are_nearly_as_sure_as_said(mixed: tuple[Result, Path]) -> None:
