@@ -11,7 +11,7 @@ from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap
-from heliogauge.store import Summary, hash_files, write_points_csv, write_summary, write_table_csv
+from heliogauge.store import Summary, hash_files, write_cameras_json, write_points_csv, write_summary, write_table_csv
 from heliogauge.store_slope_map import write_slope_map
 from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
@@ -268,6 +268,8 @@ def write(result: Result, folder: Path) -> None:
     write_table_csv(folder / "absorber.csv", absorber_columns(*tube))
     write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(*tube, turn)))
     write_points_csv(folder / "points.csv", result.network.points)
+    poses = photogrammetry_pipeline.photo_poses(result.network)
+    write_cameras_json(folder / "cameras.json", result.network.cameras, poses)
     write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))
     refused = result.network.refused
     write_table_csv(

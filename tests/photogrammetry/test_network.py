@@ -198,5 +198,5 @@ def test_a_guess_three_times_too_long_is_tried_again():
 def test_a_single_photo_is_said_to_be_one() -> None:
     _, table = network(np.random.default_rng(1), 4, 12)
     one = table.subset(np.nonzero(table.photo_index == 0)[0]).compacted()
-    with pytest.raises(EstimationError, match="only .* shows targets; take photos from two places or more"):
+    with pytest.raises(EstimationError, match=r"only .* shows targets; take photos from two places or more"):
         build_network(one, [guessed_camera(6000, 4000)])
