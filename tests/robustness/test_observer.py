@@ -173,14 +173,6 @@ def test_photos_far_apart(trough):
 
 
 @pytest.mark.slow
-def test_overexposed(trough):
-    for file in photos_of(trough):
-        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED).astype(float)
-        cv2.imwrite(str(file), np.clip(1.6 * image, 0, 255).astype(np.uint8))
-    assert "% of the mirror is overexposed" in warnings_of(trough)
-
-
-@pytest.mark.slow
 def test_wrong_focal_length_of_the_camera(trough, rewrite):
     rewrite(trough, (r"^focal_px = .*", "focal_px = 1060.9"))
     assert "the camera (its focal length, its distortion) or the list of targets is wrong" in warnings_of(trough)
