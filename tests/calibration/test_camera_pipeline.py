@@ -137,6 +137,9 @@ def test_bad_folders(boards: dict[str, Path], tmp_path: Path) -> None:
     from heliogauge.images import write_image
 
     folder = spoiled(boards, tmp_path)
+    # What is there instead is looked for in every photo: two tell as much as eight.
+    for photo in sorted(folder.glob("photo_*.png"))[2:]:
+        photo.unlink()
     text = (folder / "measurement.toml").read_text(encoding="utf-8")
     wrong = text.replace("columns = 9", "columns = 8")
     (folder / "measurement.toml").write_text(wrong, encoding="utf-8")
