@@ -74,7 +74,8 @@ def test_shape_of_the_board_against_truth(chessboard: Result, boards: dict[str, 
     assert np.ptp(shape.departure_m[:, 2]) > 5e-4
 
 
-@pytest.mark.parametrize("kind", ["charuco", pytest.param("circles-asymmetric", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["charuco", "circles-asymmetric"])
 def test_other_boards_against_truth(kind: str, board_photos: Callable[[str], Path]) -> None:
     folder = board_photos(kind)
     result = run(load_camera_calibration(folder), Options(leave_one_out=False))
