@@ -138,6 +138,7 @@ def test_detections_become_image_points():
     assert [points.label(i) for i in range(points.n)] == ["target 5 in photo a", "target 7 in photo b"]
 
 
+@pytest.mark.slow
 def test_real_photos_of_square_markers(shared_data):
     """54 photos of a room; false markers are left out by name."""
     cv2 = pytest.importorskip("cv2")
