@@ -26,7 +26,8 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError, QualityWarning
 from heliogauge.progress import Progress, SilentProgress
-from heliogauge.video import read_frame, video_of
+from heliogauge.video import read_frame
+from heliogauge.video_names import video_of
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 

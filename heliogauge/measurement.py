@@ -27,7 +27,7 @@ from heliogauge.measurement_observer import ObserverMeasurement, ObserverModel
 from heliogauge.measurement_observer_plan import ObserverPlanMeasurement, ObserverPlanModel
 from heliogauge.measurement_photogrammetry import PhotogrammetryModel
 from heliogauge.measurement_plan import PhotogrammetryPlanMeasurement, PhotogrammetryPlanModel
-from heliogauge.video import list_frames, video_of
+from heliogauge.video_names import video_of
 
 MEASUREMENT_FILE = "measurement.toml"
 Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
@@ -308,6 +308,9 @@ def load_observer(folder: Path) -> ObserverMeasurement:
     images = model.images
     doubts: tuple[str, ...] = ()
     if images.video is not None:
+        # OpenCV costs 0.1 s, which only a video is worth.
+        from heliogauge.video import list_frames
+
         frames = list_frames(folder / images.video, every_nth=images.every_nth)
         photos, doubts = frames.files, frames.doubts
     else:

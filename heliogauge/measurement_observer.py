@@ -11,7 +11,7 @@ from heliogauge.measurement_models import ImageFiles, Number, Positive, Section,
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
 from heliogauge.measurement_photogrammetry import DistanceSection, ScaleBarSection
 from heliogauge.measurement_targets import TargetsSection
-from heliogauge.video import video_of
+from heliogauge.video_names import video_of
 
 
 class TroughSection(Section):

@@ -6,7 +6,6 @@ decoding, not by the container's index and times: those are wrong where a record
 is sent to a time stops at a neighbour.
 """
 
-import re
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.video_names import FRAME
 
-_FRAME = re.compile(r"(?P<video>.+)#(?P<number>\d{5,})")
 #: Each thread reads on from where it was; it comes to its frames in ascending order.
 _OWN = threading.local()
 
@@ -47,26 +46,6 @@ class _Reader:
     capture: Any
     following: int = 0
     latest: npt.NDArray[np.uint8] | None = None
-
-
-def video_of(path: Path) -> Path:
-    """Return the file that holds an image.
-
-    Parameters
-    ----------
-    path : Path
-        A photograph or a frame of a video.
-
-    Returns
-    -------
-    Path
-        The video of a frame; any other path as it is.
-    """
-    found = _FRAME.fullmatch(path.name)
-    if found is None or path.exists():
-        return path
-    video = path.with_name(found["video"])
-    return video if video.is_file() else path
 
 
 def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
@@ -135,7 +114,7 @@ def read_frame(path: Path) -> npt.NDArray[np.uint8]:
     InputError
         No such file or frame.
     """
-    found = _FRAME.fullmatch(path.name)
+    found = FRAME.fullmatch(path.name)
     if found is None:
         raise InputError(f"{path}: a frame is named like pass.mp4#00012")
     video, number = path.with_name(found["video"]), int(found["number"])

@@ -11,7 +11,7 @@ PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibr
 #: Modules that open files, draw or talk; everything else is numeric. A prefix ending in _ covers a family.
 _BORDER_NAMES = frozenset({
     "images", "measurement", "measurement_models", "measurement_writer", "templates", "store", "figures", "report",
-    "folders", "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale", "video",
+    "folders", "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale", "video", "video_names",
 })  # fmt: skip
 _BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_", "measurement_")
 #: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.

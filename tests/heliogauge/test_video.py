@@ -9,7 +9,8 @@ import pytest
 
 from heliogauge.errors import InputError
 from heliogauge.images import read_image, write_image
-from heliogauge.video import list_frames, video_of
+from heliogauge.video import list_frames
+from heliogauge.video_names import video_of
 
 SIZE = (96, 64)
 FORMATS = [("pass.avi", "MJPG"), ("Überflug 1.mp4", "mp4v")]
