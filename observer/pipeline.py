@@ -19,7 +19,7 @@ from observer.absorber_product import absorber_columns, absorber_warnings, shape
 from observer.design import Collector
 from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.pipeline_checks import design_doubts
-from observer.pipeline_headline import absorber_numbers, edge_numbers, slope_numbers
+from observer.pipeline_headline import absorber_numbers, edge_numbers, panel_columns, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
 from observer.pipeline_intercept import (
     InterceptResult,
@@ -264,6 +264,7 @@ def write(result: Result, folder: Path) -> None:
     network.mkdir()
     photogrammetry_pipeline.write(result.network, network)
     write_intercept(result.intercept, folder)
+    write_table_csv(folder / "panels.csv", panel_columns(result.slope_map, result.angles, result.collector))
     tube, turn = (result.absorber, result.absorber_solution, result.collector), result.orientation_rad
     write_table_csv(folder / "absorber.csv", absorber_columns(*tube))
     write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(*tube, turn)))

@@ -1,6 +1,7 @@
 """The numbers of a trough measurement: for summary.json and for the terminal."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from heliogauge.validate import FloatArray
 from observer.absorber import AbsorberSolution
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
+from observer.panel_alignment import panel_tilts
+from observer.panel_shapes import panel_shapes
 from observer.reflector import EdgeFate, Reflector
 from observer.slope_product import AngleMaps
 from observer.visibility import Visibility, shares
@@ -118,6 +121,38 @@ def edge_numbers(reflector: Reflector) -> Numbers:
         "edges_rejected_count": int((~used).sum()),
         "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
         "edge_noise_factor": reflector.noise_factor,
+    }
+
+
+def panel_columns(slope_map: SlopeMap, angles: AngleMaps, collector: Collector) -> dict[str, Any]:
+    """Return what ``panels.csv`` holds.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    angles : AngleMaps
+        The same as angles.
+    collector : Collector
+        The panels.
+
+    Returns
+    -------
+    dict
+        Columns: mean slope error and focal length of each panel with their sigma.
+    """
+    tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
+    shapes = panel_shapes(slope_map, collector)
+    return {
+        "panel": np.arange(1, tilts.tilt_rad.size + 1),
+        "centre_x_m": tilts.centre_x_m,
+        "centre_y_m": tilts.centre_y_m,
+        "mean_theta_r_rad": tilts.tilt_rad,
+        "sigma_mean_theta_r_rad": tilts.sigma_rad,
+        "focal_length_m": shapes.focal_length_m,
+        "sigma_focal_length_m": shapes.sigma_focal_length_m,
+        "rest_slope_rad": shapes.rest_rad,
+        "measured_share": tilts.measured_share,
     }
 
 
