@@ -2,11 +2,17 @@
 
 import numpy as np
 
+from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.sight import Sights, misfit
 
+#: Beyond this incidence along the trough a slope error of 2.5 mrad along it moves theta_ra by 0.5 mrad (Owkes 2012,
+#: Fig. 5.14).
+STEEP_RAD = np.radians(15.0)
+#: So much of the measured mirror may be seen more steeply without a word.
+_SILENT_SHARE = 0.05
 #: Height from which lines of sight are drawn; only their direction matters [m].
 _HEIGHT_M = 100.0
 
@@ -49,3 +55,42 @@ def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: f
     ]
     # The camera angle of the absorber's centre is 2 theta_ra; psi falls where it grows.
     return x, np.asarray(0.5 * (angles[1] - angles[0]))
+
+
+def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> str | None:
+    """Say how much of the mirror was seen so slantwise that slopes along the trough matter, which nobody measured.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror; where its slope along the trough was measured nothing is doubtful.
+    eyes_m : ndarray, shape (n, 3)
+        The cameras [m].
+    collector : Collector
+        The design.
+    along_rad : float
+        Standard deviation that the slope along the trough is assumed to have [rad].
+
+    Returns
+    -------
+    str or None
+        The warning; None where less than a twentieth of the mirror is concerned.
+    """
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    height = x**2 / (4 * collector.focal_length_m)
+    # The reflection is seen at x by the cameras that stand above it.
+    above = np.abs(slope_map.x_m[:, None] - eyes_m[:, 0]).argmin(axis=1)
+    eye = eyes_m[above]
+    incidence = np.arctan2(np.abs(eye[None, :, 1] - y), eye[None, :, 2] - height)
+    alone = slope_map.valid & ~np.isfinite(slope_map.slope_y)
+    steep = alone & (incidence > STEEP_RAD)
+    share = np.count_nonzero(steep) / max(np.count_nonzero(slope_map.valid), 1)
+    if share <= _SILENT_SHARE:
+        return None
+    most = float(incidence[steep].max())
+    moved = float(np.sqrt(np.mean(error_of_theta_ra(collector, most, along_rad)[1] ** 2)))
+    return (
+        f"{100 * share:.0f} % of the measured mirror was seen under more than 15 degrees along the trough (up to "
+        f"{np.degrees(most):.0f}); slopes along the trough, taken as {1e3 * along_rad:.1f} mrad, move theta_ra there "
+        f"by up to {1e3 * moved:.2f} mrad RMS. Fly higher, or a second pass at another place along the trough"
+    )

@@ -18,6 +18,7 @@ from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
 from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.longitudinal import incidence_warning
 from observer.pipeline_checks import design_doubts
 from observer.pipeline_headline import absorber_numbers, edge_numbers, panel_columns, slope_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
@@ -196,7 +197,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
             *design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector),
         )
-    said = (*measurement.doubts, *design, *absorber_doubts, coverage)
+    slanting = incidence_warning(slope_map, photos.eyes_m, collector, prior.along_rad)
+    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
