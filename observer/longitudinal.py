@@ -84,7 +84,7 @@ def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collec
     incidence = np.arctan2(np.abs(eye[None, :, 1] - y), eye[None, :, 2] - height)
     alone = slope_map.valid & ~np.isfinite(slope_map.slope_y)
     steep = alone & (incidence > STEEP_RAD)
-    share = np.count_nonzero(steep) / max(np.count_nonzero(slope_map.valid), 1)
+    share = int(steep.sum()) / max(int(slope_map.valid.sum()), 1)
     if share <= _SILENT_SHARE:
         return None
     most = float(incidence[steep].max())
