@@ -5,7 +5,18 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import (
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    into_folder,
+    make_app,
+    tell,
+)
 
 app = make_app("Calibration of what measures: camera; response of camera and display.")
 
@@ -23,21 +34,20 @@ def response_command(
     from calibration.screen.pipeline import Options, headline_text, run, write
     from heliogauge.errors import InputError
     from heliogauge.measurement import load_response
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
 
     if out.suffix == ".csv":
         raise InputError(f"--out {out}: give a folder, such as {out.with_suffix('')}; response.csv is written into it")
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_response(folder), Options(jobs=jobs), progress)
-        with progress.stage("write results"):
-            write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(result))
-        typer.echo(f"results: {out}; use it with response_file in [screen] of measurement.toml")
+    result = into_folder(
+        out, lambda: run(load_response(folder), Options(jobs=jobs), progress), write, force=force, progress=progress
+    )
+    tell(
+        result.warnings,
+        lambda: headline_text(result),
+        f"results: {out}; use it with response_file in [screen] of measurement.toml",
+        quiet=quiet,
+    )
 
 
 @app.command("camera")
@@ -68,22 +78,21 @@ def camera_command(
     from calibration.camera.pipeline import Options, run, write
     from calibration.camera.report_summary import headline_text
     from heliogauge.measurement import load_camera_calibration
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
-        result = run(load_camera_calibration(folder), options, progress)
-        with progress.stage("write results"):
-            write(result, working)
-        if not no_report:
-            from heliogauge.report import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(result))
-        typer.echo(f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement')
+    options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
+    result = into_folder(
+        out,
+        lambda: run(load_camera_calibration(folder), options, progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
+    )
+    tell(
+        result.warnings,
+        lambda: headline_text(result),
+        f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement',
+        quiet=quiet,
+    )

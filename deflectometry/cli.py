@@ -13,8 +13,10 @@ from heliogauge.commands import (
     OutFolder,
     Quiet,
     Verbose,
+    into_folder,
     make_app,
     parse_periods,
+    tell,
 )
 
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
@@ -47,7 +49,7 @@ def run_command(
     from deflectometry.pipeline import Options, run, write
     from heliogauge.measurement import load_measurement
     from heliogauge.slope_removal import Removal
-    from heliogauge.store import ResultFolder, read_summary
+    from heliogauge.store import read_summary
     from heliogauge.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
@@ -57,20 +59,15 @@ def run_command(
         remove=None if remove is None else Removal(remove),
         jobs=jobs,
     )
-    with ResultFolder(out, force=force) as working:
-        result = run(load_measurement(folder), options, progress)
-        with progress.stage("write results"):
-            write(result, working)
-        if not no_report:
-            from heliogauge.report import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(read_summary(out)))
-        typer.echo(f"results: {out}")
+    result = into_folder(
+        out,
+        lambda: run(load_measurement(folder), options, progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
+    )
+    tell(result.warnings, lambda: headline_text(read_summary(out)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-opencsp")

@@ -5,13 +5,17 @@ imports it only when it is called. Flags that mean the same everywhere are the a
 have one name, one help text and one meaning.
 """
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperGroup
 
 from heliogauge.errors import InputError
+from heliogauge.progress import Progress
+
+_ResultT = TypeVar("_ResultT")
 
 MeasurementFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Folder with measurement.toml and its images.", show_default=False)
@@ -81,6 +85,79 @@ def make_app(summary: str) -> typer.Typer:
     # With a callback typer keeps the group even while it holds a single command.
     app.callback()(lambda: None)
     return app
+
+
+def into_folder(
+    out: Path,
+    job: Callable[[], _ResultT],
+    write: Callable[[_ResultT, Path], None],
+    *,
+    force: bool,
+    progress: Progress,
+    report: bool = False,
+) -> _ResultT:
+    """Do a command's work and write its result into a folder that is whole or not there.
+
+    Parameters
+    ----------
+    out : Path
+        The folder.
+    job : callable
+        Does the work; is called when the folder is known to be usable.
+    write : callable
+        Writes the result into the folder it is given.
+    force : bool
+        Replace an earlier result.
+    progress : Progress
+        Told of the writing.
+    report : bool, optional
+        Add ``report.html``.
+
+    Returns
+    -------
+    object
+        What the job returned.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be used, or the job refuses its input.
+    EstimationError
+        The job's answer is not determined.
+    """
+    from heliogauge.store import ResultFolder
+
+    with ResultFolder(out, force=force) as working:
+        result = job()
+        with progress.stage("write results"):
+            write(result, working)
+        if report:
+            from heliogauge.report import build_report
+
+            with progress.stage("report"):
+                build_report(working)
+    return result
+
+
+def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, quiet: bool) -> None:
+    """Say how a command ended: warnings on standard error, the numbers and where they are on standard output.
+
+    Parameters
+    ----------
+    warnings : iterable of str
+        What makes the result doubtful; is said even where nothing else is.
+    headline : callable
+        Returns the most important numbers in a few lines.
+    ending : str
+        The last line: where the results are.
+    quiet : bool
+        Say warnings only.
+    """
+    for text in warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if not quiet:
+        typer.echo(headline())
+        typer.echo(ending)
 
 
 def parse_periods(text: str) -> tuple[float, ...]:

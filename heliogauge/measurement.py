@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
@@ -32,6 +32,7 @@ from heliogauge.video_names import video_of
 MEASUREMENT_FILE = "measurement.toml"
 Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
          | ObserverModel | ObserverPlanModel)  # fmt: skip
+_ModelT = TypeVar("_ModelT", bound=BaseModel)
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
     "response": ResponseModel,
@@ -179,10 +180,7 @@ def load_measurement(folder: Path) -> DeflectometryMeasurement:
         No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type or out
         of range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "deflectometry"), file)
-    if not isinstance(model, DeflectometryModel):
-        raise _other_kind(file, model, "deflectometry")
+    file, model = _checked(folder, DeflectometryModel)
     for key, text in model.named_files():
         if not (folder / text).is_file():
             raise InputError(f"{file}: {key} = {text!r}: there is no such file in {folder}")
@@ -214,10 +212,7 @@ def load_response(folder: Path) -> ResponseMeasurement:
     InputError
         As for `load_measurement`; or a number of photographs that differs from that of the levels.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "response"), file)
-    if not isinstance(model, ResponseModel):
-        raise _other_kind(file, model, "response")
+    file, model = _checked(folder, ResponseModel)
     grey_files = _image_files(folder, "images.grey", model.images.grey)
     if len(grey_files) != len(model.display.levels):
         raise InputError(
@@ -245,10 +240,7 @@ def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
     InputError
         As for `load_measurement`.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "camera"), file)
-    if not isinstance(model, CameraCalibrationModel):
-        raise _other_kind(file, model, "camera")
+    file, model = _checked(folder, CameraCalibrationModel)
     for key, name in model.board.named_files if isinstance(model.board, TargetFieldSection) else ():
         if not (folder / name).is_file():
             raise InputError(f"{file}: board.{key} = {name!r}: there is no such file in {folder}")
@@ -273,10 +265,7 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     InputError
         As for `load_measurement`.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "photogrammetry"), file)
-    if not isinstance(model, PhotogrammetryModel):
-        raise _other_kind(file, model, "photogrammetry")
+    file, model = _checked(folder, PhotogrammetryModel)
     photos = () if model.images is None else _image_files(folder, "images.photos", model.images.photos)
     found = PhotogrammetryMeasurement(folder, model, photos)
     _refuse_missing(file, found.input_files)
@@ -301,10 +290,7 @@ def load_observer(folder: Path) -> ObserverMeasurement:
     InputError
         As for `load_measurement`.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "observer"), file)
-    if not isinstance(model, ObserverModel):
-        raise _other_kind(file, model, "observer")
+    file, model = _checked(folder, ObserverModel)
     images = model.images
     doubts: tuple[str, ...] = ()
     if images.video is not None:
@@ -340,10 +326,7 @@ def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
     InputError
         As for `load_measurement`.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "photogrammetry-plan"), file)
-    if not isinstance(model, PhotogrammetryPlanModel):
-        raise _other_kind(file, model, "photogrammetry-plan")
+    file, model = _checked(folder, PhotogrammetryPlanModel)
     found = PhotogrammetryPlanMeasurement(folder, model)
     _refuse_missing(file, found.input_files)
     return found
@@ -367,10 +350,7 @@ def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
     InputError
         As for `load_measurement`.
     """
-    file = folder / MEASUREMENT_FILE
-    model = parse_measurement(_read_toml(folder, "observer-plan"), file)
-    if not isinstance(model, ObserverPlanModel):
-        raise _other_kind(file, model, "observer-plan")
+    file, model = _checked(folder, ObserverPlanModel)
     found = ObserverPlanMeasurement(folder, model)
     _refuse_missing(file, found.input_files)
     return found
@@ -382,10 +362,16 @@ def _refuse_missing(file: Path, paths: Sequence[Path]) -> None:
             raise InputError(f"{file}: there is no file {path.relative_to(file.parent)} in {file.parent}")
 
 
-def _other_kind(file: Path, model: Model, wanted: str) -> InputError:
-    return InputError(
-        f'{file}: kind = "{model.kind}" is not "{wanted}"; evaluate this folder with `{COMMANDS[model.kind]}`'
-    )
+def _checked(folder: Path, model_type: type[_ModelT]) -> tuple[Path, _ModelT]:
+    """Read measurement.toml of a folder, which must be of one kind; return the file and what it says."""
+    file = folder / MEASUREMENT_FILE
+    kind = next(name for name, one in KINDS.items() if one is model_type)
+    model = parse_measurement(_read_toml(folder, kind), file)
+    if not isinstance(model, model_type):
+        raise InputError(
+            f'{file}: kind = "{model.kind}" is not "{kind}"; evaluate this folder with `{COMMANDS[model.kind]}`'
+        )
+    return file, model
 
 
 def parse_measurement(content: dict[str, Any], file: Path) -> Model:

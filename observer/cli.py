@@ -5,7 +5,19 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import (
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    into_folder,
+    make_app,
+    tell,
+)
+from heliogauge.progress import SilentProgress
 
 app = make_app("Photos of the absorber's reflection in a trough -> slope errors, absorber position, intercept factor.")
 
@@ -22,26 +34,20 @@ def run_command(
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, angles.nc, absorber.csv, summary.json, report.html."""
     from heliogauge.measurement import load_observer
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
     from observer.pipeline import Options, run, summarise, write
     from observer.pipeline_headline import headline_text
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_observer(folder), Options(jobs=jobs), progress)
-        with progress.stage("write results"):
-            write(result, working)
-        if not no_report:
-            from heliogauge.report import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(summarise(result)))
-        typer.echo(f"results: {out}")
+    result = into_folder(
+        out,
+        lambda: run(load_observer(folder), Options(jobs=jobs), progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
+    )
+    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("align")
@@ -57,17 +63,10 @@ def align_command(
     quiet: Quiet = False,
 ) -> None:
     """Prescribe how panels are to be aligned to the absorber: panels.csv, mounts.csv, overlay.csv."""
-    from heliogauge.store import ResultFolder
     from observer.pipeline_alignment import headline_text, run, write
 
-    with ResultFolder(out, force=force) as working:
-        result = run(folder, mounts)
-        write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(result))
-        typer.echo(f"results: {out}")
+    result = into_folder(out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress())
+    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 
 @app.command("overview")
@@ -78,17 +77,10 @@ def overview_command(
     quiet: Quiet = False,
 ) -> None:
     """Put the results of several modules, as of one flight over a field, into one table: overview.csv."""
-    from heliogauge.store import ResultFolder
     from observer.pipeline_overview import headline_text, run, write
 
-    with ResultFolder(out, force=force) as working:
-        result = run(results)
-        write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(result))
-        typer.echo(f"results: {out}")
+    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress())
+    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 
 @app.command("absorber")
@@ -102,19 +94,14 @@ def absorber_command(
 ) -> None:
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, summary.json."""
     from heliogauge.measurement import load_observer
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
     from observer.pipeline_absorber import Options, headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_observer(folder), Options(jobs=jobs), progress)
-        write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(summarise(result)))
-        typer.echo(f"results: {out}")
+    result = into_folder(
+        out, lambda: run(load_observer(folder), Options(jobs=jobs), progress), write, force=force, progress=progress
+    )
+    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("plan")
@@ -123,19 +110,12 @@ def plan_command(
 ) -> None:
     """Plan a pass: the sigmas to be expected at every point, what will be missing, where to fly; stations.csv."""
     from heliogauge.measurement import load_observer_plan
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
     from observer.pipeline_plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_observer_plan(folder), progress)
-        write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(summarise(result)))
-        typer.echo(f"results: {out}")
+    result = into_folder(out, lambda: run(load_observer_plan(folder), progress), write, force=force, progress=progress)
+    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("compare")
@@ -148,14 +128,7 @@ def compare_command(
     quiet: Quiet = False,
 ) -> None:
     """Gravity study: one trough at several orientations; orientations.png, orientations.csv, sag_by_weight.csv."""
-    from heliogauge.store import ResultFolder
     from observer.pipeline_compare import headline_text, run, write
 
-    with ResultFolder(out, force=force) as working:
-        result = run(results)
-        write(result, working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(result))
-        typer.echo(f"results: {out}")
+    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress())
+    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)

@@ -5,7 +5,18 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, make_app
+from heliogauge.commands import (
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    into_folder,
+    make_app,
+    tell,
+)
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
 
@@ -22,26 +33,20 @@ def run_command(
 ) -> None:
     """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
     from heliogauge.measurement import load_photogrammetry
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
     from photogrammetry.pipeline import Options, run, summarise, write
     from photogrammetry.pipeline_headline import headline_text
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_photogrammetry(folder), Options(jobs=jobs), progress)
-        with progress.stage("write results"):
-            write(result, working)
-        if not no_report:
-            from heliogauge.report import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    for text in result.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(summarise(result)))
-        typer.echo(f"results: {out}")
+    result = into_folder(
+        out,
+        lambda: run(load_photogrammetry(folder), Options(jobs=jobs), progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
+    )
+    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-colmap")
@@ -87,24 +92,19 @@ def plan_command(
 ) -> None:
     """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
     from heliogauge.measurement import load_photogrammetry_plan
-    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
     from photogrammetry.pipeline_plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    with ResultFolder(out, force=force) as working:
-        result = run(load_photogrammetry_plan(folder), progress)
-        write(result, working)
-        if not no_report:
-            from heliogauge.report import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    for text in result.plan.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline_text(summarise(result)))
-        typer.echo(f"results: {out}")
+    result = into_folder(
+        out,
+        lambda: run(load_photogrammetry_plan(folder), progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
+    )
+    tell(result.plan.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command()
