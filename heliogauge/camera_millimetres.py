@@ -7,13 +7,24 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.camera import PARAMETER_NAMES, Camera
-from heliogauge.camera_photogrammetric import PrincipalOrigin, carried_back
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
 
 _COUNT = len(PARAMETER_NAMES)
 _POWERS = np.array([2, 4, 6])
+
+#: Our camera frame (x right, y down, z forward) from the photogrammetric one (x right, y up, looking along -z):
+#: ``cam_from_world = CAM_FROM_PHOTOGRAMMETRIC @ rotation_from_omega_phi_kappa(...)``.
+CAM_FROM_PHOTOGRAMMETRIC: FloatArray = np.diag([1.0, -1.0, -1.0])
+CAM_FROM_PHOTOGRAMMETRIC.setflags(write=False)
+
+
+class PrincipalOrigin(StrEnum):
+    """Where the principal point is counted from."""
+
+    CORNER = "corner"
+    CENTER = "center"
 
 
 class LensForm(StrEnum):
@@ -57,7 +68,7 @@ class Sensor:
     Raises
     ------
     InputError
-        A size that is not positive, or a zero radius in Brown's form.
+        A size that is not positive, a word that names no convention, or a zero radius in Brown's form.
     """
 
     width_px: int
@@ -72,6 +83,12 @@ class Sensor:
     def __post_init__(self) -> None:
         for name, unit in (("width_px", "pixels"), ("height_px", "pixels"), ("pixel_mm", "mm")):
             positive(name, getattr(self, name), unit)
+        conventions = (("form", LensForm), ("principal_origin", PrincipalOrigin), ("direction", DistortionDirection))
+        for name, kind in conventions:
+            try:
+                object.__setattr__(self, name, kind(getattr(self, name)))
+            except ValueError as error:
+                raise InputError(f"{name}: one of {', '.join(kind)} is needed, not {getattr(self, name)!r}") from error
         if self.zero_radius_mm < 0 or (self.zero_radius_mm and self.form is LensForm.BROWN):
             raise InputError("zero_radius_mm: not negative, and only with AICON's form of the lens")
 
@@ -80,16 +97,20 @@ class Sensor:
         return -1.0 if self.y_up else 1.0
 
     @property
-    def _gain(self) -> float:
+    def gain(self) -> float:
         """Sign of the printed coefficients in the way of the polynomial: AICON's are errors of the measured image."""
         backward = self.direction is DistortionDirection.MEASURED_TO_IDEAL
         return -1.0 if backward and self.form is LensForm.AICON else 1.0
 
+    def stretch(self, values: npt.NDArray[np.inexact]) -> complex:
+        """Return what a zero radius makes of the camera constant: 1 in Brown's form."""
+        return complex(1 - (self.gain * values[3:6] * self.zero_radius_mm**_POWERS).sum())
+
     def to_camera_values(self, values: npt.NDArray[np.inexact]) -> npt.NDArray[np.inexact]:
         """Return `heliogauge.camera.PARAMETER_NAMES` from the ten values, shape (10,); real or complex."""
-        focal, (c1, c2) = values[0], self._gain * values[8:10]
-        radial, tangential = self._gain * values[3:6], self._gain * values[6:8]
-        stretch = 1 - (radial * self.zero_radius_mm**_POWERS).sum()
+        focal, (c1, c2) = values[0], self.gain * values[8:10]
+        radial, tangential = self.gain * values[3:6], self.gain * values[6:8]
+        stretch = self.stretch(values)
         if self.direction is DistortionDirection.MEASURED_TO_IDEAL:
             focal_x, focal_y = focal / (stretch + c1), focal / stretch
             skew = -c2 * focal / (stretch * (stretch + c1))
@@ -126,7 +147,7 @@ class Sensor:
             radial, tangential = radial * stretch / focal**_POWERS, tangential * stretch / focal
         origin, down = self._origin_px()
         principal = (parameters[2:4] + 0.5 - origin) * [self.pixel_mm, down * self.pixel_mm]
-        lens = self._gain * np.array([*radial, *tangential, c1, c2])
+        lens = self.gain * np.array([*radial, *tangential, c1, c2])
         return np.array([focal, *principal, *lens])
 
     def _origin_px(self) -> tuple[FloatArray, float]:
@@ -172,6 +193,11 @@ class SensorParameters:
     2 B2 x' y' + C1 x' + C2 y'``. IDEAL_TO_MEASURED adds the same terms of the ideal coordinates. Everything but the
     product of affine and other terms is converted exactly: the camera applies aspect and skew to the measured image
     first, so terms of the order C1 (A1 r^2) differ, 3 x 2e-4 x 0.02 of the radius (0.02 px) for a strong lens.
+    Brown's form is Owkes (2012) eq. 5.22; its eq. 6.2, ``x_I = (x' + s_x/2) N_x/s_x``, counts pixels from the corner:
+    its pixel coordinates are ours + 0.5. DBAT prints the corner origin with y up. Its aspect stretches x' after the
+    principal point has been subtracted, so the printed principal point counts pixels of the height ``pixel_mm`` in both
+    axes: with that reading its published calibration gives back its sigma0 of 0.16148 px, with the other (width of a
+    pixel in x) 0.351 px.
     """
 
     sensor: Sensor
@@ -181,6 +207,8 @@ class SensorParameters:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", float_array("sensor parameters", self.values, (_COUNT,)))
         positive("focal_mm", float(self.values[0]), "mm")
+        stretch = self.sensor.stretch(self.values).real
+        positive("1 + aspect (C1)", stretch + self.sensor.gain * float(self.values[8]), "one")
         covariance = covariance_matrix("sensor covariance", self.covariance, _COUNT)
         object.__setattr__(self, "covariance", covariance)
 
@@ -232,3 +260,32 @@ def sensor_parameters(camera: Camera, sensor: Sensor) -> SensorParameters:
         )
     values = sensor.from_camera_values(camera.parameters)
     return SensorParameters(sensor, values, carried_back(sensor.derivatives(values), camera.covariance))
+
+
+def carried_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Carry a covariance through the inverse of a linear map.
+
+    Parameters
+    ----------
+    forward : ndarray, shape (n, n)
+        Derivative of the quantities whose covariance is known by the wanted ones.
+    covariance : ndarray, shape (n, n)
+        The known covariance.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Covariance of the wanted quantities; exactly zero for those that only rounding moves, such as the ratio of two
+        focal lengths that were estimated as one.
+    """
+    # Columns differ by ten powers of ten (K3 in mm^-6 against px): scale before inverting.
+    scale = np.abs(forward).max(axis=0)
+    inverse = np.linalg.inv(forward / scale) / scale[:, None]
+    carried = inverse @ covariance @ inverse.T
+    carried = 0.5 * (carried + carried.T)
+    largest = np.einsum("ij,jk,ik->i", np.abs(inverse), np.abs(covariance), np.abs(inverse))
+    # Sums of ten terms round to 1e-15 of the largest; a real variance that small would be a correlation of 1 - 1e-12.
+    held = np.diag(carried) <= 1e-12 * largest
+    carried[held] = 0.0
+    carried[:, held] = 0.0
+    return np.asarray(carried)

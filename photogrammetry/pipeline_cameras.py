@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.camera import Camera
-from heliogauge.camera_millimetres import LensForm, Sensor, SensorParameters
-from heliogauge.camera_photogrammetric import PrincipalOrigin
+from heliogauge.camera_millimetres import LensForm, PrincipalOrigin, Sensor, SensorParameters
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import InputError
 from heliogauge.exif import EXIF_BYTES, focal_length_35mm

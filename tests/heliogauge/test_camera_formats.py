@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from heliogauge.camera import Camera
 from heliogauge.camera_conversion import convert_direction
 from heliogauge.camera_formats import COLMAP_MODELS, from_colmap, from_opencv, to_colmap, to_opencv
-from heliogauge.camera_photogrammetric import (
+from heliogauge.camera_millimetres import (
     CAM_FROM_PHOTOGRAMMETRIC,
-    PHOTOGRAMMETRIC_NAMES,
-    PhotogrammetricParameters,
+    SENSOR_NAMES,
+    LensForm,
     PrincipalOrigin,
-    from_photogrammetric,
-    to_photogrammetric,
+    Sensor,
+    SensorParameters,
+    sensor_parameters,
 )
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.errors import EstimationError, InputError
@@ -120,76 +121,77 @@ def test_impossible_colmap_parameters_are_refused(model, parameters, message):
         from_colmap(model, parameters, 640, 480)
 
 
-def photogrammetric(**changes):
-    values = {
-        "width_px": 2272, "height_px": 1704, "pixel_mm": 5.43764 / 1704, "focal_mm": 7.457,
-        "principal_mm": [3.61546, 2.61329], "radial": [0.00458861, -4.51351e-5, -2.05253e-6],
-        "tangential": [-6.12803e-5, -4.41171e-5], "aspect": 0.000389598,
-    }  # fmt: skip
-    return PhotogrammetricParameters(**{**values, **changes})
+PRINTED = {
+    "focal_mm": 7.457, "principal_x_mm": 3.61546, "principal_y_mm": 2.61329,
+    "K1": 0.00458861, "K2": -4.51351e-5, "K3": -2.05253e-6, "P1": -6.12803e-5, "P2": -4.41171e-5,
+    "aspect": 0.000389598, "shear": 0.0,
+}  # fmt: skip
+BROWN = SENSOR_NAMES[LensForm.BROWN]
+
+
+def photogrammetric(covariance=None, *, sensor=None, **changes):
+    """The camera that DBAT prints: in millimetres, from the corner, y up."""
+    conventions = {"pixel_mm": 5.43764 / 1704, "principal_origin": "corner", **(sensor or {})}
+    values = {**PRINTED, **changes}
+    spread = np.zeros((10, 10)) if covariance is None else covariance
+    return SensorParameters(Sensor(2272, 1704, **conventions), [values[name] for name in BROWN], spread)
 
 
 @pytest.mark.parametrize("y_up", [True, False])
 def test_the_photogrammetric_equation_in_millimetres(y_up):
     # Owkes (2012) eq. 5.22 and 6.2 written out for one pixel: corner origin, y up or down.
-    parameters = photogrammetric(y_up=y_up, aspect=0.0)
+    parameters = photogrammetric(sensor={"y_up": y_up}, aspect=0.0)
     up = 1 if y_up else -1
     pixel = np.array([1800.0, 300.0])
-    x = (pixel[0] + 0.5) * parameters.pixel_mm - parameters.principal_mm[0]
-    y = -up * ((pixel[1] + 0.5) * parameters.pixel_mm - parameters.principal_mm[1])
+    _, x0, y0, k1, k2, k3, p1, p2, *_ = parameters.values
+    x = (pixel[0] + 0.5) * parameters.sensor.pixel_mm - x0
+    y = -up * ((pixel[1] + 0.5) * parameters.sensor.pixel_mm - y0)
     rr = x * x + y * y
-    (k1, k2, k3), (p1, p2) = parameters.radial, parameters.tangential
     radial = k1 * rr + k2 * rr**2 + k3 * rr**3
     ideal_x = x + x * radial + p1 * (rr + 2 * x * x) + 2 * p2 * x * y
     ideal_y = y + y * radial + p2 * (rr + 2 * y * y) + 2 * p1 * x * y
-    ray = from_photogrammetric(parameters).cast_rays(pixel)
+    ray = parameters.camera().cast_rays(pixel)
     np.testing.assert_allclose(ray[:2] / ray[2] * 7.457, [ideal_x, -up * ideal_y], rtol=1e-13)
 
 
 @pytest.mark.parametrize("y_up", [True, False])
 def test_a_principal_point_from_the_centre_is_the_same_point_from_the_corner(y_up):
-    corner = photogrammetric(y_up=y_up)
-    half = np.array([2272, 1704]) / 2 * corner.pixel_mm
-    from_center = (corner.principal_mm - half) * [1, -1 if y_up else 1]
-    center = photogrammetric(y_up=y_up, principal_mm=from_center, principal_origin="center")
-    expected = from_photogrammetric(corner).parameters
-    np.testing.assert_allclose(from_photogrammetric(center).parameters, expected, rtol=1e-13)
+    corner = photogrammetric(sensor={"y_up": y_up})
+    half = np.array([2272, 1704]) / 2 * corner.sensor.pixel_mm
+    x0, y0 = (corner.values[1:3] - half) * [1, -1 if y_up else 1]
+    from_center = {"y_up": y_up, "principal_origin": "center"}
+    center = photogrammetric(sensor=from_center, principal_x_mm=x0, principal_y_mm=y0)
+    np.testing.assert_allclose(center.camera().parameters, corner.camera().parameters, rtol=1e-13)
 
 
 @pytest.mark.parametrize("y_up", [True, False])
 @pytest.mark.parametrize("origin", list(PrincipalOrigin))
-def test_photogrammetric_parameters_go_round_with_their_covariance(y_up, origin):
-    sigma = np.array([1e-3, 8e-4, 1e-3, 2e-5, 2e-5, 2.6e-6, 1e-7, 3.5e-6, 3.9e-6])
-    mixing = np.random.default_rng(4).normal(size=(9, 9)) * 0.3 + np.eye(9)
+@pytest.mark.parametrize("shear", [0.0, 2e-4])
+def test_photogrammetric_parameters_go_round_with_their_covariance(y_up, origin, shear):
+    sigma = np.array([1e-3, 8e-4, 1e-3, 2e-5, 2.6e-6, 1e-7, 3.5e-6, 3.9e-6, 2e-5, 2e-5])
+    mixing = np.random.default_rng(4).normal(size=(10, 10)) * 0.3 + np.eye(10)
     given_covariance = sigma[:, None] * (mixing @ mixing.T) * sigma
-    given_parameters = photogrammetric(y_up=y_up, principal_origin=origin, covariance=given_covariance)
-    camera = from_photogrammetric(given_parameters)
-    again = to_photogrammetric(camera, given_parameters.pixel_mm, principal_origin=origin, y_up=y_up)
-    for name in ("focal_mm", "principal_mm", "radial", "tangential"):
-        np.testing.assert_allclose(getattr(again, name), getattr(given_parameters, name), rtol=1e-12)
-    assert again.aspect == pytest.approx(given_parameters.aspect, abs=1e-15)
-    assert (again.direction, again.y_up) == (given_parameters.direction, y_up)
+    conventions = {"y_up": y_up, "principal_origin": origin}
+    given_parameters = photogrammetric(given_covariance, sensor=conventions, shear=shear)
+    again = sensor_parameters(given_parameters.camera(), given_parameters.sensor)
+    np.testing.assert_allclose(again.values[:8], given_parameters.values[:8], rtol=1e-12)
+    np.testing.assert_allclose(again.values[8:], given_parameters.values[8:], atol=1e-15)
     scale = np.outer(sigma, sigma)
     np.testing.assert_allclose(again.covariance / scale, given_covariance / scale, atol=1e-9)
 
 
 @pytest.mark.parametrize("origin", list(PrincipalOrigin))
-@pytest.mark.parametrize("name", PHOTOGRAMMETRIC_NAMES)
+@pytest.mark.parametrize("name", BROWN)
 def test_each_photogrammetric_sigma_moves_the_camera_as_a_difference_does(name, origin):
-    index = PHOTOGRAMMETRIC_NAMES.index(name)
-    only = np.zeros((9, 9))
+    index = BROWN.index(name)
+    only = np.zeros((10, 10))
     only[index, index] = 1.0
-    carried = from_photogrammetric(photogrammetric(covariance=only, principal_origin=origin)).covariance
-    step = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-6, 1e-8, 1e-9, 1e-6, 1e-6])[index]
-    base = photogrammetric()
-    fields = ("focal_mm", "principal_mm", "principal_mm", "aspect", *("radial",) * 3, *("tangential",) * 2)
-    within = (None, 0, 1, None, 0, 1, 2, 0, 1)
+    carried = photogrammetric(only, sensor={"principal_origin": origin}).camera().covariance
+    step = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-8, 1e-9, 1e-6, 1e-6, 1e-5, 1e-5])[index]
 
     def moved(amount):
-        value = np.array(getattr(base, fields[index]))
-        value[() if within[index] is None else within[index]] += amount
-        plain = value.item() if value.ndim == 0 else value
-        return from_photogrammetric(photogrammetric(**{fields[index]: plain}, principal_origin=origin)).parameters
+        changed = {name: PRINTED[name] + amount}
+        return photogrammetric(sensor={"principal_origin": origin}, **changed).camera().parameters
 
     column = (moved(step) - moved(-step)) / (2 * step)
     np.testing.assert_allclose(carried, np.outer(column, column), atol=1e-6 * np.abs(column).max() ** 2)
@@ -234,7 +236,7 @@ def sum_of_squares_of_one_point(camera, poses, marks, fixed):
 
 
 def published_sigma0(folder, y_up):
-    camera = from_photogrammetric(photogrammetric(y_up=y_up))
+    camera = photogrammetric(sensor={"y_up": y_up}).camera()
     poses, marks = published_network(folder)
     control = {1001: [0, 1, 0], 1002: [1, 1, 0], 1003: [0, 0, 0], 1004: [1, 0, 0]}
     total = 0.0
@@ -256,22 +258,21 @@ def test_a_published_calibration_gives_back_its_sigma0(shared_data):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"pixel_mm": 0.0}, "pixel_mm: a positive number of mm is needed, not 0.0"),
-        ({"principal_mm": [1.0]}, r"principal_mm: shape \(2\) is needed, not \(1,\)"),
-        ({"radial": [1.0, 2.0]}, r"radial: shape \(3\) is needed"),
-        ({"aspect": -1.0}, r"1 \+ aspect: a positive number"),
-        ({"principal_origin": "middle"}, "principal_origin: one of corner, center is needed, not 'middle'"),
-        ({"direction": "up"}, "direction: one of ideal_to_measured, measured_to_ideal is needed, not 'up'"),
+        ({"sensor": {"pixel_mm": 0.0}}, "pixel_mm: a positive number of mm is needed, not 0.0"),
+        ({"focal_mm": 0.0}, "focal_mm: a positive number of mm is needed, not 0.0"),
+        ({"K1": [1.0, 2.0]}, "sensor parameters"),
+        ({"aspect": -1.0}, r"1 \+ aspect \(C1\): a positive number"),
+        ({"sensor": {"principal_origin": "middle"}}, "principal_origin: one of corner, center is needed, not 'middle'"),
+        (
+            {"sensor": {"direction": "up"}},
+            "direction: one of ideal_to_measured, measured_to_ideal is needed, not 'up'",
+        ),
+        ({"sensor": {"form": "fisheye"}}, "form: one of brown, aicon is needed, not 'fisheye'"),
     ],
 )
 def test_impossible_photogrammetric_parameters_are_refused(changes, message):
     with pytest.raises(InputError, match=message):
-        photogrammetric(**changes)
-
-
-def test_a_skew_has_no_photogrammetric_parameter():
-    with pytest.raises(InputError, match="have no skew, this camera's is 1 px"):
-        to_photogrammetric(Camera(640, 480, 500.0, 500.0, 320.0, 240.0, skew=1.0), 0.005)
+        photogrammetric(**changes).camera()
 
 
 @given(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliogauge.camera import Camera
-from heliogauge.camera_photogrammetric import CAM_FROM_PHOTOGRAMMETRIC, to_photogrammetric
+from heliogauge.camera_millimetres import CAM_FROM_PHOTOGRAMMETRIC, SENSOR_NAMES, LensForm, Sensor, sensor_parameters
 from heliogauge.distortion import BrownDistortion, DistortionDirection
 from heliogauge.least_squares import CovarianceScale
 from heliogauge.rigid import omega_phi_kappa_from_rotation
@@ -17,6 +17,7 @@ from photogrammetry.network import build_network
 from photogrammetry.observations import image_points
 
 PIXEL_MM = 5.43764 / 1704
+SENSOR = Sensor(2272, 1704, PIXEL_MM, principal_origin="corner")
 CONTROL = {"1001": [0.0, 1.0, 0.0], "1002": [1.0, 1.0, 0.0], "1003": [0.0, 0.0, 0.0], "1004": [1.0, 0.0, 0.0]}
 LENS = ("center_x_px", "center_y_px", "k1", "k2", "k3", "p1", "p2")
 
@@ -58,23 +59,24 @@ def backward(marks):
 def test_backward_model(backward):
     assert backward.redundancy == 3725
     assert backward.sigma0 / 10 == pytest.approx(0.161480, abs=5e-7)
-    found = to_photogrammetric(backward.cameras[0], PIXEL_MM)
-    sigma = np.sqrt(np.diag(found.covariance))
+    found = sensor_parameters(backward.cameras[0], SENSOR)
+    value = dict(zip(SENSOR_NAMES[LensForm.BROWN], found.values, strict=True))
+    deviation = dict(zip(SENSOR_NAMES[LensForm.BROWN], found.sigma, strict=True))
     # Value and deviation as printed in result/report.txt and result/c4040z.xml.
     printed = {
-        "focal": (found.focal_mm, 7.45699532273933752, sigma[0], 0.00105),
-        "x0": (found.principal_mm[0], 3.61546239970888994, sigma[1], 0.00082),
-        "y0": (found.principal_mm[1], 2.61329279848268081, sigma[2], 0.00098),
-        "aspect": (found.aspect, 3.89598e-4, sigma[3], 2.08e-5),
-        "K1": (found.radial[0], 0.00458860662755811253, sigma[4], 2.21e-5),
-        "K2": (found.radial[1], -4.51350997187018702e-05, sigma[5], 2.65e-6),
-        "K3": (found.radial[2], -2.05253370760761127e-06, sigma[6], 1.01e-7),
-        "P1": (found.tangential[0], -6.12803065099492536e-05, sigma[7], 3.52e-6),
-        "P2": (found.tangential[1], -4.41170561685059337e-05, sigma[8], 3.94e-6),
+        "focal_mm": (7.45699532273933752, 0.00105),
+        "principal_x_mm": (3.61546239970888994, 0.00082),
+        "principal_y_mm": (2.61329279848268081, 0.00098),
+        "aspect": (3.89598e-4, 2.08e-5),
+        "K1": (0.00458860662755811253, 2.21e-5),
+        "K2": (-4.51350997187018702e-05, 2.65e-6),
+        "K3": (-2.05253370760761127e-06, 1.01e-7),
+        "P1": (-6.12803065099492536e-05, 3.52e-6),
+        "P2": (-4.41170561685059337e-05, 3.94e-6),
     }
-    for name, (value, wanted, deviation, printed_deviation) in printed.items():
-        assert value == pytest.approx(wanted, abs=2e-4 * printed_deviation), name
-        assert deviation == pytest.approx(printed_deviation, rel=6e-3), name
+    for name, (wanted, printed_deviation) in printed.items():
+        assert value[name] == pytest.approx(wanted, abs=2e-4 * printed_deviation), name
+        assert deviation[name] == pytest.approx(printed_deviation, rel=6e-3), name
 
 
 def test_backward_model_residuals_and_points(backward):
@@ -88,8 +90,8 @@ def test_backward_model_residuals_and_points(backward):
     assert total[total > 0].min() == pytest.approx(8.2e-5, abs=5e-7)
     tests = {one.name: one for one in examine_intrinsics(backward)}
     assert tests["k2"].rival == "k3"
-    joint = to_photogrammetric(backward.cameras[0], PIXEL_MM).covariance
-    assert joint[5, 6] / np.sqrt(joint[5, 5] * joint[6, 6]) == pytest.approx(-0.979, abs=5e-4)
+    joint = sensor_parameters(backward.cameras[0], SENSOR).covariance
+    assert joint[4, 5] / np.sqrt(joint[4, 4] * joint[5, 5]) == pytest.approx(-0.979, abs=5e-4)
     assert all(tests[name].significance > 0.995 for name in ("k1", "k2", "k3", "p1", "p2", "aspect"))
     # The redundancy numbers add up to the redundancy: every image point counts once.
     numbers = examine_image_points(backward).redundancy
