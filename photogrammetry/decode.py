@@ -88,11 +88,6 @@ class RingReading:
     radial_error: float
     misfit: float
 
-    @property
-    def is_mirror_image(self) -> bool:
-        """Whether only the mirror image is in the dictionary: a mirrored print or photo."""
-        return self.code is None and self.mirrored is not None
-
     def within(self, limits: RingLimits) -> bool:
         """Tell whether this is a ring.
 

@@ -7,9 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.flags import REJECTED
 from heliogauge.validate import BoolArray, FloatArray, float_array
-from photogrammetry.detections import Detections
 
 IntArray = npt.NDArray[np.intp]
 
@@ -158,40 +156,4 @@ def image_points(
         np.array([target_of[name] for name in targets], dtype=np.intp),
         np.asarray(pixels_px, dtype=np.float64),
         np.asarray(covariance_px2, dtype=np.float64),
-    )
-
-
-def detected_points(photos: Sequence[Detections]) -> ImagePoints:
-    """Put together what was found in each photo; targets with a rejecting flag stay out.
-
-    Parameters
-    ----------
-    photos : sequence of Detections
-        One for each photo; photos in which nothing was found keep their name.
-
-    Returns
-    -------
-    ImagePoints
-        The table.
-
-    Raises
-    ------
-    InputError
-        A photo is given twice, or a target is found twice in one photo.
-    """
-    names: dict[str, int] = {}
-    photo_index, target_index, pixels, covariances = [], [], [np.zeros((0, 2))], [np.zeros((0, 2, 2))]
-    for photo, found in enumerate(photos):
-        keep = np.nonzero((found.flags & np.uint32(REJECTED)) == 0)[0]
-        photo_index += [photo] * keep.size
-        target_index += [names.setdefault(found.names[i], len(names)) for i in keep]
-        pixels.append(found.pixels_px[keep])
-        covariances.append(found.covariance_px2[keep])
-    return ImagePoints(
-        tuple(found.photo for found in photos),
-        tuple(names),
-        np.array(photo_index, dtype=np.intp),
-        np.array(target_index, dtype=np.intp),
-        np.concatenate(pixels),
-        np.concatenate(covariances),
     )

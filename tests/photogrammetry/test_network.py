@@ -8,9 +8,8 @@ from heliogauge.errors import EstimationError
 from photogrammetry.alignment import aligned_to_control
 from photogrammetry.bundle import BundleProblem, CameraModel, adjust, bundle_state
 from photogrammetry.bundle_diagnosis import require
-from photogrammetry.detections import Detections
 from photogrammetry.network import StartValues, build_network, guessed_camera
-from photogrammetry.observations import ImagePoints, detected_points
+from photogrammetry.observations import ImagePoints
 from tests.photogrammetry.bundle_networks import camera_of, look_at, network, observe
 
 
@@ -127,15 +126,6 @@ def test_two_groups_leave_one_out_with_the_reason():
     assert set(found.observations.photos) == {f"photo{i}" for i in range(6)}
     assert {one.name for one in found.photos_left_out} == {"photo6", "photo7", "photo8"}
     assert all("2 targets with the network" in one.reason for one in found.photos_left_out)
-
-
-def test_detections_become_image_points():
-    one = Detections("a", ("5", "7"), [[1.0, 2.0], [3.0, 4.0]], [np.eye(2)] * 2, [6.0, 6.0], [0, 1 << 8])
-    two = Detections("b", ("7",), [[5.0, 6.0]], [np.eye(2)], [6.0], [0])
-    three = Detections("c", (), np.zeros((0, 2)), np.zeros((0, 2, 2)), [], [])
-    points = detected_points([one, two, three])
-    assert points.photos == ("a", "b", "c")
-    assert [points.label(i) for i in range(points.n)] == ["target 5 in photo a", "target 7 in photo b"]
 
 
 @pytest.mark.slow
