@@ -16,9 +16,11 @@ PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal
 # What open3d needs of the system: installed where apt and rights allow, otherwise named, and its tests skip.
 LIBRARIES := libusb-1.0-0 libgl1 libgomp1
 OPEN3D_LOADS = $(BIN)/python -c 'import open3d' >/dev/null 2>&1
+# Debian and Ubuntu keep a part of Python apart.
+MAKES_VENVS = "$(PYTHON)" -c 'import venv, ensurepip' >/dev/null 2>&1
 AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo "sudo -n")
-INSTALL_LIBRARIES = { command -v apt-get && $(AS_ROOT) apt-get -qq update && \
-	$(AS_ROOT) apt-get -qq install -y --no-install-recommends $(LIBRARIES); } >/dev/null 2>&1
+APT_INSTALL = command -v apt-get >/dev/null 2>&1 && $(AS_ROOT) apt-get -qq update >/dev/null 2>&1 && \
+	$(AS_ROOT) apt-get -qq install -y --no-install-recommends
 
 .PHONY: help demo test lint quick slow docs bench clean
 help:
@@ -62,7 +64,8 @@ clean:
 # Stamps: an install runs again only when pyproject.toml changes. The install is editable, so sources need none.
 .make/venv:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed and was not found; install it or say make PYTHON=/path/to/python3" >&2; exit 1; }
-	@"$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null || { \
+	@$(MAKES_VENVS) || { $(APT_INSTALL) python3-venv >/dev/null 2>&1; } || true
+	@$(MAKES_VENVS) || { \
 		echo "$(PYTHON) cannot make virtual environments; install its venv package (Debian, Ubuntu: apt install python3-venv)" >&2; exit 1; }
 	"$(PYTHON)" -m venv $(VENV)
 	@mkdir -p $(@D) && touch $@
@@ -73,7 +76,7 @@ clean:
 
 .make/dev: .make/venv pyproject.toml
 	$(PIP_INSTALL) -e '.[all,dev]'
-	@$(OPEN3D_LOADS) || $(INSTALL_LIBRARIES) || true
+	@$(OPEN3D_LOADS) || { $(APT_INSTALL) $(LIBRARIES) >/dev/null 2>&1; } || true
 	@$(OPEN3D_LOADS) || echo "open3d cannot be imported, so the tests of CAD meshes and PLY files skip; as root: apt-get install $(LIBRARIES)" >&2
 	@touch $@ .make/core
 
