@@ -20,6 +20,8 @@ DESCRIPTIONS = frozenset(
         "deflectometry.setup",
         "observer.design",
         "calibration.heliostat.design",
+        "calibration.heliostat.parameters",
+        "calibration.heliostat.presets",
     }
 )
 
@@ -62,6 +64,7 @@ LAZY_LIBRARIES = {
     "nbconvert": "nbconvert costs 0.5 s",
     "nbformat": "nbformat costs 0.2 s",
     "rich": "rich costs 0.1 s",
+    "pvlib": "pvlib loads pandas: 0.8 s",
     "open3d": "an optional extra",
     "pycolmap": "an optional extra",
     "rawpy": "an optional extra",
