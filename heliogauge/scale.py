@@ -1,0 +1,286 @@
+"""The same work for many things, each independent: in this process, in several, or on an existing Dask cluster.
+
+One thing that cannot be measured does not stop the others: its failure is an outcome like any other. Only a few tasks
+are under way at a time, so memory does not grow with their number. Dask is imported only where a scheduler is named.
+"""
+
+import multiprocessing
+import os
+import signal
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Generic, TypeVar
+
+from heliogauge import __version__
+from heliogauge.errors import InputError, MetrologyError
+
+_ContextT = TypeVar("_ContextT")
+_TaskT = TypeVar("_TaskT")
+_ResultT = TypeVar("_ResultT")
+
+#: Tasks under way for each worker: enough that none waits for the next one, few enough that memory stays flat.
+_AHEAD = 4
+#: Threads of a worker's own linear algebra would fight over the cores that other workers have.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_CONNECT_S = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Who does the work.
+
+    Parameters
+    ----------
+    jobs : int or None
+        Processes on this machine; None for as many as it has processors, 1 for none but this one.
+    scheduler : str or None
+        Address of a Dask scheduler, ``tcp://host:port``; then `jobs` does not count.
+    """
+
+    jobs: int | None = None
+    scheduler: str | None = None
+
+    def processes(self, n_tasks: int, *, worth: int = 1) -> int:
+        """Return the number of local processes that some tasks are worth; each is started for ``worth`` of them."""
+        return max(1, min(self.jobs or usable_processors(), n_tasks // worth))
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a task has no result.
+
+    Parameters
+    ----------
+    reason : str
+        What the person who reads it can do something about.
+    trace : str
+        Where it happened, if it was not foreseen; empty for impossible data and for undetermined answers.
+    """
+
+    reason: str
+    trace: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Generic[_TaskT, _ResultT]):
+    """A task and what came of it.
+
+    Parameters
+    ----------
+    task : object
+        The task.
+    outcome : object or Failure
+        The result.
+    """
+
+    task: _TaskT
+    outcome: _ResultT | Failure
+
+
+def usable_processors() -> int:
+    """Return how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run_each(
+    function: Callable[[_ContextT, _TaskT], _ResultT],
+    context: _ContextT,
+    tasks: Iterable[_TaskT],
+    *,
+    workers: Workers,
+    processes: int = 1,
+) -> Iterator[Done[_TaskT, _ResultT]]:
+    """Run a function on each of many tasks, in any order.
+
+    Parameters
+    ----------
+    function : callable
+        Takes the context and a task; a function of a module, since other processes must find it.
+    context : object
+        What all tasks share; sent to each worker once.
+    tasks : iterable
+        The tasks; taken only as they are needed.
+    workers : Workers
+        Who works: a cluster if it names a scheduler.
+    processes : int, optional
+        Processes on this machine otherwise (`Workers.processes`); 1 works in this one.
+
+    Yields
+    ------
+    Done
+        Each task with its result or its failure, as they come.
+
+    Raises
+    ------
+    InputError
+        No such scheduler, no workers there, workers with another version, or Dask is not installed.
+    """
+    if workers.scheduler is not None:
+        yield from _on_cluster(function, context, tasks, workers.scheduler)
+    elif processes > 1:
+        yield from _in_processes(function, context, tasks, processes)
+    else:
+        for task in tasks:
+            yield Done(task, _attempt(function, context, task))
+
+
+def _attempt(function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, task: _TaskT) -> _ResultT | Failure:
+    try:
+        return function(context, task)
+    except MetrologyError as error:
+        return Failure(str(error))
+    except Exception as error:  # a bug on one of ten thousand must not cost the others
+        return Failure(f"unexpected {type(error).__name__}: {error}", traceback.format_exc())
+
+
+# --- processes of this machine ----------------------------------------------------------------------------------------
+
+_shared: dict[str, Any] = {}
+
+
+def _begin_worker(function: Callable[..., Any], context: Any) -> None:
+    # Ctrl-C reaches the whole group of processes; the parent alone decides what becomes of it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _shared.update(function=function, context=context)
+
+
+def _work(task: Any) -> Any:
+    return _attempt(_shared["function"], _shared["context"], task)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    earlier = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in earlier.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _pool(function: Callable[..., Any], context: Any, processes: int) -> Iterator[ProcessPoolExecutor]:
+    # Spawned, not forked: a fork copies whatever threads and locks the parent has.
+    pool = ProcessPoolExecutor(
+        processes, multiprocessing.get_context("spawn"), initializer=_begin_worker, initargs=(function, context)
+    )
+    finished = False
+    try:
+        yield pool
+        finished = True
+    finally:
+        # After Ctrl-C what runs ends by itself within one task; nobody waits for what was not begun.
+        pool.shutdown(wait=finished, cancel_futures=True)
+
+
+def _in_processes(
+    function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, tasks: Iterable[_TaskT], processes: int
+) -> Iterator[Done[_TaskT, _ResultT]]:
+    waiting = iter(tasks)
+    with _one_thread_each():
+        while True:
+            running: dict[Future[Any], Any] = {}
+            try:
+                with _pool(function, context, processes) as pool:
+                    for task in islice(waiting, _AHEAD * processes):
+                        running[pool.submit(_work, task)] = task
+                    while running:
+                        for future in wait(running, return_when=FIRST_COMPLETED).done:
+                            outcome = future.result()
+                            done = Done(running.pop(future), outcome)
+                            for task in islice(waiting, 1):
+                                running[pool.submit(_work, task)] = task
+                            yield done
+                return
+            except BrokenProcessPool:
+                # Killed from outside, most often for want of memory: find out by which task, one at a time.
+                yield from _one_by_one(function, context, list(running.values()))
+
+
+def _one_by_one(
+    function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, suspects: list[_TaskT]
+) -> Iterator[Done[_TaskT, _ResultT]]:
+    for task in suspects:
+        try:
+            with _pool(function, context, 1) as pool:
+                outcome = pool.submit(_work, task).result()
+        except BrokenProcessPool:
+            outcome = Failure("the process that worked on it was killed twice; is there enough memory?")
+        yield Done(task, outcome)
+
+
+# --- a cluster --------------------------------------------------------------------------------------------------------
+
+
+def _version_there() -> str:
+    return __version__
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(f"--scheduler {address}: Dask is not installed; pip install 'heliogauge[cluster]'") from error
+    try:
+        return Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: no scheduler answers there ({str(error)[:120]}); is the address as it printed it?"
+        ) from error
+
+
+def _check_workers(client: Any, address: str) -> int:
+    threads: Mapping[str, int] = client.nthreads()
+    if not threads:
+        raise InputError(f"--scheduler {address}: the cluster has no workers; start some")
+    try:
+        versions: Mapping[str, str] = client.run(_version_there)
+    except ImportError as error:
+        raise InputError(
+            f"--scheduler {address}: its workers cannot import heliogauge ({error}); install {__version__} there"
+        ) from error
+    others = {version for version in versions.values() if version != __version__}
+    if others:
+        raise InputError(
+            f"--scheduler {address}: workers have heliogauge {', '.join(sorted(others))}, here is {__version__}; "
+            "results of two versions must not be mixed"
+        )
+    return sum(threads.values())
+
+
+def _on_cluster(
+    function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, tasks: Iterable[_TaskT], address: str
+) -> Iterator[Done[_TaskT, _ResultT]]:
+    waiting = iter(tasks)
+    with _client(address) as client:
+        threads = _check_workers(client, address)
+        from distributed import as_completed
+
+        shared = client.scatter(context, broadcast=True)
+        running: dict[Any, Any] = {}
+
+        def submit(task: Any) -> Any:
+            future = client.submit(_attempt, function, shared, task, pure=False)
+            running[future.key] = task
+            return future
+
+        first = [submit(task) for task in islice(waiting, _AHEAD * threads)]
+        completed = as_completed(first, loop=client.loop)
+        for future in completed:
+            task = running.pop(future.key)
+            error = future.exception()
+            outcome = future.result() if error is None else Failure(f"the cluster gave it up: {error}")
+            for following in islice(waiting, 1):
+                completed.add(submit(following))
+            yield Done(task, outcome)
