@@ -34,7 +34,7 @@ class Mounted(NamedTuple):
 
 MOUNTED: dict[str, Mounted] = {
     "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
-    "calibrate": Mounted("calibration.cli", "Calibrate what measures: camera; response of camera and display."),
+    "calibrate": Mounted("calibration.cli", "Calibrate: heliostats; camera; response of camera and display."),
     "photogrammetry": Mounted("photogrammetry.cli", "Photos of coded targets -> coordinates (and sheets to print)."),
     "observer": Mounted("observer.cli", "Photos of a trough's absorber reflection -> slope errors, absorber."),
     "deflectometry": Mounted(
@@ -134,7 +134,8 @@ def init(
         str,
         typer.Argument(
             metavar="KIND",
-            help="deflectometry, photogrammetry, photogrammetry-plan, observer, observer-plan, response or camera.",
+            help="deflectometry, photogrammetry, photogrammetry-plan, observer, observer-plan, heliostat, camera, "
+            "response.",
         ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
+from heliogauge.measurement_heliostat import HeliostatMeasurement, HeliostatModel, paint_measurement
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import (
     CameraCalibrationModel,
@@ -31,7 +32,7 @@ from heliogauge.video_names import video_of
 
 MEASUREMENT_FILE = "measurement.toml"
 Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
-         | ObserverModel | ObserverPlanModel)  # fmt: skip
+         | ObserverModel | ObserverPlanModel | HeliostatModel)  # fmt: skip
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
@@ -41,13 +42,14 @@ KINDS: dict[str, type[Model]] = {
     "photogrammetry-plan": PhotogrammetryPlanModel,
     "observer": ObserverModel,
     "observer-plan": ObserverPlanModel,
+    "heliostat": HeliostatModel,
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
     "deflectometry": "heliogauge deflectometry", "response": "heliogauge calibrate response",
     "camera": "heliogauge calibrate camera", "photogrammetry": "heliogauge photogrammetry",
     "photogrammetry-plan": "heliogauge photogrammetry plan", "observer": "heliogauge observer",
-    "observer-plan": "heliogauge observer plan",
+    "observer-plan": "heliogauge observer plan", "heliostat": "heliogauge calibrate heliostat",
 }  # fmt: skip
 
 
@@ -353,6 +355,32 @@ def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
     file, model = _checked(folder, ObserverPlanModel)
     found = ObserverPlanMeasurement(folder, model)
     _refuse_missing(file, found.input_files)
+    return found
+
+
+def load_heliostat(folder: Path) -> HeliostatMeasurement:
+    """Read and check a folder with observations of heliostats.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml, or one as of the PAINT database, which needs none.
+
+    Returns
+    -------
+    HeliostatMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `load_measurement`.
+    """
+    found = paint_measurement(folder)
+    if found is None:
+        file, model = _checked(folder, HeliostatModel)
+        found = HeliostatMeasurement(folder, model)
+        _refuse_missing(file, found.input_files)
     return found
 
 

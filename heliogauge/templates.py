@@ -5,6 +5,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.measurement import MEASUREMENT_FILE
+from heliogauge.measurement_heliostat_template import HELIOSTAT_TEMPLATE
 from heliogauge.measurement_plan_templates import OBSERVER_PLAN, PHOTOGRAMMETRY_PLAN
 from heliogauge.measurement_surface_template import SURFACE_TEMPLATE
 from heliogauge.measurement_writer import write_text
@@ -429,7 +430,7 @@ file = "targets.csv"
 _TEMPLATES: dict[str, str] = {
     "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
     "photogrammetry-plan": PHOTOGRAMMETRY_PLAN, "observer": _OBSERVER,
-    "observer-plan": OBSERVER_PLAN,
+    "observer-plan": OBSERVER_PLAN, "heliostat": HELIOSTAT_TEMPLATE,
 }  # fmt: skip
 
 

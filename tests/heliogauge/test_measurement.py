@@ -101,7 +101,7 @@ Change = Callable[[Content], object]
         (lambda c: c["images"].update(fringes=3), r"images\.fringes = 3: a list is needed"),
         (lambda c: c.update(mirror=3), r"mirror = 3: a table is needed"),
         (lambda c: c.update(kind="deflectometri"), r'kind = \'deflectometri\'.*did you mean "deflectometry"'),
-        (lambda c: c.update(kind="heliostat"), r'this version measures "deflectometry"'),
+        (lambda c: c.update(kind="dish"), r'this version measures "deflectometry"'),
         (lambda c: c.pop("kind"), r"kind is missing"),
     ],
 )
@@ -237,8 +237,8 @@ class TestWriting:
 
 class TestTemplate:
     def test_other_kinds_are_refused_clearly(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="'heliostat' is not available in this version; available are"):
-            write_template("heliostat", tmp_path)
+        with pytest.raises(InputError, match="'dish' is not available in this version; available are"):
+            write_template("dish", tmp_path)
 
     def test_typing_error_is_recognised(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"did you mean deflectometry\?"):
