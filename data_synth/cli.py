@@ -192,6 +192,9 @@ def trough(
     ground_targets: Annotated[
         int, typer.Option(min=0, help="Targets on the ground beside both rims, of unknown coordinates.")
     ] = 0,
+    shaped: Annotated[
+        bool, typer.Option("--shaped", help="Let the mirror's surface deviate, not its normals alone, as a real one's.")
+    ] = False,
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
@@ -211,7 +214,7 @@ def trough(
     from data_synth.trough_presets import TroughChoice, trough_scene
     from heliogauge.terminal import terminal_progress
 
-    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets)
+    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets, shaped)
     scene = trough_scene(preset, choice).scaled(scale)
     scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
     if slopes is not None:

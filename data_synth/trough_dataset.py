@@ -418,7 +418,7 @@ def _mirror_to_json(mirror: TroughMirror) -> dict[str, Any]:
         content[name] = terms.to_json()
     if mirror.panels is not None:
         content["panels"] = {
-            name: getattr(mirror.panels, name).tolist() for name in ("tilt_x", "tilt_y", "focal_length_m")
+            name: getattr(mirror.panels, name).tolist() for name in ("tilt_x", "tilt_y", "focal_length_m", "height_m")
         }
     return content
 

@@ -34,19 +34,30 @@ class PanelErrors:
         `Collector.panel_index`.
     focal_length_m : array_like, shape (n,)
         Focal length of each panel, about its own middle [m].
+    height_m : array_like, shape (n,), optional
+        How much higher each panel's middle sits; without, at the design's height. Only a mirror that is shaped has
+        heights [m].
     """
 
     tilt_x: FloatArray
     tilt_y: FloatArray
     focal_length_m: FloatArray
+    height_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("tilt_x", "tilt_y", "focal_length_m"):
+        if self.height_m is None:
+            object.__setattr__(self, "height_m", np.zeros(np.shape(self.tilt_x)))
+        for name in ("tilt_x", "tilt_y", "focal_length_m", "height_m"):
             object.__setattr__(self, name, float_array(f"panels {name}", getattr(self, name), (None,)))
-        if not self.tilt_x.size == self.tilt_y.size == self.focal_length_m.size:
-            raise InputError("panels: tilt_x, tilt_y and focal_length_m need one value for each panel")
+        if not self.tilt_x.size == self.tilt_y.size == self.focal_length_m.size == self.heights.size:
+            raise InputError("panels: tilt_x, tilt_y, focal_length_m and height_m need one value for each panel")
         if not (self.focal_length_m > 0).all():
             raise InputError("panels focal_length_m: values above zero are needed")
+
+    @property
+    def heights(self) -> FloatArray:
+        """Height of each panel's middle over the design, shape (n,) [m]."""
+        return np.zeros(self.tilt_x.shape) if self.height_m is None else self.height_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +189,7 @@ class TroughMirror:
 
 
 def _panel_polynomials(mirror: TroughMirror) -> FloatArray:
-    """Return c0, c1, c2, c3 of each panel's ``c0 + c1 x + c2 x^2 / 2 + c3 y``, shape (4, n); zero at its middle."""
+    """Return c0, c1, c2, c3 of each panel's ``c0 + c1 x + c2 x^2 / 2 + c3 y``, shape (4, n)."""
     if mirror.panels is None:
         return np.zeros((4, mirror.n_panels))
     edges_x, edges_y = mirror.collector.panel_edges_x_m, mirror.collector.panel_edges_y_m
@@ -188,7 +199,7 @@ def _panel_polynomials(mirror: TroughMirror) -> FloatArray:
     )
     bend = 1 / (2 * mirror.panels.focal_length_m) - 1 / (2 * mirror.collector.focal_length_m)
     c1, c3 = mirror.panels.tilt_x - bend * middle_x, mirror.panels.tilt_y
-    c0 = -c1 * middle_x - bend * middle_x**2 / 2 - c3 * middle_y
+    c0 = mirror.panels.heights - c1 * middle_x - bend * middle_x**2 / 2 - c3 * middle_y
     return np.stack([c0, c1, bend, c3])
 
 

@@ -1,5 +1,6 @@
 """Ready scenes of troughs: an LS-2 from a drone with slope errors, displaced or sagging absorber, clouds, ground."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -53,6 +54,8 @@ class TroughChoice:
         Turn of the collector from zenith, by the right hand about +y; the preset's without [deg].
     n_ground_targets : int, optional
         Targets on the ground beside both rims, of unknown coordinates.
+    is_shaped : bool, optional
+        Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
     """
 
     seed: int = 0
@@ -60,6 +63,7 @@ class TroughChoice:
     dictionary: str = "aicon-12"
     orientation_deg: float | None = None
     n_ground_targets: int = 0
+    is_shaped: bool = False
 
 
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
@@ -266,7 +270,12 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
 
 
 def random_mirror(
-    collector: Collector, rng: np.random.Generator, *, transverse_rad: float = 3e-3, longitudinal_rad: float = 0.0
+    collector: Collector,
+    rng: np.random.Generator,
+    *,
+    transverse_rad: float = 3e-3,
+    longitudinal_rad: float = 0.0,
+    is_shaped: bool = False,
 ) -> TroughMirror:
     """Return a mirror with tilted and bent panels and waves over all of them.
 
@@ -280,14 +289,19 @@ def random_mirror(
         RMS of theta_r over the aperture [rad].
     longitudinal_rad : float, optional
         RMS of the longitudinal slope error [rad].
+    is_shaped : bool, optional
+        Whether the surface deviates as the slopes say. Its waves then run across and along, because a surface that
+        waves in other directions has both slopes; each panel's mean height is the design's.
 
     Returns
     -------
     TroughMirror
-        The mirror; its shape is the design's.
+        The mirror.
     """
     n = TroughMirror(collector).n_panels
     across, along = _waves(rng, 7), _waves(rng, 7)
+    if is_shaped:
+        across, along = _directed(across, 0.0), _directed(along, np.pi / 2)
     tilt_x, tilt_y, bend = rng.standard_normal((3, n)) * np.array([[1.0], [0.6], [1.3]])
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, 301) * collector.aperture_width_m, np.linspace(-0.5, 0.5, 401) * collector.length_m
@@ -297,12 +311,12 @@ def random_mirror(
     # theta_r is not quite linear in the slope; the third round changes nothing any more.
     for _ in range(3):
         focal = 1 / (1 / collector.focal_length_m + 2 * scale_x * bend)
-        mirror = TroughMirror(
-            collector,
-            transverse=_scaled(across, scale_x),
-            longitudinal=_scaled(along, scale_y),
-            panels=PanelErrors(scale_x * tilt_x, scale_y * tilt_y, focal),
-        )
+        waves = (_scaled(across, scale_x), _scaled(along, scale_y))
+        panels = PanelErrors(scale_x * tilt_x, scale_y * tilt_y, focal)
+        if is_shaped:
+            mirror = _at_mean_height(TroughMirror(collector, _joined(*waves), panels=panels, is_shaped=True))
+        else:
+            mirror = TroughMirror(collector, transverse=waves[0], longitudinal=waves[1], panels=panels)
         scale_x *= transverse_rad / float(np.sqrt(np.nanmean(mirror.theta_r_rad(x, y) ** 2)))
         if longitudinal_rad:
             scale_y *= longitudinal_rad / float(np.sqrt(np.nanmean(mirror.deviation(x, y)[2] ** 2)))
@@ -316,6 +330,26 @@ def _waves(rng: np.random.Generator, n: int) -> tuple[Ripple, ...]:
         amplitude = float(rng.uniform(0.7, 1.3) * np.sqrt(period))
         waves.append(Ripple(amplitude, float(period), float(rng.uniform(0, np.pi)), float(rng.uniform(0, 2 * np.pi))))
     return tuple(waves)
+
+
+def _directed(waves: tuple[Ripple, ...], direction_rad: float) -> tuple[Ripple, ...]:
+    return tuple(replace(wave, direction_rad=direction_rad) for wave in waves)
+
+
+def _joined(first: SurfaceErrors, second: SurfaceErrors) -> SurfaceErrors:
+    return SurfaceErrors((*first.terms, *second.terms))
+
+
+def _at_mean_height(mirror: TroughMirror) -> TroughMirror:
+    """Lift or lower each panel of a shaped mirror so that its mean height is the design's."""
+    design = mirror.collector
+    lift = []
+    for first_y, last_y in itertools.pairwise(design.panel_edges_y_m):
+        for first_x, last_x in itertools.pairwise(design.panel_edges_x_m):
+            x, y = np.meshgrid(np.linspace(first_x, last_x, 61)[1:-1], np.linspace(first_y, last_y, 61)[1:-1])
+            lift.append(-float(np.nanmean(mirror.deviation(x, y)[0])))
+    panels = mirror.panels
+    return mirror if panels is None else replace(mirror, panels=replace(panels, height_m=np.array(lift)))
 
 
 def _scaled(waves: tuple[Ripple, ...], factor: float) -> SurfaceErrors:
@@ -342,7 +376,7 @@ def _small(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     collector = replace(ls2_panelled(), length_m=3.16, panel_edges_y_m=ends, support_y_m=ends[::2])
     n = 24 if choice.n_photos is None else choice.n_photos
     views = wobbling(straight_pass(SMALL_CAMERA, n_photos=n, height_m=12.0, reach_m=2.9), rng, position_m=0.05)
-    mirror = random_mirror(collector, rng)
+    mirror = random_mirror(collector, rng, is_shaped=choice.is_shaped)
     sheets, targets = rim_targets(collector, choice.dictionary, 0.09, rng)
     return TroughScene(
         "short LS-2", world_of(mirror), views, sheets, targets, dictionary=choice.dictionary, target_diameter_m=0.09
@@ -351,19 +385,19 @@ def _small(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
 
 def _ls2(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw 100 photos from 15 m of an LS-2 with 3 mrad of transverse slope error and no longitudinal one."""
-    mirror = random_mirror(ls2_panelled(), rng)
+    mirror = random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped)
     return _scene("LS-2 from 15 m", mirror, _drone(choice, rng), choice, rng)
 
 
 def _ls2_long(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 with 1.8 mrad of longitudinal slope error in addition."""
-    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3)
+    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3, is_shaped=choice.is_shaped)
     return _scene("LS-2 with longitudinal errors", mirror, _drone(choice, rng), choice, rng)
 
 
 def _ls2_two_passes(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 with longitudinal slope errors in two passes at y = -2.5 m and +2.5 m."""
-    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3)
+    mirror = random_mirror(ls2_panelled(), rng, longitudinal_rad=1.8e-3, is_shaped=choice.is_shaped)
     n = 200 if choice.n_photos is None else choice.n_photos
     views = wobbling(several_passes(VIDEO_CAMERA, (-2.5, 2.5), n_photos=n), rng)
     return _scene("LS-2 in two passes", mirror, views, choice, rng)
@@ -379,7 +413,7 @@ def _displaced(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
 
 def _sag(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 with a receiver that sags by 6 mm between its supports, 2 mm to the side and tilted."""
-    mirror = random_mirror(ls2_panelled(), rng)
+    mirror = random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped)
     scene = _scene("LS-2 with sagging absorber", mirror, _drone(choice, rng), choice, rng)
     turn = np.radians(choice.orientation_deg or 0.0)
     axis = TubeAxis.straight(2e-3, 1e-3, 4e-4, -3e-4)
@@ -409,7 +443,7 @@ def _mast(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     n = 100 if choice.n_photos is None else choice.n_photos
     scene = _scene(
         "LS-2 from a mast",
-        random_mirror(ls2_panelled(), rng),
+        random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped),
         mast_pass(VIDEO_CAMERA, rng, n_photos=n, distance_m=15.0),
         choice,
         rng,
@@ -422,12 +456,24 @@ def _turning(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw the LS-2 turning before a fixed camera 20 m away on the ground (the geometry of TARMES)."""
     n = 100 if choice.n_photos is None else choice.n_photos
     views = turning_collector(VIDEO_CAMERA, np.array([20.0, 0.0, 0.3]), np.linspace(80.5, 99.5, n))
-    return _scene("LS-2 turning before a camera", random_mirror(ls2_panelled(), rng), views, choice, rng)
+    return _scene(
+        "LS-2 turning before a camera",
+        random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped),
+        views,
+        choice,
+        rng,
+    )
 
 
 def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw two photos by a D300 from 7 m beside and 7 m above, for the absorber's position."""
-    scene = _scene("absorber of an LS-2", random_mirror(ls2_panelled(), rng), absorber_pair(D300_CAMERA), choice, rng)
+    scene = _scene(
+        "absorber of an LS-2",
+        random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped),
+        absorber_pair(D300_CAMERA),
+        choice,
+        rng,
+    )
     axis = TubeAxis.straight(3e-3, -5e-3).sagging(scene.collector.support_y_m, 0.0, -4e-3)
     return replace(scene, world=replace(scene.world, receiver=Receiver(scene.collector, axis)), optics=Optics(0.7))
 

@@ -290,3 +290,25 @@ def test_impossible_scenes_are_refused(tmp_path: Path) -> None:
         read_trough_truth(tmp_path)
     heights = HeightGrid(np.linspace(-3, 3, 5), np.linspace(-4, 4, 5), np.zeros((5, 5)))
     assert TroughMirror(design, errors=SurfaceErrors((heights,)), is_shaped=True).is_shaped
+
+
+def test_a_shaped_preset_has_the_heights_that_its_slopes_say_and_no_panel_stands_off() -> None:
+    scene = trough_scene("ls2-long", TroughChoice(3, 2, is_shaped=True))
+    mirror, design = scene.world.mirror, scene.collector
+    assert mirror.is_shaped
+    x, y = np.meshgrid(np.linspace(-2.45, 2.45, 120), np.linspace(-3.9, 3.9, 150))
+    height, slope_x, slope_y = mirror.deviation(x, y)
+    step = 1e-6
+    by_x = (mirror.deviation(x + step, y)[0] - mirror.deviation(x - step, y)[0]) / (2 * step)
+    by_y = (mirror.deviation(x, y + step)[0] - mirror.deviation(x, y - step)[0]) / (2 * step)
+    known = np.isfinite(by_x + by_y)
+    np.testing.assert_allclose(by_x[known], slope_x[known], atol=1e-9)
+    np.testing.assert_allclose(by_y[known], slope_y[known], atol=1e-9)
+    assert np.nanstd(height) > 3e-4
+    # As asked of the preset: 3 mrad across, 1.8 mrad along.
+    np.testing.assert_allclose(np.sqrt(np.nanmean(mirror.theta_r_rad(x, y) ** 2)), 3e-3, rtol=0.03)
+    np.testing.assert_allclose(np.sqrt(np.nanmean(slope_y**2)), 1.8e-3, rtol=0.03)
+    panel = design.panel_index(x, y)
+    means = [np.nanmean(height[panel == k]) for k in range(mirror.n_panels)]
+    assert np.abs(means).max() < 1e-4
+    assert "evaluation" not in observer_content(scene, ".png")
