@@ -1,6 +1,7 @@
 """Put a network that floats in its own frame and scale where control points or constraints want it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -10,7 +11,12 @@ from heliogauge.least_squares import VECTOR, Options, Problem, solve
 from heliogauge.rigid import RigidTransform, rotation_from_vector, skew
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle_state import BundleState
-from photogrammetry.constraints import Constraint, Distance
+from photogrammetry.constraints import AXES, Constraint, Coordinate, Distance
+
+#: With so many targets whose three coordinates are known the attitude follows from them at once.
+_ENOUGH_TARGETS = 4
+#: Targets whose extent in the second direction is less than this share of that in the first tell no turn about it.
+_ON_A_LINE = 1e-3
 
 _NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z", "stretch")
 
@@ -147,8 +153,30 @@ def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Se
         return scaled
     indices = [[place[name] for name in one.targets] for one in usable]
     held = ("stretch",) if ratios else ()
-    trials = [_fitted(scaled, usable, indices, (attitude, held)) for attitude in _attitudes()]
-    return min(trials, key=lambda trial: trial[0])[1]
+    # Poses only follow; the search moves the targets alone.
+    bare = replace(scaled, rotations=scaled.rotations[:0], translations_m=scaled.translations_m[:0])
+    near = _attitude_of_coordinates(bare, place, usable)
+    trials = [_fitted(bare, usable, indices, (one, held)) for one in (_attitudes() if near is None else [near])]
+    _, rotation, shift, scale = min(trials, key=lambda trial: trial[0])
+    return transformed(scaled, RigidTransform(rotation, shift), scale)
+
+
+def _attitude_of_coordinates(
+    state: BundleState, place: Mapping[str, int], known: Sequence[Constraint]
+) -> FloatArray | None:
+    """Return the best attitude for the targets of which all coordinates are known; None where those are too few."""
+    listed: dict[str, dict[str, float]] = {}
+    for one in known:
+        if isinstance(one, Coordinate):
+            listed.setdefault(one.target, {})[one.axis] = one.value_m
+    whole = {name: [axes[axis] for axis in AXES] for name, axes in listed.items() if len(axes) == len(AXES)}
+    if len(whole) < _ENOUGH_TARGETS:
+        return None
+    own, wanted = state.points_m[[place[name] for name in whole]], np.array(list(whole.values()))
+    left, singular, right = np.linalg.svd((wanted - wanted.mean(axis=0)).T @ (own - own.mean(axis=0)))
+    if singular[1] < _ON_A_LINE * singular[0]:
+        return None
+    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right)
 
 
 def _attitudes() -> list[FloatArray]:
@@ -163,19 +191,19 @@ def _fitted(
     known: Sequence[Constraint],
     indices: Sequence[list[int]],
     start: tuple[FloatArray, tuple[str, ...]],
-) -> tuple[float, BundleState]:
-    """Fit up to seven parameters to the constraints from one attitude; return the misfit and the network there."""
+) -> tuple[float, FloatArray, FloatArray, float]:
+    """Fit up to seven parameters to the constraints from one attitude; return misfit, rotation, shift and scale."""
     turned = transformed(state, RigidTransform(start[0], np.zeros(3)))
     center = turned.points_m.mean(axis=0)
     size = float(np.sqrt(((turned.points_m - center) ** 2).sum(axis=1).mean()))
 
-    def moved(values: FloatArray) -> BundleState:
+    def movement(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         rotation, scale = rotation_from_vector(values[:3]), float(np.exp(values[6]))
-        shift = center + values[3:6] * size - scale * rotation @ center
-        return transformed(turned, RigidTransform(rotation, shift), scale)
+        return rotation, center + values[3:6] * size - scale * rotation @ center, scale
 
     def evaluate(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        here = moved(values)
+        rotation, shift, scale = movement(values)
+        here = transformed(turned, RigidTransform(rotation, shift), scale)
         arms = here.points_m - here.points_m.mean(axis=0)
         d_points = np.concatenate([-skew(arms), np.broadcast_to(size * np.eye(3), (len(arms), 3, 3))], axis=2)
         d_points = np.concatenate([d_points, arms[:, :, None]], axis=2)
@@ -188,7 +216,8 @@ def _fitted(
 
     problem = Problem(_NAMES, evaluate, VECTOR, held=start[1])
     solution = solve(problem, np.zeros(7), options=Options(max_iterations=60, tolerance=1e-3, initial_damping=1e-3))
-    return float((solution.residuals**2).sum()), moved(solution.parameters)
+    rotation, shift, scale = movement(solution.parameters)
+    return float((solution.residuals**2).sum()), rotation @ start[0], shift, scale
 
 
 def _in_metres(residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -90,6 +90,8 @@ class BundleCovariance:
 
     def _under_datum(self, raw: FloatArray, movements: FloatArray, carried: FloatArray) -> FloatArray:
         """Turn blocks Q, shape (b, k, k), of unknowns with movements K and carried columns, (b, k, d), to the datum."""
+        if not movements.shape[2]:
+            return np.asarray(0.5 * (raw + np.swapaxes(raw, 1, 2)))
         core = self._carried[2]
         mixed = movements @ np.swapaxes(carried, 1, 2)
         result = raw - mixed - np.swapaxes(mixed, 1, 2) + movements @ core @ np.swapaxes(movements, 1, 2)
@@ -170,14 +172,14 @@ class BundleCovariance:
         result[unknown] = np.nan
         return result
 
-    @cached_property
-    def _dense_cofactor(self) -> FloatArray:
-        half = self._dense_halves(np.arange(self._layout.n_global))
-        return np.asarray(half.T @ half)
+    def dense_cofactors(self, columns: IntArray) -> FloatArray:
+        """Blocks of the inverse of the normal matrix under any datum: (b, k) columns of the dense part to (b, k, k)."""
+        scale = self._system.dense_scale[columns]
+        return np.asarray(self._elimination.factor.inverse_blocks(columns) / scale[:, :, None] / scale[:, None, :])
 
     def _dense_blocks(self, columns: IntArray) -> FloatArray:
         """Covariance of blocks of unknowns of the dense part, columns of shape (b, k)."""
-        raw = self._dense_cofactor[columns[:, :, None], columns[:, None, :]]
+        raw = self.dense_cofactors(columns)
         under = self._under_datum(raw, self._system.dense_movements[columns], self._carried[0][columns])
         blocks = self._scaled(under, self._known[0][columns] if self._corrects else None)
         _hold(blocks, self._held[columns])
@@ -228,24 +230,24 @@ class BundleCovariance:
         return unknown
 
     @cached_property
-    def cofactors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Inverse of the normal matrix under any datum: dense part (g, g), with targets (g, n, 3), targets (n, 3, 3).
+    def target_cofactors(self) -> tuple[FloatArray, FloatArray]:
+        """Inverse of the normal matrix under any datum: dense part with targets (g, n, 3), targets (n, 3, 3).
 
         What image points and constraints see of it does not depend on the datum.
         """
-        layout, scale = self._layout, self._system.dense_scale
+        layout, factor, scale = self._layout, self._elimination.factor, self._system.dense_scale
         crossed = np.zeros((layout.n_global, layout.slot.size, 3))
         own = np.zeros((layout.slot.size, 3, 3))
         crossed[:, layout.eliminated] = (
-            self._elimination.factor.back(self._halves).reshape(layout.n_global, layout.eliminated.size, 3)
-            / scale[:, None, None]
+            factor.back(self._halves).reshape(layout.n_global, layout.eliminated.size, 3) / scale[:, None, None]
         )
         own[layout.eliminated] = self._target_cofactors
         if layout.kept.size:
             columns = layout.kept_column[layout.kept][:, None] + np.arange(3)
-            crossed[:, layout.kept] = self._dense_cofactor[:, columns]
-            own[layout.kept] = self._dense_cofactor[columns[:, :, None], columns[:, None, :]]
-        return self._dense_cofactor, crossed, own
+            halves = factor.back(self._dense_halves(columns.ravel())) / scale[:, None]
+            crossed[:, layout.kept] = halves.reshape(layout.n_global, *columns.shape)
+            own[layout.kept] = self.dense_cofactors(columns)
+        return crossed, own
 
     def joint(
         self, targets: Sequence[int] | IntArray = (), photos: Sequence[int] | IntArray = (), *, intrinsics: bool = False
@@ -287,13 +289,17 @@ class BundleCovariance:
             )
             return result
 
-        half = np.empty((len(self._halves), in_dense.size))
-        half[:, in_dense], half[:, ~in_dense] = self._dense_halves(wanted), self._halves[:, own]
-        raw = half.T @ half
-        roots = self._elimination.roots[slots[slots >= 0]]
-        blocks = roots @ np.swapaxes(roots, 1, 2)
-        at = np.nonzero(~in_dense)[0].reshape(-1, 3)
-        raw[at[:, :, None], at[:, None, :]] += blocks
+        raw = np.empty((in_dense.size, in_dense.size))
+        scale = self._system.dense_scale[wanted]
+        raw[np.ix_(in_dense, in_dense)] = self._elimination.factor.inverse(wanted) / scale[:, None] / scale
+        if own.size:
+            halves = self._halves[:, own]
+            crossed = self._elimination.factor.back(halves)[wanted] / scale[:, None]
+            raw[np.ix_(in_dense, ~in_dense)], raw[np.ix_(~in_dense, in_dense)] = crossed, crossed.T
+            raw[np.ix_(~in_dense, ~in_dense)] = halves.T @ halves
+            roots = self._elimination.roots[slots[slots >= 0]]
+            at = np.nonzero(~in_dense)[0].reshape(-1, 3)
+            raw[at[:, :, None], at[:, None, :]] += roots @ np.swapaxes(roots, 1, 2)
         movements = gathered(self._system.dense_movements, self._target_movements)
         carried = gathered(*self._carried[:2])
         under = self._under_datum(raw[None], movements[None], carried[None])

@@ -19,6 +19,9 @@ from photogrammetry.bundle_state import (
 from photogrammetry.datum import free_movements, moved_as_a_whole, similarity_movements
 from photogrammetry.observations import IntArray
 
+#: With fewer image points for each photo all photos are worked on at once, with more one after the other.
+_FEW_POINTS = 64
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtraRows:
@@ -77,6 +80,11 @@ class CameraRows:
     def n_free(self) -> int:
         """Number of free intrinsics."""
         return int(self.jacobian.shape[1]) - 10
+
+    @property
+    def has_few_points(self) -> bool:
+        """Whether photos have so few image points that work photo by photo would be mostly overhead."""
+        return has_few_points(self.starts)
 
     @property
     def residuals(self) -> FloatArray:
@@ -222,9 +230,12 @@ class BundleModel:
         if n_free:
             jacobian[:, 6 : 6 + n_free] = free.T @ np.moveaxis(d_parameters, 0, -1)
         jacobian[:, 6 + n_free] = residual.T
-        for photo, first, last in runs(photos, starts):
-            rows = slice(first, last)
-            jacobian[:, 7 + n_free :, rows] = state.rotations[photo].T @ d_point[:, :, rows]
+        if has_few_points(starts):
+            jacobian[:, 7 + n_free :] = np.einsum("mij,rim->rjm", state.rotations[photos], d_point)
+        else:
+            for photo, first, last in runs(photos, starts):
+                rows = slice(first, last)
+                jacobian[:, 7 + n_free :, rows] = state.rotations[photo].T @ d_point[:, :, rows]
         whitening = self.whitening[:, part]
         jacobian[1] *= whitening[2]
         if whitening[1].any():
@@ -305,6 +316,11 @@ def _starts(photos: IntArray) -> IntArray:
     return np.concatenate([[0], np.nonzero(np.diff(photos))[0] + 1, [photos.size]]).astype(np.intp)
 
 
+def has_few_points(starts: IntArray) -> bool:
+    """Return whether runs of image points, which begin and end at these places, are short on average."""
+    return bool(0 < starts[-1] < _FEW_POINTS * (starts.size - 1))
+
+
 def runs(photos: IntArray, starts: IntArray) -> list[tuple[int, int, int]]:
     """List photo, first and last row of each run of image points of one photo."""
     return [(int(photos[first]), first, last) for first, last in pairwise(starts.tolist()) if last > first]
@@ -312,6 +328,8 @@ def runs(photos: IntArray, starts: IntArray) -> list[tuple[int, int, int]]:
 
 def _rotated(rotations: FloatArray, points: FloatArray, photos: IntArray, starts: IntArray) -> FloatArray:
     """Turn points, shape (3, m), each by the rotation of its photo."""
+    if has_few_points(starts):
+        return np.asarray(np.einsum("mij,jm->im", rotations[photos], points))
     result = np.empty_like(points)
     for photo, first, last in runs(photos, starts):
         result[:, first:last] = rotations[photo] @ points[:, first:last]

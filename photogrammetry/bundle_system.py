@@ -9,6 +9,7 @@ import numpy as np
 
 from heliogauge.gauss_newton import EPSILON
 from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.bundle_factor import EIGENVALUE_TOLERANCE, BlockFactor, BorderedBlocks, DenseFactor, Factor
 from photogrammetry.bundle_problem import Layout
 from photogrammetry.bundle_rows import BundleModel, CameraRows, ExtraRows, runs
 from photogrammetry.bundle_state import BundleState
@@ -22,8 +23,6 @@ from photogrammetry.datum import (
 )
 from photogrammetry.observations import IntArray
 
-# Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
-EIGENVALUE_TOLERANCE = 1e-12
 # Below this the damping moves a step by less than what it is for; the undamped factors serve then.
 _NO_DAMPING = 1e-3
 # Coupling blocks of targets and dense part are kept in memory up to this size, beyond they are formed again [bytes].
@@ -50,7 +49,7 @@ class NormalBlocks:
 
     Parameters
     ----------
-    dense : ndarray, shape (g, g)
+    dense : BorderedBlocks, size g
         Photos, intrinsics and kept targets.
     dense_gradient : ndarray, shape (g,)
         Their gradient.
@@ -60,7 +59,7 @@ class NormalBlocks:
         Their gradient.
     """
 
-    dense: FloatArray
+    dense: BorderedBlocks
     dense_gradient: FloatArray
     targets: FloatArray
     target_gradient: FloatArray
@@ -84,7 +83,8 @@ def normal_blocks(layout: Layout, rows: tuple[CameraRows, ...], extra: ExtraRows
         All but the coupling of targets with the dense part.
     """
     count = layout.eliminated.size
-    dense, gradient = np.zeros((layout.n_global, layout.n_global)), np.zeros(layout.n_global)
+    dense = BorderedBlocks.zeros(layout.n_photos, layout.n_global - 6 * layout.n_photos)
+    gradient = np.zeros(layout.n_global)
     # Nine sums for each target: six of the symmetric block and three of the gradient.
     sums = np.zeros((9, count + 1))
     for one in rows:
@@ -109,46 +109,58 @@ def normal_blocks(layout: Layout, rows: tuple[CameraRows, ...], extra: ExtraRows
 _SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def _add_dense(layout: Layout, rows: CameraRows, dense: FloatArray, gradient: FloatArray) -> None:
-    """Add the products of pose and intrinsics, one matrix product for each photo and image axis."""
+def _add_dense(layout: Layout, rows: CameraRows, dense: BorderedBlocks, gradient: FloatArray) -> None:
+    """Add the products of pose and intrinsics of each photo."""
+    photos, grams = _grams(rows)
+    first = 6 * layout.n_photos
+    dense.poses[photos] += grams[:, :6, :6]
+    gradient[:first].reshape(-1, 6)[photos] += grams[:, :6, -1]
+    columns = layout.intrinsic_columns[rows.camera] - first
+    if columns.size:
+        own = slice(int(columns[0]), int(columns[-1]) + 1)
+        dense.border.reshape(-1, 6, dense.border.shape[1])[photos, :, own] += grams[:, :6, 6:-1]
+        dense.corner[own, own] += grams[:, 6:-1, 6:-1].sum(axis=0)
+        gradient[first + columns] += grams[:, 6:-1, -1].sum(axis=0)
+
+
+def _grams(rows: CameraRows) -> tuple[IntArray, FloatArray]:
+    """Return the photos and the products of pose, intrinsics and residual of each, shape (q, w, w)."""
     width = 7 + rows.n_free
-    columns = layout.intrinsic_columns[rows.camera]
-    for photo, first, last in runs(rows.photos, rows.starts):
-        part = rows.jacobian[:, :width, first:last]
-        gram = part[0] @ part[0].T + part[1] @ part[1].T
-        place = slice(6 * photo, 6 * photo + 6)
-        dense[place, place] += gram[:6, :6]
-        gradient[place] += gram[:6, -1]
-        if columns.size:
-            own = slice(int(columns[0]), int(columns[-1]) + 1)
-            dense[place, own] += gram[:6, 6:-1]
-            dense[own, place] += gram[6:-1, :6]
-            dense[own, own] += gram[6:-1, 6:-1]
-            gradient[own] += gram[6:-1, -1]
+    if rows.has_few_points:
+        first, second = np.triu_indices(width)
+        part = rows.jacobian[:, :width]
+        products = part[0, first] * part[0, second] + part[1, first] * part[1, second]
+        sums = np.add.reduceat(products, rows.starts[:-1], axis=1).T
+        grams = np.empty((len(sums), width, width))
+        grams[:, first, second] = grams[:, second, first] = sums
+        return rows.photos[rows.starts[:-1]], grams
+    found = [(photo, rows.jacobian[:, :width, first:last]) for photo, first, last in runs(rows.photos, rows.starts)]
+    grams = np.array([part[0] @ part[0].T + part[1] @ part[1].T for _, part in found]).reshape(-1, width, width)
+    return np.array([photo for photo, _ in found], dtype=np.intp), grams
 
 
-def _add_kept(layout: Layout, rows: CameraRows, dense: FloatArray, gradient: FloatArray) -> None:
-    """Add the image points of targets that stay in the dense part (two for each scale bar)."""
+def _add_kept(layout: Layout, rows: CameraRows, dense: BorderedBlocks, gradient: FloatArray) -> None:
+    """Add the image points of targets that are not eliminated (two for each scale bar)."""
     column = layout.kept_column[rows.targets]
     which = np.nonzero(column >= 0)[0]
     if not which.size:
         return
+    first = 6 * layout.n_photos
     d_target = rows.target_columns[:, :, which]
-    n_dense = 6 + rows.n_free
-    d_dense = rows.jacobian[:, :n_dense, which]
-    own = column[which][:, None] + np.arange(3)
-    others = np.empty((which.size, n_dense), dtype=np.intp)
-    others[:, :6] = 6 * rows.photos[which][:, None] + np.arange(6)
-    others[:, 6:] = layout.intrinsic_columns[rows.camera]
-    cross = np.einsum("ram,rbm->mab", d_dense, d_target)
-    np.add.at(dense, (others[:, :, None], own[:, None, :]), cross)
-    np.add.at(dense, (own[:, :, None], others[:, None, :]), np.swapaxes(cross, 1, 2))
-    np.add.at(dense, (own[:, :, None], own[:, None, :]), np.einsum("ram,rbm->mab", d_target, d_target))
-    np.add.at(gradient, own, np.einsum("ram,rm->ma", d_target, rows.residuals[:, which]))
+    own = column[which][:, None] - first + np.arange(3)
+    cross = np.einsum("ram,rbm->mab", rows.jacobian[:, : 6 + rows.n_free, which], d_target)
+    poses = 6 * rows.photos[which][:, None] + np.arange(6)
+    np.add.at(dense.border, (poses[:, :, None], own[:, None, :]), cross[:, :6])
+    intrinsics = np.broadcast_to(layout.intrinsic_columns[rows.camera] - first, (which.size, rows.n_free))
+    np.add.at(dense.corner, (intrinsics[:, :, None], own[:, None, :]), cross[:, 6:])
+    np.add.at(dense.corner, (own[:, :, None], intrinsics[:, None, :]), np.swapaxes(cross[:, 6:], 1, 2))
+    np.add.at(dense.corner, (own[:, :, None], own[:, None, :]), np.einsum("ram,rbm->mab", d_target, d_target))
+    np.add.at(gradient, first + own, np.einsum("ram,rm->ma", d_target, rows.residuals[:, which]))
 
 
 def _add_extra(layout: Layout, extra: ExtraRows, normal: NormalBlocks) -> None:
     """Add constraints on targets and priors on intrinsics."""
+    first = 6 * layout.n_photos
     for residuals, jacobian, targets in zip(extra.residuals, extra.jacobians, extra.targets, strict=True):
         for place, target in enumerate(targets.tolist()):
             slot = layout.slot[target]
@@ -160,61 +172,12 @@ def _add_extra(layout: Layout, extra: ExtraRows, normal: NormalBlocks) -> None:
         if kept.size:
             columns = (layout.kept_column[targets[kept]][:, None] + np.arange(3)).ravel()
             own = jacobian[:, kept].reshape(len(residuals), -1)
-            normal.dense[np.ix_(columns, columns)] += own.T @ own
+            normal.dense.corner[np.ix_(columns - first, columns - first)] += own.T @ own
             normal.dense_gradient[columns] += own.T @ residuals
     if extra.prior_residuals.size:
-        first = 6 * layout.n_photos
-        own_columns = slice(first, first + extra.prior_jacobian.shape[1])
-        normal.dense[own_columns, own_columns] += extra.prior_jacobian.T @ extra.prior_jacobian
-        normal.dense_gradient[own_columns] += extra.prior_jacobian.T @ extra.prior_residuals
-
-
-class DenseFactor:
-    """Factorised dense part after elimination: Cholesky, or eigenvectors where it is singular.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (g, g)
-        The scaled matrix; overwritten.
-    """
-
-    def __init__(self, matrix: FloatArray) -> None:
-        from scipy.linalg import lapack
-
-        #: Directions that nothing holds, shape (g, k).
-        self.lost: FloatArray = np.zeros((matrix.shape[0], 0))
-        self._vectors: FloatArray | None = None
-        norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
-        lower, info = lapack.dpotrf(matrix, lower=1, clean=1)
-        condition = lapack.dpocon(lower, norm, uplo="L")[0] if info == 0 and matrix.size else 1.0
-        # The estimate is for another norm: look closely well before the limit.
-        if info == 0 and condition > 10 * EIGENVALUE_TOLERANCE:
-            self._lower: FloatArray = lower
-            return
-        values, vectors = np.linalg.eigh(matrix)
-        held = values > EIGENVALUE_TOLERANCE * max(float(values[-1]), 0.0)
-        self.lost = vectors[:, ~held]
-        self._vectors = vectors[:, held] / np.sqrt(values[held])
-
-    def half(self, right: FloatArray) -> FloatArray:
-        """Return F b with ``F^T F`` the (pseudo-)inverse of the matrix, shape (k, c)."""
-        if self._vectors is not None:
-            return np.asarray(self._vectors.T @ right)
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self._lower, right, lower=True, check_finite=False))
-
-    def back(self, half: FloatArray) -> FloatArray:
-        """Return ``F^T`` times the result of `half`."""
-        if self._vectors is not None:
-            return np.asarray(self._vectors @ half)
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self._lower, half, lower=True, trans="T", check_finite=False))
-
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Return the (pseudo-)inverse times a right-hand side."""
-        return self.back(self.half(right))
+        count = extra.prior_jacobian.shape[1]
+        normal.dense.corner[:count, :count] += extra.prior_jacobian.T @ extra.prior_jacobian
+        normal.dense_gradient[first : first + count] += extra.prior_jacobian.T @ extra.prior_residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +186,7 @@ class Elimination:
 
     roots: FloatArray
     lost_targets: FloatArray
-    factor: DenseFactor
+    factor: Factor
     couplings: tuple[Coupling, ...] | None
     dense_right: FloatArray
     target_right: FloatArray
@@ -262,7 +225,7 @@ class SchurSystem:
             self.rows = tuple(one.scaled(root[part]) for one, part in zip(self.rows, parts, strict=True))
         self.extra: ExtraRows = evaluated[1]
         self.normal: NormalBlocks = normal_blocks(self.layout, self.rows, self.extra)
-        diagonals = [np.diag(self.normal.dense), np.einsum("eii->ei", self.normal.targets).ravel()]
+        diagonals = [self.normal.dense.diagonal, np.einsum("eii->ei", self.normal.targets).ravel()]
         norms = np.sqrt(np.concatenate(diagonals))
         scale = norms if scale_floor is None else np.maximum(norms, scale_floor)
         self.scale: FloatArray = np.where(scale > 0, scale, 1.0)
@@ -368,17 +331,24 @@ class SchurSystem:
 
     def eliminated(self, damping: float) -> Elimination:
         """Eliminate the targets and factorise the rest."""
-        layout, scale = self.layout, self.dense_scale
+        layout = self.layout
         roots, lost = _target_roots(self.normal.targets, self.target_scale, damping)
         right = np.einsum("eji,ej->ei", roots, self.normal.target_gradient)
-        matrix = self.normal.dense / scale[:, None] / scale
-        matrix.flat[:: layout.n_global + 1] += damping
-        border = np.linalg.qr(self.dense_movements * scale[:, None])[0]
+        dense = self.normal.dense.scaled(self.dense_scale, damping)
         # The movements are an exact null space: this gives them the eigenvalue 1 and changes nothing else.
+        border = np.linalg.qr(self.dense_movements * self.dense_scale[:, None])[0]
+        keeps = 24.0 * layout.n_global * layout.eliminated.size < _KEEP_BYTES
+        keep = tuple(self._formed(roots)) if keeps else None
+        dense_right = self.normal.dense_gradient / self.dense_scale
+        factor = self._factor_by_blocks(dense, keep, border)
+        if factor is not None and keep is not None:
+            for block in keep:
+                rows = slice(None) if block.rows is None else block.rows
+                dense_right[rows] -= block.matrix @ right[block.first : block.last].ravel()
+            return Elimination(roots, lost, factor, keep, dense_right, right)
+        matrix = dense.whole()
         matrix += border @ border.T
-        dense_right = self.normal.dense_gradient / scale
-        keep: list[Coupling] | None = [] if 24.0 * layout.n_global * layout.eliminated.size < _KEEP_BYTES else None
-        for block in self._formed(roots):
+        for block in self._formed(roots) if keep is None else keep:
             product = block.matrix @ block.matrix.T
             change = block.matrix @ right[block.first : block.last].ravel()
             if block.rows is None:
@@ -387,10 +357,23 @@ class SchurSystem:
             else:
                 matrix[np.ix_(block.rows, block.rows)] -= product
                 dense_right[block.rows] -= change
-            if keep is not None:
-                keep.append(block)
-        factor = DenseFactor(matrix)
-        return Elimination(roots, lost, factor, None if keep is None else tuple(keep), dense_right, right)
+        return Elimination(roots, lost, DenseFactor(matrix), keep, dense_right, right)
+
+    def _factor_by_blocks(
+        self, dense: BorderedBlocks, couplings: tuple[Coupling, ...] | None, border: FloatArray
+    ) -> BlockFactor | None:
+        """Factorise without forming the matrix where what ties the photos together is little; None elsewhere."""
+        n_global, rank = dense.size, 3 * int(self.layout.eliminated.size)
+        if couplings is None or not BlockFactor.pays(n_global, rank + border.shape[1] + 2 * len(dense.corner)):
+            return None
+        minus = np.zeros((n_global, rank))
+        for block in couplings:
+            rows = slice(None) if block.rows is None else block.rows
+            minus[rows, 3 * block.first : 3 * block.last] = block.matrix
+        try:
+            return BlockFactor(dense, minus, border)
+        except np.linalg.LinAlgError:
+            return None
 
     def couplings(self, elimination: Elimination) -> Iterator[Coupling]:
         """Yield the coupling blocks of an elimination."""

@@ -1,5 +1,6 @@
 """The centre of a circle's image is not the image of its centre: corrected without knowing how targets are turned."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from photogrammetry.observations import ImagePoints
 _LEAST_PHOTOS = 3
 # Radii follow from ellipses to a few percent.
 _OTHER_SIZE = 0.15
+# Image points that are worked on together: some ten arrays of nine numbers for each.
+_ROWS_AT_ONCE = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,20 +75,18 @@ def estimate_discs(
     """
     n = len(observations.targets)
     normal, right, rays = np.zeros((n, 6, 6)), np.zeros((n, 6)), np.zeros(n, dtype=np.intp)
-    for photo in range(len(observations.photos)):
-        rows = np.nonzero((observations.photo_index == photo) & np.isfinite(ellipses_px2).all(axis=(1, 2)))[0]
-        targets = observations.target_index[rows]
-        pose = state.cam_from_world(photo)
-        _, d_point, _ = state.cameras[camera_of_photo[photo]].project_with_jacobians(
-            pose.apply(state.points_m[targets])
-        )
-        jacobian = d_point @ pose.rotation
+    measured = np.asarray(np.isfinite(ellipses_px2).all(axis=(1, 2)))
+    for rows, camera in _blocks(measured, observations, camera_of_photo):
+        targets, photos = observations.target_index[rows], observations.photo_index[rows]
+        rotations = state.rotations[photos]
+        centers = _in_cameras(state, photos, targets)
+        jacobian = state.cameras[camera].project_with_jacobians(centers)[1] @ rotations
         design = np.stack([_row(jacobian, 0, 0), _row(jacobian, 1, 1), _row(jacobian, 0, 1)], axis=1)
         seen = np.stack([ellipses_px2[rows, 0, 0], ellipses_px2[rows, 1, 1], ellipses_px2[rows, 0, 1]], axis=1)
         # Ellipses are measured to a share of their size.
         weight = 1 / np.maximum(np.trace(ellipses_px2[rows], axis1=1, axis2=2), 1e-300)[:, None]
         design, seen = design * weight[:, :, None], seen * weight
-        np.add.at(normal, targets, np.einsum("mra,mrb->mab", design, design))
+        np.add.at(normal, targets, np.swapaxes(design, 1, 2) @ design)
         np.add.at(right, targets, np.einsum("mra,mr->ma", design, seen))
         np.add.at(rays, targets, 1)
     free = _discs(normal, right, rays)
@@ -161,13 +162,28 @@ def eccentricities_px(
     column is its centre, exact for any size.
     """
     shift = np.zeros((observations.n, 2))
-    for photo in range(len(observations.photos)):
-        mine = observations.photo_index == photo
-        rows = np.nonzero(mine & discs.known[observations.target_index])[0]
-        targets = observations.target_index[rows]
-        pose, camera = state.cam_from_world(photo), state.cameras[camera_of_photo[photo]]
-        center = pose.apply(state.points_m[targets])
-        turned = pose.rotation @ discs.shapes_m2[targets] @ pose.rotation.T
+    for rows, camera in _blocks(discs.known[observations.target_index], observations, camera_of_photo):
+        targets, photos = observations.target_index[rows], observations.photo_index[rows]
+        rotations, lens = state.rotations[photos], state.cameras[camera]
+        center = _in_cameras(state, photos, targets)
+        turned = rotations @ discs.shapes_m2[targets] @ np.swapaxes(rotations, 1, 2)
         dual = turned - center[:, :, None] * center[:, None, :]
-        shift[rows] = camera.project(dual[:, :, 2] / dual[:, 2:, 2]) - camera.project(center)
+        shift[rows] = lens.project(dual[:, :, 2] / dual[:, 2:, 2]) - lens.project(center)
     return shift
+
+
+def _blocks(
+    which: BoolArray, observations: ImagePoints, camera_of_photo: np.ndarray
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield rows of one camera each, some thousands at a time, and the camera."""
+    camera = np.asarray(camera_of_photo)[observations.photo_index]
+    for one in np.unique(camera[which]).tolist():
+        rows = np.nonzero(which & (camera == one))[0]
+        for first in range(0, rows.size, _ROWS_AT_ONCE):
+            yield rows[first : first + _ROWS_AT_ONCE], int(one)
+
+
+def _in_cameras(state: BundleState, photos: np.ndarray, targets: np.ndarray) -> FloatArray:
+    """Return targets in the frames of their photos' cameras, shape (m, 3) [m]."""
+    turned = np.einsum("mij,mj->mi", state.rotations[photos], state.points_m[targets])
+    return np.asarray(turned + state.translations_m[photos])
