@@ -14,7 +14,7 @@ Preset = Literal["azimuth-elevation", "drone", "six-error", "linear-actuators"]
 Split = Literal["random", "chronological", "azimuth", "high-variance", "column"]
 Label = Literal["UTIS", "HeliOS"]
 #: Optional terms of each drive.
-DriveTerm = Literal["worm", "sag", "backlash", "scale"]
+DriveTerm = Literal["worm", "worm2", "sag", "backlash", "scale"]
 #: inf leaves a parameter to the observations alone.
 _PriorSigma = Annotated[float, Field(strict=True, ge=0)]
 
@@ -91,7 +91,8 @@ class KinematicsSection(Section):
     """The model: a preset, which of its parameters are estimated, and what is known of them.
 
     ``counts_per_turn`` turns motor counts of rotary drives into angles (one number or one for each axis; negative
-    where the count runs against the axis). ``worm_ratio`` is the cycles of the periodic error per turn.
+    where the count runs against the axis). ``worm_ratio`` is the cycles of the periodic error per turn (per metre of
+    stroke of a linear actuator); ``worm2`` has its second harmonic too.
     """
 
     preset: Preset = "azimuth-elevation"
@@ -104,8 +105,8 @@ class KinematicsSection(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        if "worm" in self.terms and self.worm_ratio is None:
-            raise ValueError('terms has "worm", so worm_ratio is needed: cycles of the periodic error per turn')
+        if {"worm", "worm2"} & set(self.terms) and self.worm_ratio is None:
+            raise ValueError("a worm's error is asked for, so worm_ratio is needed: its cycles per turn of the axis")
         if self.counts_per_turn is not None and 0 in self.counts_per_turn:
             raise ValueError("counts_per_turn must not be 0")
         return self

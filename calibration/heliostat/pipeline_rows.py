@@ -1,0 +1,264 @@
+"""Rows of observations as they were read: numbers, texts and times by column, and why a row cannot be used.
+
+No row is ever dropped. A row that cannot be used keeps its place with a flag and a sentence, and comes out again in
+``residuals.csv``.
+"""
+
+import csv
+import datetime
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import InputError
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+Times: TypeAlias = npt.NDArray[np.datetime64]
+
+#: Why a row of observations has no part in the fit; "" and "outlier" come from the fit itself.
+ROW_FLAGS: dict[str, str] = {
+    "": "used",
+    "unreadable": "the row or file cannot be read",
+    "not_finite": "a number that is needed is missing or not finite",
+    "time": "the time cannot be placed: no zone, or no time at all",
+    "target": "no such target",
+    "camera": "no such camera",
+    "sun": "the sun was below the horizon, or not where the time puts it",
+    "units": "the number is too large for its unit",
+    "reading": "the drives cannot have stood there",
+    "duplicate": "repeats an earlier row",
+    "label": "the centre by the chosen method is missing",
+    "off_target": "the beam's centre is off its target",
+    "image": "the photo gave no centre",
+    "outlier": "contradicts the others",
+}
+
+TEXT_COLUMNS = ("heliostat", "time_utc", "kind", "target", "camera", "lamp", "position", "point", "image", "split")
+NUMBER_COLUMNS = (
+    "axis_1_counts", "axis_2_counts", "axis_1_deg", "axis_2_deg", "axis_1_rad", "axis_2_rad",
+    "x_m", "y_m", "e_m", "n_m", "u_m", "sigma_mm", "sigma_x_mm", "sigma_y_mm", "sigma_mrad",
+    "drone_e_m", "drone_n_m", "drone_u_m", "sigma_drone_e_mm", "sigma_drone_n_mm", "sigma_drone_u_mm",
+    "normal_e", "normal_n", "normal_u", "point_x_m", "point_y_m", "point_z_m", "lamp_e_m", "lamp_n_m", "lamp_u_m",
+    "direction_x", "direction_y", "direction_z", "sun_azimuth_deg", "sun_elevation_deg", "approach_1", "approach_2",
+)  # fmt: skip
+NO_TIME = np.datetime64("NaT", "ms")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Observations of one heliostat as they were read.
+
+    Parameters
+    ----------
+    ids : tuple of str, length n
+        What a person calls each row: its line, or the number of its file.
+    numbers : mapping of str to ndarray, shape (n,)
+        Columns of numbers; NaN where the cell is empty.
+    texts : mapping of str to tuple of str, length n
+        Columns of texts.
+    times : ndarray of datetime64[ms], shape (n,)
+        Time of each row (UTC); NaT where there is none.
+    flags, reasons : tuple of str, length n
+        Why a row cannot be used (a key of `ROW_FLAGS`), and the sentence; empty where it can.
+    """
+
+    ids: tuple[str, ...]
+    numbers: Mapping[str, FloatArray]
+    texts: Mapping[str, tuple[str, ...]]
+    times: Times
+    flags: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def number(self, name: str) -> FloatArray:
+        """Return a column of numbers, NaN where the table has none; shape (n,)."""
+        return self.numbers.get(name, np.full(len(self), np.nan))
+
+    def vector(self, *names: str) -> FloatArray:
+        """Return several columns side by side, shape (n, number of names)."""
+        return np.column_stack([self.number(name) for name in names])
+
+    def text(self, name: str, default: str = "") -> tuple[str, ...]:
+        """Return a column of texts; the default where a cell is empty."""
+        column = self.texts.get(name, ("",) * len(self))
+        return tuple(cell or default for cell in column)
+
+
+class Verdicts:
+    """Collects why rows cannot be used; the first reason of a row stays.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows, with what was found wrong on reading.
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        self.flags = list(rows.flags)
+        self.reasons = list(rows.reasons)
+
+    @property
+    def usable(self) -> BoolArray:
+        """Whether each row can still be used, shape (n,)."""
+        return np.array([not flag for flag in self.flags], dtype=np.bool_)
+
+    def refuse(self, where: npt.ArrayLike, flag: str, reason: str | Callable[[int], str]) -> None:
+        """Refuse the rows of a mask (n,); the reason may depend on the row."""
+        for row in np.nonzero(np.asarray(where))[0].tolist():
+            if not self.flags[row]:
+                self.flags[row] = flag
+                self.reasons[row] = reason if isinstance(reason, str) else reason(row)
+
+    def judged(self, rows: Rows) -> Rows:
+        """Return the rows with the verdicts."""
+        return Rows(rows.ids, rows.numbers, rows.texts, rows.times, tuple(self.flags), tuple(self.reasons))
+
+
+def check_header(header: Sequence[str], where: str, known: Iterable[str]) -> None:
+    """Refuse columns that nobody knows and columns that are there twice.
+
+    Parameters
+    ----------
+    header : sequence of str
+        Names of the columns.
+    where : str
+        The file, for messages.
+    known : iterable of str
+        Names that may be there.
+
+    Raises
+    ------
+    InputError
+        Names the column and the near match.
+    """
+    names = list(known)
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"{where}: the column {name!r} is there {header.count(name)} times; keep one")
+        if name not in names:
+            near = get_close_matches(name, names, n=1, cutoff=0.6)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
+            raise InputError(f"{where}: {name!r} is not a column here; {hint}")
+
+
+def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
+    """Read lines of a table of observations.
+
+    Parameters
+    ----------
+    header : sequence of str
+        Names of the columns.
+    lines : iterable of (int, str)
+        Number and text of each line.
+
+    Returns
+    -------
+    Rows
+        The rows; cells that cannot be read are flagged.
+    """
+    numbered = list(lines)
+    cells, flags, reasons = [], [], []
+    for (_, text), row in zip(numbered, csv.reader(text for _, text in numbered), strict=True):
+        fits = len(row) == len(header)
+        flags.append("" if fits else "unreadable")
+        reasons.append("" if fits else f"{len(row)} cells, the header has {len(header)}: {text.strip()[:60]}")
+        cells.append(row if fits else [""] * len(header))
+    columns = dict(zip(header, zip(*cells, strict=True), strict=True)) if cells else dict.fromkeys(header, ())
+    texts = {name: tuple(cell.strip() for cell in columns[name]) for name in TEXT_COLUMNS if name in columns}
+    blank = Rows(
+        tuple(f"line {line}" for line, _ in numbered), {}, texts, np.full(len(cells), NO_TIME), tuple(flags),
+        tuple(reasons),
+    )  # fmt: skip
+    verdicts = Verdicts(blank)
+    numbers = {name: _numbers(name, columns[name], verdicts) for name in header if name not in TEXT_COLUMNS}
+    times = parse_times(texts["time_utc"], verdicts) if "time_utc" in texts else blank.times
+    return verdicts.judged(Rows(blank.ids, numbers, texts, times, blank.flags, blank.reasons))
+
+
+def _numbers(name: str, cells: Sequence[str], verdicts: Verdicts) -> FloatArray:
+    try:
+        values = np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError:
+        values = np.array([_number(cell) for cell in cells])
+        for row, cell in enumerate(cells):
+            if cell.strip() and np.isnan(values[row]):
+                mask = np.arange(len(cells)) == row
+                hint = "; the decimal sign must be a point" if "," in cell else ""
+                verdicts.refuse(mask, "unreadable", f"{name} = {cell.strip()!r} is no number{hint}")
+    return np.asarray(freeze(values))
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def parse_times(texts: Sequence[str], verdicts: Verdicts) -> Times:
+    """Read times in ISO 8601 with a zone, as UTC.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Such as ``2026-06-21T10:00:00Z`` or ``2026-06-21 12:00:00+02:00``; empty for none.
+    verdicts : Verdicts
+        Takes the rows whose time cannot be placed.
+
+    Returns
+    -------
+    ndarray of datetime64[ms], shape (n,)
+        The times.
+    """
+    times = np.full(len(texts), NO_TIME)
+    for row, text in enumerate(texts):
+        if not text:
+            continue
+        try:
+            moment = datetime.datetime.fromisoformat(text)
+        except ValueError:
+            reason = f"time_utc = {text!r} is no time; write 2026-06-21T10:00:00Z"
+        else:
+            if moment.tzinfo is not None:
+                times[row] = np.datetime64(moment.astimezone(datetime.UTC).replace(tzinfo=None), "ms")
+                continue
+            reason = f"time_utc = {text!r} says no zone; write {text.replace(' ', 'T')}Z if it is UTC"
+        verdicts.refuse(np.arange(len(texts)) == row, "time", reason)
+    return np.asarray(freeze(times))
+
+
+def rows_of(
+    ids: Sequence[str], columns: Mapping[str, Sequence[Any]], times: Times, verdicts: Sequence[tuple[str, str]]
+) -> Rows:
+    """Build rows from columns that are read already.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        What a person calls each row.
+    columns : mapping of str to sequence, length n
+        Columns by the names of the table.
+    times : ndarray of datetime64[ms], shape (n,)
+        Times.
+    verdicts : sequence of (str, str), length n
+        Flag and reason of each row.
+
+    Returns
+    -------
+    Rows
+        The rows.
+    """
+    numbers = {
+        name: np.asarray(freeze(np.array(column, dtype=np.float64)))
+        for name, column in columns.items()
+        if name not in TEXT_COLUMNS
+    }
+    texts = {name: tuple(column) for name, column in columns.items() if name in TEXT_COLUMNS}
+    flags, reasons = tuple(flag for flag, _ in verdicts), tuple(reason for _, reason in verdicts)
+    return Rows(tuple(ids), numbers, texts, times, flags, reasons)
