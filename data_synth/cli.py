@@ -224,3 +224,56 @@ def trough(
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     write_trough_dataset(out, scene, TroughOptions(seed, jpeg_quality, force), progress)
     print(out)
+
+
+@app.command()
+def heliostat(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="Plant: small (4 heliostats of 60 beams), field (100 of 100), juelich (20 with linear actuators, "
+            "three targets), faulty (24, half of them with one fault each), stellenbosch (one with a worm gear, four "
+            "days), drone (sightings from 32 to 70 m), images (photos of 32 beams)."
+        ),
+    ] = "small",
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of errors, times and noise; the same seed gives the same files.")
+    ] = 0,
+    heliostats: Annotated[int | None, typer.Option(min=1, help="How many; the preset's without.")] = None,
+    observations: Annotated[
+        int | None, typer.Option(min=1, help="About so many of each heliostat; the preset's without.")
+    ] = None,
+    spot_sigma_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Noise of a spot, right and up; the preset's without.")
+    ] = None,
+    wind_mrad: Annotated[
+        float | None, typer.Option(min=0.0, help="The normal in the wind, about each axis; the preset's without.")
+    ] = None,
+    outliers: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Share of spots that are wrong by half a metre.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Spoil the next heliostat, or FAULT:NAME: wrong-actuator, moved, change-point, drift, backlash, "
+            "outliers, wrong-target, south-azimuth, local-time, stuck-reading, duplicates, few. May be given several "
+            "times."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Let heliostats with known errors throw the sun on a tower's targets, and measure their beams."""
+    from data_synth.heliostat_dataset import HeliostatOptions, write_heliostat_dataset
+    from data_synth.heliostat_presets import HeliostatChoice, heliostat_scene
+    from heliogauge.terminal import terminal_progress
+
+    scene = heliostat_scene(preset, HeliostatChoice(seed, heliostats, observations))
+    spot_m = None if spot_sigma_mm is None else (1e-3 * spot_sigma_mm, 1e-3 * spot_sigma_mm)
+    wind_rad = None if wind_mrad is None else 1e-3 * wind_mrad
+    scene = scene.with_disturbances(spot_m=spot_m, wind_rad=wind_rad, outliers=outliers).with_faults(tuple(fault or ()))
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    write_heliostat_dataset(out, scene, HeliostatOptions(seed, force), progress)
+    print(out)

@@ -25,6 +25,7 @@ _BORDER_MODULES = {
     "photogrammetry.target_sheets": "writes printable sheets",
     "data_synth.target_dataset": "writes a measurement folder",
     "data_synth.trough_dataset": "writes a measurement folder",
+    "data_synth.heliostat_dataset": "writes a measurement folder",
 }
 
 
