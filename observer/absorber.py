@@ -12,7 +12,7 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray
-from observer.absorber_bearings import SEARCH_M, Bearings, bearing
+from observer.absorber_bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
 from observer.absorber_path import AbsorberPath
 from observer.camera_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
 from observer.reflector import Photos
@@ -27,6 +27,9 @@ _BEND_M = 0.01
 _ROWS_ALIKE = 3
 #: What the background does to the bisector stays alike over this length; stations do not average it out [m].
 _ALIKE_M = 1.0
+#: Of the error that rows of one photo share, this part may be alike in all photos from one side: what the glass throws
+#: back, and what it shows of the mirror, differ towards the trough's middle and away from it.
+_ONE_SIDED_SHARE = 0.5
 #: Times the standard deviation beyond which a bearing is not the tube's.
 _REJECT_TIMES = 4.0
 #: A photo that the others move by more than so many standard deviations of its pose shows something else.
@@ -84,13 +87,18 @@ class AbsorberSolution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Directions:
-    """Bearings averaged around stations: photo, station, place along the trough, deviation from a path, sigma."""
+    """Bearings averaged around stations: photo, station, place along the trough, deviation from a path, sigma.
+
+    `one_sided_rad` is what the deviation changes by for one standard deviation of the error that photos from one side
+    have in common, with the sign of that side.
+    """
 
     photo: IntArray
     station: IntArray
     y_m: FloatArray
     deviation_rad: FloatArray
     sigma_rad: FloatArray
+    one_sided_rad: FloatArray
 
 
 def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray) -> AbsorberSolution:
@@ -162,9 +170,15 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Direct
     mean = np.nanmean(np.where(inside, deviations, np.nan), axis=1)
     place = np.nanmean(np.where(inside, table(bearings.y_m), np.nan), axis=1)
     alike = max(1.0, _ALIKE_M * (path.n - 1) / float(path.y_m[-1] - path.y_m[0]))
-    shared = np.sqrt(alike) * np.nanmedian(table(bearings.shared_rad), axis=1)
+    shared = np.nanmedian(table(bearings.shared_rad), axis=1)
+    # A tube that looks wider than in the other photos has something dark beside one edge.
+    wide = np.nanmedian(table(bearings.diameter_m), axis=1)
+    away = photos.eyes_m[names // path.n] - np.stack([*path.at(place), place], axis=1)[:, [0, 2, 1]]
+    shared = np.hypot(shared, PULLED_SHARE * np.abs(wide - np.median(wide)) / np.hypot(away[:, 0], away[:, 2]))
+    one_sided = _ONE_SIDED_SHARE * shared * np.sign(np.nanmedian(table(bearings.angle_rad), axis=1))
     own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
-    return _Directions(names // path.n, names % path.n, place, mean, np.hypot(own, shared))
+    sigma = np.hypot(own, np.sqrt(alike) * shared)
+    return _Directions(names // path.n, names % path.n, place, mean, sigma, one_sided)
 
 
 def _adjusted(
@@ -175,7 +189,8 @@ def _adjusted(
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
     index, value, size = _sparse_rows(directions, place, modes, start)
     prior = np.zeros((size, size))
-    prior[2 * start.n :, 2 * start.n :] = np.linalg.inv(modes.covariance)
+    prior[2 * start.n : -1, 2 * start.n : -1] = np.linalg.inv(modes.covariance)
+    prior[-1, -1] = 1.0
     for first in (0, start.n):
         prior[first : first + start.n, first : first + start.n] = _smoothness(start.y_m)
     pull = np.zeros(size)
@@ -190,7 +205,7 @@ def _adjusted(
         residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
         scatter = max(1.4826 * float(np.median(np.abs(residuals[used] / directions.sigma_rad[used]))), 1.0)
         kept = np.abs(residuals) < _REJECT_TIMES * scatter * directions.sigma_rad
-        kept &= ~_out_of_place(np.asarray(step[2 * start.n :]), directions.photo, used)
+        kept &= ~_out_of_place(np.asarray(step[2 * start.n : -1]), directions.photo, used)
         if (kept == used).all():
             break
         used = kept
@@ -215,16 +230,18 @@ def _out_of_place(modes: FloatArray, photo: IntArray, used: BoolArray) -> BoolAr
 def _sparse_rows(
     directions: _Directions, place: FloatArray, modes: CameraModes, path: AbsorberPath
 ) -> tuple[IntArray, FloatArray, int]:
-    """Return the unknowns of each averaged bearing and its derivatives, shape (m, 4 + modes), and how many there are.
+    """Return the unknowns of each averaged bearing and its derivatives, shape (m, 5 + modes), and how many there are.
 
-    Unknowns are x at all stations, z at all stations, modes; between stations the axis is straight.
+    Unknowns are x at all stations, z at all stations, modes, and what one side has in common; between stations the axis
+    is straight.
     """
     before, share = path.shares(directions.y_m)
     after = np.minimum(before + 1, path.n - 1)
-    index = np.column_stack([before, after, path.n + before, path.n + after, 2 * path.n + modes.index])
+    last = 2 * path.n + len(modes.covariance)
+    places = [before, after, path.n + before, path.n + after, 2 * path.n + modes.index, np.full_like(before, last)]
     weights = np.column_stack([1 - share, share])
-    value = np.column_stack([weights * place[:, :1], weights * place[:, 1:], modes.derivative])
-    return index, value, 2 * path.n + len(modes.covariance)
+    value = [weights * place[:, :1], weights * place[:, 1:], modes.derivative, directions.one_sided_rad]
+    return np.column_stack(places), np.column_stack(value), last + 1
 
 
 def _normal_equations(

@@ -16,6 +16,7 @@ from heliogauge.camera import Camera
 from heliogauge.rigid import RigidTransform
 from heliogauge.surfaces import quadric
 from heliogauge.validate import BoolArray, FloatArray
+from observer.design import Collector
 from observer.edges import Edges, find_edges
 from observer.rectify import rectified_strip
 from observer.reflection import AnyImage, Expectation, design_misfit
@@ -34,12 +35,15 @@ _OVERSAMPLING = 2
 _BESIDE_PX, _BESIDE_M = 1.5, 2e-3
 #: Rows before and after that say where the tube is.
 _ROWS_AROUND = 12
-#: What the background, seen through the glass, does to the bisector along many rows: in ray-traced photos 0.007 px in
-#: the mean, 0.03 px where the mirror behind is bright on one side. As much where the tube runs along the pixels.
+#: What the background, seen through the glass, does to the bisector along many rows: in ray-traced photos 0.003 px to
+#: 0.01 px. As much where the tube runs along the pixels.
 _SHARED_PX = 0.02
-#: Of a width that is not the tube's, this share goes into the error that rows share: half of it moves the bisector if
-#: one edge alone is pulled; in ray-traced photos 0.4 mm of 0.8 mm.
-_PULLED_SHARE = 0.25
+#: Where the glass shows the reflection nearer than this to the metal's edge, it pulls the edge the more the nearer: a
+#: tube 3 mm beside the middle of its glass by 0.03 px where that is the limit, by 0.12 px at 1.3 times the angle.
+_NEAR_PX, _NEAR_POWER = 1.35, 6
+#: Of a width that is not the tube's by more than so many pixels, this share goes into the error that rows share: half
+#: of it moves the bisector if one edge alone is pulled. Blur and glass together change the width by up to 0.14 px.
+_WIDER_PX, PULLED_SHARE = 0.15, 0.25
 #: Glass turns what passes it close to the metal by up to this: where the reflection is as near to the tube in the
 #: image, it shows up beside the tube [rad].
 _PRISM_RAD = 0.06
@@ -164,10 +168,11 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
         angle = 0.5 * (np.arctan2(sides[0] - eye[0], height) + np.arctan2(sides[1] - eye[0], height))
     wide = 2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first]))
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
-    pulled = _PULLED_SHARE * np.abs(wide - 2 * radius) / distance
+    pulled = PULLED_SHARE * np.maximum(np.abs(wide - 2 * radius) - _WIDER_PX * pixel_m, 0) / distance
+    nearness = _prism_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / to_reflection
+    shared = _SHARED_PX * pixel_rad * max(1.0, nearness) ** _NEAR_POWER
     bearings = Bearings(
-        np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas), wide,
-        np.hypot(_SHARED_PX * pixel_rad, pulled),
+        np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared, pulled)
     )  # fmt: skip
     return bearings.chosen(np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m))
 
@@ -188,6 +193,21 @@ def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
     found = design_misfit(point, eye_m[None], np.zeros(1), collector, expected.absorber)
     half = collector.absorber_diameter_m / 2 / float(np.hypot(axis_x - x, axis_z - point[0, 2]))
     return max(abs(float(found.angle_rad[0])) - half - 2 * expected.slope_error_rad, 0.0)
+
+
+def _prism_rad(collector: Collector, radii: float) -> float:
+    """Return by what angle the glass turns a ray that passes the middle of tube and glass at so many tube radii [rad].
+
+    By the plane law of refraction: towards the axis at the outer face, away from it at the inner, twice.
+    """
+    glass = collector.glass
+    if glass is None:
+        return 0.0
+    inner = min(radii * collector.absorber_diameter_m / glass.inner_diameter_m, 1.0)
+    outer = inner * glass.inner_diameter_m / glass.outer_diameter_m
+    return float(
+        2 * (np.arcsin(inner) - np.arcsin(inner / glass.index) - np.arcsin(outer) + np.arcsin(outer / glass.index))
+    )
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:

@@ -146,6 +146,34 @@ def test_scatter_is_the_sigma_stated() -> None:
     assert 0.65 * 4 < np.mean(normalised) < 1.27 * 4
 
 
+def test_what_photos_of_one_side_have_in_common_is_in_the_sigma_of_the_height() -> None:
+    photos = photos_at([*np.linspace(-3, -1.5, 20), *np.linspace(1.5, 3, 20)], height_m=14.0, sigma=1e-5)
+    axis, shared = line(0.0, 0.0), 1e-5
+    rng = np.random.default_rng(5)
+    normalised = []
+    for _ in range(30):
+        bearings = simulated(photos, axis, rng)
+        left, right = 0.5 * shared * rng.standard_normal(2)
+        wrong = np.where(photos.eyes_m[bearings.photo, 0] < 0, left, right)
+        bearings = replace(bearings, angle_rad=bearings.angle_rad + wrong, shared_rad=np.full(wrong.size, shared))
+        path = solved(bearings, photos).path
+        mean = np.concatenate([np.zeros(9), np.full(9, 1 / 9)])
+        normalised.append((mean[9:] @ path.z_m - 1.49) / np.sqrt(mean @ path.covariance_m2 @ mean))
+    # As independent errors of 40 photos they would scatter by 2.8 times the sigma stated.
+    assert 0.5 < np.std(normalised) < 1.5
+
+
+def test_a_photo_in_which_the_tube_looks_wider_counts_less() -> None:
+    photos = photos_at([-3.0, -2.5, 2.5, 3.0], height_m=14.0, sigma=1e-5)
+    rng = np.random.default_rng(6)
+    bearings = simulated(photos, line(0.0, 0.0), rng)
+    last = bearings.photo == 3
+    pulled = replace(bearings, angle_rad=bearings.angle_rad + np.where(last, 5e-5, 0.0))
+    seen = replace(pulled, diameter_m=pulled.diameter_m + np.where(last, 1.2e-3, 0.0))
+    errors = [abs(float(np.mean(solved(one, photos).path.z_m)) - 1.49) for one in (pulled, seen)]
+    assert errors[1] < 0.5 * errors[0]
+
+
 def test_one_photo_or_one_side_is_refused_and_a_narrow_base_says_so() -> None:
     rng = np.random.default_rng(1)
     axis = line(0.0, 0.0)

@@ -13,7 +13,7 @@ STEP_M, HALF_M = 6.3e-3, 0.035
 ERF = np.vectorize(erf)
 
 
-def strip_with_stripe(rng: np.random.Generator, middle_m: np.ndarray, depth_dn: float) -> Strip:
+def strip_with_stripe(rng: np.random.Generator, middle_m: np.ndarray, depth_dn: float, noise_dn: float = 0.8) -> Strip:
     """Draw rows with a dark tube, and a stripe of 9 mm in the glass that begins 9 mm beside its left edge."""
     x = np.arange(-0.15, 0.15, STEP_M)
 
@@ -24,19 +24,20 @@ def strip_with_stripe(rng: np.random.Generator, middle_m: np.ndarray, depth_dn: 
 
     image = 126 - 104 * bar(middle_m - HALF_M, middle_m + HALF_M)
     image -= depth_dn * bar(middle_m - 0.053, middle_m - 0.044)
-    image += rng.normal(0, 0.8, image.shape)
+    image += rng.normal(0, noise_dn, image.shape)
     return Strip(image.astype(np.float32), x, np.ones(image.shape, dtype=bool))
 
 
-@pytest.mark.parametrize("depth_dn", [0.0, 40.0])
-def test_a_stripe_in_the_glass_does_not_move_the_middle(depth_dn: float) -> None:
+@pytest.mark.parametrize(("depth_dn", "largest_m"), [(0.0, 0.03e-3), (40.0, 0.08e-3)])
+def test_a_stripe_in_the_glass_hardly_moves_the_middle(depth_dn: float, largest_m: float) -> None:
     rng = np.random.default_rng(0)
     middle = rng.uniform(-0.01, 0.01, 200)
     strip = strip_with_stripe(rng, middle, depth_dn)
     left, right = level_edges(strip, np.arange(200), middle + 0.5e-3, np.full(200, HALF_M), 57.5 / 35)
     assert np.isfinite(left).all()
     assert np.isfinite(right).all()
-    assert abs(np.mean(0.5 * (left + right) - middle)) < 0.05e-3
+    # 0.08 mm are 0.013 px; the steepest place would be pulled by twice as much.
+    assert abs(np.mean(0.5 * (left + right) - middle)) < largest_m
 
 
 def test_the_steepest_place_would_be_pulled() -> None:
@@ -45,6 +46,15 @@ def test_the_steepest_place_would_be_pulled() -> None:
     found = find_edges(strip)
     left, right = (found.x_m[np.abs(found.x_m - side * HALF_M) < 4e-3].mean() for side in (-1, 1))
     assert abs(0.5 * (left + right)) > 0.15e-3
+
+
+def test_the_tube_is_as_wide_as_it_is_whatever_the_blur() -> None:
+    rng = np.random.default_rng(2)
+    middle = rng.uniform(-0.01, 0.01, 200)
+    strip = strip_with_stripe(rng, middle, 0.0, noise_dn=4.0)
+    left, right = level_edges(strip, np.arange(200), middle, np.full(200, HALF_M), 57.5 / 35)
+    # A quarter of the way up it would be 6 mm thinner.
+    assert abs(np.mean(right - left) - 2 * HALF_M) < 0.1e-3
 
 
 def test_rows_without_a_tube_have_no_edges() -> None:
