@@ -1,0 +1,172 @@
+"""Size and shape of a beam on the target: moments, ellipse, widths (stage_ste 1.2.4.1, with the central moment)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import FloatArray, float_array, freeze
+
+__all__ = ["BeamMoments", "beam_moments", "encircled_diameters_m"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamMoments:
+    """Moments of a brightness on a plane up to the second order.
+
+    Parameters
+    ----------
+    total : float
+        Sum of the brightness times the area of a pixel [DN m^2].
+    centroid_m : ndarray, shape (2,)
+        x and y of the centroid [m].
+    covariance_m2 : ndarray, shape (2, 2)
+        Central second moments over the total: the square of the beam's own width, not an uncertainty [m^2].
+
+    Notes
+    -----
+    Stage-STE 12.6, 1.2.4.1: ``sigma_x = sqrt(mu20/M00)``, ``cov = mu11/M00`` (the report prints the raw moment M11,
+    with which the ellipse would depend on the origin), ``e = sqrt(lambda_u/lambda_v)``, ``alpha`` = direction of the
+    eigenvector of the larger eigenvalue.
+    """
+
+    total: float
+    centroid_m: FloatArray
+    covariance_m2: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centroid_m", float_array("centroid_m", self.centroid_m, (2,), finite=False))
+        shape = float_array("covariance_m2", self.covariance_m2, (2, 2), finite=False)
+        object.__setattr__(self, "covariance_m2", shape)
+
+    @property
+    def widths_m(self) -> FloatArray:
+        """Standard deviations of the beam along its major and minor axis, shape (2,) [m]."""
+        if not np.isfinite(self.covariance_m2).all():
+            return np.full(2, np.nan)
+        values = np.linalg.eigvalsh(self.covariance_m2)[::-1]
+        return np.asarray(np.sqrt(np.maximum(values, 0.0)))
+
+    @property
+    def d4sigma_m(self) -> FloatArray:
+        """Four times the standard deviation along the major and minor axis (ISO 11146), shape (2,) [m]."""
+        return 4 * self.widths_m
+
+    @property
+    def ellipticity(self) -> float:
+        """Major over minor width, at least 1."""
+        major, minor = self.widths_m
+        return float(major / minor) if minor > 0 else float("inf")
+
+    @property
+    def direction_rad(self) -> float:
+        """Direction of the major axis from +x, counterclockwise, in (-pi/2, pi/2] [rad]."""
+        if not np.isfinite(self.covariance_m2).all():
+            return float("nan")
+        (xx, xy), (_, yy) = self.covariance_m2
+        return float(0.5 * np.arctan2(2 * xy, xx - yy))
+
+    @property
+    def angle_to_vertical_rad(self) -> float:
+        """Angle of the major axis from +y, clockwise, in (-pi/2, pi/2] (CyI's ellipse, Stage-STE 2.2) [rad]."""
+        angle = np.pi / 2 - self.direction_rad
+        return float(angle - np.pi if angle > np.pi / 2 else angle)
+
+
+def beam_moments(values_dn: npt.ArrayLike, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> BeamMoments:
+    """Compute the moments of a brightness on a regular grid.
+
+    Parameters
+    ----------
+    values_dn : array_like, shape (h, w)
+        Brightness without its background; 0 where it is not to count [DN].
+    x_m : array_like, shape (w,)
+        Position of each column, evenly spaced [m].
+    y_m : array_like, shape (h,)
+        Position of each row, evenly spaced [m].
+
+    Returns
+    -------
+    BeamMoments
+        Total, centroid, central second moments.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, a value is not finite, fewer than two rows or columns.
+    EstimationError
+        The total is not positive.
+
+    Examples
+    --------
+    >>> moments = beam_moments([[0, 1, 0], [1, 1, 1], [0, 1, 0]], [-1, 0, 1], [1, 0, -1])
+    >>> moments.covariance_m2
+    array([[0.4, 0. ],
+           [0. , 0.4]])
+    """
+    values = float_array("values_dn", values_dn, (None, None))
+    x, y = float_array("x_m", x_m, (values.shape[1],)), float_array("y_m", y_m, (values.shape[0],))
+    if min(values.shape) < 2:
+        raise InputError(f"values_dn: at least two rows and columns are needed, not {values.shape}")
+    columns, rows = values.sum(axis=0), values.sum(axis=1)
+    total = float(columns.sum())
+    if not total > 0:
+        raise EstimationError(f"the brightness adds up to {total:.4g} DN: there is no beam to take moments of")
+    center_x, center_y = float(columns @ x) / total, float(rows @ y) / total
+    dx, dy = x - center_x, y - center_y
+    xx, yy = float(columns @ dx**2) / total, float(rows @ dy**2) / total
+    xy = float(dy @ values @ dx) / total
+    area = abs((x[1] - x[0]) * (y[1] - y[0]))
+    return BeamMoments(total * float(area), np.array([center_x, center_y]), np.array([[xx, xy], [xy, yy]]))
+
+
+def encircled_diameters_m(
+    values_dn: npt.ArrayLike, x_m: FloatArray, y_m: FloatArray, center_m: npt.ArrayLike, shares: Sequence[float]
+) -> FloatArray:
+    """Return the diameters of the circles that hold given shares of a beam.
+
+    Parameters
+    ----------
+    values_dn : array_like, shape (h, w)
+        Brightness without its background; 0 where it is not to count [DN].
+    x_m : ndarray, shape (w,)
+        Position of each column [m].
+    y_m : ndarray, shape (h,)
+        Position of each row [m].
+    center_m : array_like, shape (2,)
+        Centre of the circles [m].
+    shares : sequence of float
+        Shares of the total between 0 and 1.
+
+    Returns
+    -------
+    ndarray, shape (len(shares),)
+        Diameters; NaN where the total is not positive [m].
+
+    Raises
+    ------
+    InputError
+        A share outside 0 to 1, or shapes that do not fit.
+
+    Notes
+    -----
+    The brightness is gathered in rings as wide as half a pixel and added up outwards; where noise makes the sum fall
+    again, the first crossing counts.
+    """
+    values = float_array("values_dn", values_dn, (None, None))
+    center = float_array("center_m", center_m, (2,))
+    wanted = np.asarray(shares, dtype=np.float64)
+    if not ((wanted > 0) & (wanted < 1)).all():
+        raise InputError(f"shares: numbers between 0 and 1 are needed, not {tuple(shares)}")
+    total = float(values.sum())
+    if not total > 0:
+        return np.full(wanted.size, np.nan)
+    pixel = float(np.sqrt(abs((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))))
+    radius = np.hypot(x_m[None, :] - center[0], y_m[:, None] - center[1])
+    rings = (radius / (0.5 * pixel)).astype(np.intp)
+    inside = np.concatenate(([0.0], np.cumsum(np.bincount(rings.ravel(), weights=values.ravel())))) / total
+    outer = np.maximum.accumulate(inside)
+    edges_m = 0.5 * pixel * np.arange(inside.size)
+    return freeze(2 * np.interp(wanted, outer, edges_m))

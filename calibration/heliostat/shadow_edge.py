@@ -1,0 +1,87 @@
+"""Straight edges in the brightness of a target: borders of shadows, panels of another brightness.
+
+A surface that is smooth cannot follow a step, and carries its error under the beam. A shadow that the receiver or
+another tower casts on the target ends in a straight line, and so does a panel.
+"""
+
+import numpy as np
+
+from heliogauge.validate import BoolArray, FloatArray
+
+__all__ = ["strongest_edge"]
+
+_DIRECTIONS, _OFFSETS = 24, 25
+#: Pixels from which edges are sought; edges are long, so every few pixels show them.
+_ENOUGH_PIXELS = 800
+#: Half the width over which the brightness changes [share of the target's half side]: the sun's disc blurs a shadow.
+_BLUR = 0.02
+#: Share of the residuals' squares that a step must explain, and the share of the free pixels on its smaller side.
+_LEAST_GAIN, _LEAST_SIDE = 0.15, 0.05
+
+
+def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray | None:
+    """Find the straight step that explains most of a background's residuals.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (h, w)
+        Picture minus the smooth background [DN].
+    free : ndarray of bool, shape (h, w)
+        Pixels without a beam.
+    basis : ndarray, shape (h, w, k)
+        Functions of the smooth background: what they can follow is no step.
+
+    Returns
+    -------
+    ndarray, shape (h, w), or None
+        The step, from 0 to 1; None where no step explains a good part of the residuals' squares.
+    """
+    y, x = np.nonzero(free)
+    step = (y.size // _ENOUGH_PIXELS) | 1
+    y, x = y[::step], x[::step]
+    wanted = residuals[y, x]
+    height, width = residuals.shape
+    across, down = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
+    orthogonal, _ = np.linalg.qr(basis[y, x])
+    wanted = wanted - orthogonal @ (orthogonal.T @ wanted)
+    power = float(wanted @ wanted)
+    if not power > 0:
+        return None
+    best = _search(across, down, wanted, orthogonal, _grid(0.0, np.pi, 0.0, 1.3, (_DIRECTIONS, _OFFSETS)))
+    fine = _grid(best[1], np.pi / _DIRECTIONS, best[2], 2.6 / _OFFSETS, (11, 11))
+    best = max(best, _search(across, down, wanted, orthogonal, fine))
+    if best[0] < _LEAST_GAIN * power:
+        return None
+    columns = ((np.arange(width) + 0.5) * (2 / width) - 1)[None, :]
+    rows = ((np.arange(height) + 0.5) * (2 / height) - 1)[:, None]
+    return _step(columns * np.cos(best[1]) + rows * np.sin(best[1]) - best[2])
+
+
+def _grid(angle: float, reach: float, offset: float, spread: float, counts: tuple[int, int]) -> FloatArray:
+    """Candidates (angle, offset), shape (n, 2)."""
+    if reach == np.pi:
+        angles = np.arange(counts[0]) * (np.pi / counts[0])
+    else:
+        angles = angle + np.linspace(-reach, reach, counts[0])
+    offsets = offset + np.linspace(-spread, spread, counts[1])
+    return np.stack([each.ravel() for each in np.meshgrid(angles, offsets, indexing="ij")], axis=1)
+
+
+def _search(
+    across: FloatArray, down: FloatArray, wanted: FloatArray, orthogonal: FloatArray, candidates: FloatArray
+) -> tuple[float, float, float]:
+    """Return the largest drop of the squares, with the angle and offset that give it."""
+    directions = np.stack([np.cos(candidates[:, 0]), np.sin(candidates[:, 0])])
+    distance = np.stack([across, down], axis=1) @ directions - candidates[:, 1]
+    steps = _step(distance)
+    beyond = steps.mean(axis=0)
+    steps -= orthogonal @ (orthogonal.T @ steps)
+    power = np.einsum("ij,ij->j", steps, steps)
+    usable = (beyond > _LEAST_SIDE) & (beyond < 1 - _LEAST_SIDE) & (power > 1e-6 * wanted.size)
+    gain = np.where(usable, (wanted @ steps) ** 2 / np.where(usable, power, 1.0), 0.0)
+    k = int(np.argmax(gain))
+    return float(gain[k]), float(candidates[k, 0]), float(candidates[k, 1])
+
+
+def _step(distance: FloatArray) -> FloatArray:
+    return np.clip(0.5 + distance / (2 * _BLUR), 0.0, 1.0)
