@@ -17,6 +17,8 @@ from photogrammetry.constraints import AXES, Constraint, Coordinate, Distance
 _ENOUGH_TARGETS = 4
 #: Targets whose extent in the second direction is less than this share of that in the first tell no turn about it.
 _ON_A_LINE = 1e-3
+#: Attitudes whose squared misfits differ by less than this share (and by 1e-8 of the size, squared) fit alike.
+_ALIKE = 1e-2
 
 _NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z", "stretch")
 
@@ -136,7 +138,8 @@ def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Se
     -------
     BundleState
         The network with the scale of its distances (their median) and the place and attitude that fit best, from 24
-        attitudes to start with. Handedness is never changed.
+        attitudes to start with. Handedness is never changed. Where two attitudes fit alike (a trough turned end for
+        end fits its rims as well), it is the one whose z axis points to the side of the photos.
     """
     place = {name: i for i, name in enumerate(targets)}
     usable = [one for one in known if all(name in place for name in one.targets)]
@@ -157,8 +160,17 @@ def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Se
     bare = replace(scaled, rotations=scaled.rotations[:0], translations_m=scaled.translations_m[:0])
     near = _attitude_of_coordinates(bare, place, usable)
     trials = [_fitted(bare, usable, indices, (one, held)) for one in (_attitudes() if near is None else [near])]
-    _, rotation, shift, scale = min(trials, key=lambda trial: trial[0])
+    best = min(misfit for misfit, *_ in trials)
+    # Rounding must not choose between attitudes that fit alike; their misfits differ by what the iteration left over.
+    alike = [trial for trial in trials if trial[0] <= best * (1 + _ALIKE) + (1e-8 * _size(scaled)) ** 2]
+    towards_photos = scaled.centers_m.mean(axis=0) - scaled.points_m.mean(axis=0)
+    _, rotation, shift, scale = max(alike, key=lambda trial: float(trial[1][2] @ towards_photos))
     return transformed(scaled, RigidTransform(rotation, shift), scale)
+
+
+def _size(state: BundleState) -> float:
+    """Return the targets' distance from their centre, RMS [m]."""
+    return float(np.sqrt(((state.points_m - state.points_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def _attitude_of_coordinates(
@@ -195,10 +207,11 @@ def _fitted(
     """Fit up to seven parameters to the constraints from one attitude; return misfit, rotation, shift and scale."""
     turned = transformed(state, RigidTransform(start[0], np.zeros(3)))
     center = turned.points_m.mean(axis=0)
-    size = float(np.sqrt(((turned.points_m - center) ** 2).sum(axis=1).mean()))
+    size = _size(turned)
 
     def movement(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        rotation, scale = rotation_from_vector(values[:3]), float(np.exp(values[6]))
+        # From an attitude that is wrong the stretch runs away: a factor of 1e9 either way is a misfit like any other.
+        rotation, scale = rotation_from_vector(values[:3]), float(np.exp(np.clip(values[6], -20.0, 20.0)))
         return rotation, center + values[3:6] * size - scale * rotation @ center, scale
 
     def evaluate(values: FloatArray) -> tuple[FloatArray, FloatArray]:

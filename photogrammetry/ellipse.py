@@ -260,7 +260,8 @@ def _ellipse_of_conic(theta: FloatArray) -> tuple[Ellipse, FloatArray]:
     """Ellipse of A x^2 + B x y + C y^2 + D x + E y = 1, and the derivative of its centre by A to E."""
     quadratic = np.array([[theta[0], 0.5 * theta[1]], [0.5 * theta[1], theta[2]]])
     determinant = quadratic[0, 0] * quadratic[1, 1] - quadratic[0, 1] ** 2
-    if not (determinant > 1e-12 and quadratic[0, 0] > 0):
+    # Beyond a ratio of the axes of 1:10,000 rounding decides between ellipse, parabola and hyperbola.
+    if not (determinant > 1e-8 * np.trace(quadratic) ** 2 and quadratic[0, 0] > 0):
         raise EstimationError("the edge points lie on no ellipse; they cover too little of the outline")
     inverse = np.linalg.inv(quadratic)
     center = -0.5 * inverse @ theta[3:]

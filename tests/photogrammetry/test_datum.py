@@ -8,6 +8,7 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.rigid import RigidTransform
 from photogrammetry.alignment import aligned_to_constraints, aligned_to_control, transformed
+from photogrammetry.bundle_state import bundle_state
 from photogrammetry.constraints import AXES, ControlPoint, Coordinate, Distance
 from photogrammetry.datum import (
     Datum,
@@ -113,6 +114,24 @@ def test_alignment_to_control_points_and_constraints():
     line = {str(i): np.array([float(i), 0, 0]) for i in range(3)}
     with pytest.raises(EstimationError, match="one line"):
         aligned_to_control(away, names, line)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_trough_that_fits_its_rims_both_ways_is_seen_from_above(seed):
+    rng = np.random.default_rng(seed)
+    along = np.linspace(0.0, 12.0, 6)
+    rims = np.concatenate([np.column_stack([np.full(6, side), along, np.full(6, 1.2)]) for side in (-2.9, 2.9)])
+    rims += rng.normal(0, 5e-4, rims.shape)
+    ground = np.array([[1.0, 3.0, -2.0], [-2.0, 9.0, -2.0]])
+    above = [RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, y, 9.0])) for y in (2.0, 9.0)]
+    truth = bundle_state(small().cameras, above, np.concatenate([rims, ground]))
+    known = [
+        Coordinate(str(i), axis, round(rims[i, k], 1), 5e-4) for i in range(12) for k, axis in ((0, "x"), (2, "z"))
+    ]
+    known += [Coordinate(name, "y", 0.0, 5e-4) for name in ("0", "6")]
+    turned = transformed(truth, RigidTransform.from_rotation_vector(rng.normal(size=3) * 2, rng.normal(size=3)), 0.4)
+    found = aligned_to_constraints(turned, [str(i) for i in range(14)], known)
+    np.testing.assert_allclose(found.points_m, truth.points_m, atol=5e-3)
 
 
 def test_thousands_of_control_points_need_little_memory():
