@@ -143,16 +143,21 @@ def test_misses_of_gouws(turn_deg, miss_mm):
     np.testing.assert_allclose(1e3 * hit[0], miss_mm, atol=1.5e-5)  # angles of the table end at 1e-8 degree
 
 
-def test_tracking_rates_of_gouws():
-    """V10: azimuth and elevation in mrad/s at ten o'clock solar time, 10 January, the sun by hand."""
-    declination, latitude = np.deg2rad(-22.0), np.deg2rad(-33.927)
+@pytest.mark.parametrize(
+    ("declination_deg", "azimuth_elevation_mrad_s"),
+    [(-22.0, (0.0424, 0.0209)), (-6.6, (0.0403, 0.0193)), (0.0, (0.0387, 0.0183)), (23.0, (0.0317, 0.0146))],
+    ids=["January", "October", "equinox", "June"],
+)
+def test_tracking_rates_of_gouws(declination_deg, azimuth_elevation_mrad_s):
+    """V10: rates of both axes at ten o'clock solar time, the sun by hand."""
+    declination, latitude = np.deg2rad(declination_deg), np.deg2rad(-33.927)
     hours = np.deg2rad(15 * (np.array([9.9, 10.1]) - 12))
     east = -np.cos(declination) * np.sin(hours)
     north = np.sin(declination) * np.cos(latitude) - np.cos(declination) * np.sin(latitude) * np.cos(hours)
     up = np.sin(declination) * np.sin(latitude) + np.cos(declination) * np.cos(latitude) * np.cos(hours)
     found = aim(FIRST, FIRST.parameters.values, np.stack([east, north, up], axis=-1), np.zeros(3))
     rates = 1e3 * np.abs(np.diff(found.angles_rad, axis=0)[0]) / 720.0
-    np.testing.assert_allclose(rates, [0.0424, 0.0209], atol=3e-4)
+    np.testing.assert_allclose(rates, azimuth_elevation_mrad_s, atol=3e-4)
 
 
 # --- Sun, Guo et al.: six errors and a pivot offset, with the spec's reconstruction as the other route ---------------
