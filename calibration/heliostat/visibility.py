@@ -28,8 +28,8 @@ class ConcaveMirror:
     Notes
     -----
     Gouws (2018), section 4.2.2.1, eqs. 4.1 to 4.5: the ray from the camera to the edge leaves it by twice the edge's
-    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the plane of
-    incidence and f / cos(theta) across.
+    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the plane
+    of incidence and f / cos(theta) across.
 
     Examples
     --------
