@@ -43,6 +43,10 @@ _Result = TypeVar("_Result")
 
 #: Photos that are followed through; each run begins with a search of the whole photo and is one thread's work.
 _FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 12, 50, 8
+#: Photos whose targets are centred together: each step is then one operation on some twenty thousand pixels.
+_TOGETHER = 8
+#: A photo in which fewer of the targets followed can be centred is searched as a whole.
+_LEAST_SHARE = 0.6
 #: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
 #: the photo is looked at again [m].
 _FAR_M = 0.25
@@ -133,6 +137,17 @@ class FirstLook:
         return StartValues(self.poses) if len(self.poses) >= 2 else None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Followed:
+    """A photo whose targets wait to be centred together with those of its neighbours."""
+
+    number: int
+    name: str
+    image: Image
+    camera: Camera
+    track: Track
+
+
 @dataclass(slots=True, eq=False)
 class _Run:
     """Consecutive photos in one thread's hands, and what was found so far."""
@@ -140,38 +155,53 @@ class _Run:
     finder: Finder
     slices: Slices
     track: Track | None = None
+    waiting: list[_Followed] = field(default_factory=list)
     targets: dict[str, OnePhoto] = field(default_factory=dict)
     poses: dict[str, RigidTransform] = field(default_factory=dict)
     edges: dict[str, ReflectionEdges] = field(default_factory=dict)
     bearings: dict[str, Bearings] = field(default_factory=dict)
 
     def take(self, number: int, file: Path) -> None:
-        """Read a photo and find what it shows."""
-        image, name, finder = read_image(file), file.name, self.finder
-        camera = finder.camera_of.get(name)
-        pose = self._followed(image, name, camera)
-        if pose is None:
-            pose = self._searched(image, name, camera)
-        if pose is not None and camera is not None:
-            self.poses[name] = pose
-            view = (camera, pose)
-            self.slices.take(number, image, view, finder.expected.collector)
-            self.edges[name] = reflection_edges(image, number, view, finder.expected)
-            self.bearings[name] = tube_bearings(image, number, view, finder.expected)
+        """Read a photo and find what it shows, or leave that to `finish`."""
+        image, name = read_image(file), file.name
+        camera = self.finder.camera_of.get(name)
+        if self.track is not None and camera is not None:
+            self.track = follow(image, self.track, self.finder.known, camera)
+            if self.track is not None:
+                self.waiting.append(_Followed(number, name, image, camera, self.track))
+                if len(self.waiting) == _TOGETHER:
+                    self.finish()
+                return
+        self.finish()
+        self._look(number, name, image, camera, self._searched(image, name, camera))
 
-    def _followed(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
-        if self.track is None or camera is None:
-            return None
-        self.track = follow(image, self.track, self.finder.known, camera)
-        if self.track is None:
-            return None
-        found, shapes = measure_at(image, name, self.track.ellipses, self.finder.search)
-        if np.count_nonzero(found.usable) < LEAST_TARGETS:
-            self.track = None
-            return None
-        none, size = found.chosen(np.zeros(0, dtype=np.intp)), (int(image.shape[1]), int(image.shape[0]))
-        self.targets[name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
-        return self.track.pose
+    def finish(self) -> None:
+        """Centre the targets of the photos that wait, and find what these show."""
+        waiting, self.waiting = self.waiting, []
+        measured = measure_at(
+            [one.image for one in waiting], [one.name for one in waiting], [one.track.ellipses for one in waiting],
+            self.finder.search,
+        )  # fmt: skip
+        for one, (found, shapes) in zip(waiting, measured, strict=True):
+            pose: RigidTransform | None = one.track.pose
+            if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(one.track.ellipses)):
+                pose = self._searched(one.image, one.name, one.camera)
+            else:
+                none, size = (
+                    found.chosen(np.zeros(0, dtype=np.intp)),
+                    (int(one.image.shape[1]), int(one.image.shape[0])),
+                )
+                self.targets[one.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
+            self._look(one.number, one.name, one.image, one.camera, pose)
+
+    def _look(self, number: int, name: str, image: Image, camera: Camera | None, pose: RigidTransform | None) -> None:
+        if pose is None or camera is None:
+            return
+        self.poses[name] = pose
+        view, expected = (camera, pose), self.finder.expected
+        self.slices.take(number, image, view, expected.collector)
+        self.edges[name] = reflection_edges(image, number, view, expected)
+        self.bearings[name] = tube_bearings(image, number, view, expected)
 
     def _searched(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
         found = measure_photo(image, name, self.finder.section, self.finder.search)
@@ -259,6 +289,7 @@ def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progr
             for number, file in enumerate(files[start : start + length], start=start):
                 run.take(number, file)
                 stage.advance()
+            run.finish()
             return run
 
         runs = _side_by_side(one, first, jobs)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FlagArray, FloatArray
 from photogrammetry.coded_targets import VENDOR_RADII, RingDictionary
 from photogrammetry.decode import RingLimits, RingReading, read_rings, ring_outline
 from photogrammetry.detect import SearchLimits, find_in_pyramid, measure_center
@@ -17,6 +17,7 @@ from photogrammetry.ellipse import Ellipse
 from photogrammetry.pyramid import make_pyramid
 from photogrammetry.target_center import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
 from photogrammetry.template_center import template_center, template_centers
+from photogrammetry.template_stack import stacked_centers
 
 __all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_at", "measure_targets"]
 
@@ -159,34 +160,69 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
 
 
 def measure_at(
-    image_dn: npt.NDArray[np.generic], photo: str, starts: Mapping[str, Ellipse], search: TargetSearch
-) -> tuple[Detections, FloatArray]:
-    """Centre targets whose places are known to half a pixel or so, without a search.
+    images_dn: Sequence[npt.NDArray[np.generic]],
+    photos: Sequence[str],
+    starts: Sequence[Mapping[str, Ellipse]],
+    search: TargetSearch,
+) -> list[tuple[Detections, FloatArray]]:
+    """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
 
     Parameters
     ----------
-    image_dn : ndarray, shape (h, w)
+    images_dn : sequence of ndarray, shape (h, w)
         Grey values: uint8, uint16 or float32 [DN].
-    photo : str
-        Name of the photo.
-    starts : mapping of str to Ellipse
-        Where each target's dot is, by its name.
+    photos : sequence of str
+        Names of the photos.
+    starts : sequence of mapping of str to Ellipse
+        Where the dot of each target of each photo is, by its name.
     search : TargetSearch
         How targets are measured.
 
     Returns
     -------
-    detections : Detections
-        Those that are there: measured by the same estimator as after a search.
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Their ellipses [px^2].
+    list of (Detections, ndarray of shape (n, 2, 2))
+        Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
+    if search.operator is not template_center:
+        return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]
+    photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])
+    ellipses = [ellipse for one in starts for ellipse in one.values()]
+    places = np.array([one.center_px for one in ellipses]).reshape(-1, 2)
+    shapes = np.array([one.shape_px2 for one in ellipses]).reshape(-1, 2, 2)
+    stack = stacked_centers(images_dn, photo, places, shapes, _template_reach(search))
+    for row in np.flatnonzero(~stack.settled).tolist():
+        center = _centers(images_dn[int(photo[row])], [ellipses[row]], search)[0]
+        if isinstance(center, TargetCenter):
+            stack.put(row, center)
+    fine = stack.settled & (stack.residual_dn < search.most_misfit * np.abs(stack.contrast_dn))
+    names = [name for one in starts for name in one]
+    found = []
+    for k, (image, name) in enumerate(zip(images_dn, photos, strict=True)):
+        rows = np.flatnonzero((photo == k) & fine)
+        outlines = stack.shapes_px2[rows]
+        detections = Detections(
+            name, tuple(names[row] for row in rows), stack.centers_px[rows], stack.covariance_px2[rows],
+            np.linalg.det(outlines) ** 0.25, _clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
+        )  # fmt: skip
+        found.append((detections, outlines))
+    return found
+
+
+def _measured_one_by_one(
+    image_dn: npt.NDArray[np.generic], photo: str, starts: Mapping[str, Ellipse], search: TargetSearch
+) -> tuple[Detections, FloatArray]:
     centers = _centers(image_dn, list(starts.values()), search)
     found = [(name, one) for name, one in zip(starts, centers, strict=True)
              if isinstance(one, TargetCenter) and one.misfit < search.most_misfit]  # fmt: skip
     measured = [one for _, one in found]
     shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)
     return _detections(image_dn, photo, [name for name, _ in found], measured), shapes
+
+
+def _template_reach(search: TargetSearch) -> float:
+    """Return how far from a dot's centre pixels may be used, in its radii: a code ring begins beyond."""
+    gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
+    return min(REACH, 1 + (REACH - 1) * gap)
 
 
 def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
@@ -199,8 +235,7 @@ def _centers(
 ) -> Sequence[TargetCenter | EstimationError]:
     """Measure centres: the template's all at once, those of other operators one by one."""
     if search.operator is template_center:
-        gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
-        return template_centers(image_dn, dots, min(REACH, 1 + (REACH - 1) * gap))
+        return template_centers(image_dn, dots, _template_reach(search))
     found: list[TargetCenter | EstimationError] = []
     for dot in dots:
         try:
@@ -244,16 +279,21 @@ def _detections(
 ) -> Detections:
     n = len(centers)
     inside = np.array([center.inside_dn for center in centers])
-    outside = inside - np.array([center.contrast_dn for center in centers])
-    flags = np.zeros(n, dtype=np.uint32)
-    if image_dn.dtype in (np.uint8, np.uint16):
-        highest = 255.0 if image_dn.dtype == np.uint8 else 65535.0
-        flags[np.maximum(inside, outside) > _CLIPPED_SHARE * highest] = SampleFlag.CLIPPED
+    contrast = np.array([center.contrast_dn for center in centers])
     return Detections(
         photo,
         tuple(names),
         np.array([center.center_px for center in centers]).reshape(n, 2),
         np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
         np.array([center.ellipse.radius_px for center in centers]).reshape(n),
-        flags,
+        _clipped(image_dn, inside, contrast),
     )
+
+
+def _clipped(image_dn: npt.NDArray[np.generic], inside_dn: FloatArray, contrast_dn: FloatArray) -> FlagArray:
+    """Flag targets of which a side is at the largest number of the file."""
+    flags = np.zeros(inside_dn.size, dtype=np.uint32)
+    if image_dn.dtype in (np.uint8, np.uint16):
+        highest = 255.0 if image_dn.dtype == np.uint8 else 65535.0
+        flags[np.maximum(inside_dn, inside_dn - contrast_dn) > _CLIPPED_SHARE * highest] = SampleFlag.CLIPPED
+    return flags

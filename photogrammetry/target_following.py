@@ -5,7 +5,7 @@ Following gives no measurement. It says to half a pixel or so where targets are 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.rigid import RigidTransform
+from heliogauge.rigid import RigidTransform, rotation_from_vector, skew
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.detections import Detections
 from photogrammetry.ellipse import Ellipse
+from photogrammetry.observations import IntArray
 from photogrammetry.resection import LEAST_TARGETS, resect
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
@@ -25,10 +26,14 @@ Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 #: targets are looked for that far, the others near to where the shift of those has them; 1 degree of a turn about the
 #: line of sight moves a target at the border of a photo of 2 megapixels by 17 px.
 _WIDE_PX, _SEARCH_PX = 128, 32
+#: That many targets, each within that distance of where others have it, tell the pose [px].
+_ENOUGH, _NEAR_PX = 6, 12
+#: A flight is steady while its movement tells the next photo this well [px].
+_STEADY_PX = 8.0
 #: How many targets tell how the picture has moved, turned and grown, and how far they may be from that [px].
 _TELLING, _AGREEING_PX = 4, 16.0
-#: Radius in pixels that a dot has in the reduced pictures in which it is looked for.
-_REDUCED_RADIUS_PX = 2.5
+#: Radius in pixels that a dot has in the reduced pictures in which it is looked for: far away, and near by.
+_COARSE_RADIUS_PX, _REDUCED_RADIUS_PX = 1.25, 2.5
 #: The pattern reaches this far, in radii of the dot: it has the code ring in it, which is another on each target.
 _PATTERN_RADII = 3.2
 #: A target is in the photo if its ring, which ends at 3 radii, is.
@@ -67,6 +72,22 @@ class KnownTargets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """What a target looks like.
+
+    Parameters
+    ----------
+    image : ndarray of float32
+        The target, its centre in the middle pixel.
+    factor : int
+        By how much it is reduced.
+    """
+
+    image: Float32Array
+    factor: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """What following knows after a photo.
 
@@ -74,18 +95,24 @@ class Track:
     ----------
     pose : RigidTransform
         ``cam_from_frame`` of the photo, to a pixel or so.
-    patterns : mapping of str to ndarray of float32
-        What each target looks like, reduced.
+    patterns : mapping of str to (Pattern, Pattern)
+        What each target looks like, much reduced and less.
     ellipses : mapping of str to Ellipse
         Where targets should be, and how large [px].
     radius_px : float
         Radius of the dots [px].
+    motion : RigidTransform, optional
+        This pose from that of the photo before.
+    steady : bool, optional
+        Whether the movement before told this photo's.
     """
 
     pose: RigidTransform
-    patterns: Mapping[str, Float32Array]
+    patterns: Mapping[str, tuple[Pattern, Pattern]]
     ellipses: Mapping[str, Ellipse]
     radius_px: float
+    motion: RigidTransform | None = None
+    steady: bool = False
 
 
 def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> RigidTransform | None:
@@ -173,7 +200,9 @@ def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pos
         size = (2 * half + 1, 2 * half + 1)
         part, first = _as_float(image, pixel, half + 2)
         sharp = cv2.getRectSubPix(part, size, (float(pixel[0] - first[0]), float(pixel[1] - first[1])))
-        patterns[name] = _reduced(np.asarray(sharp, dtype=np.float32), _reduction(radius))
+        factors = (max(1, round(radius / wanted)) for wanted in (_COARSE_RADIUS_PX, _REDUCED_RADIUS_PX))
+        coarse, fine = (Pattern(_reduced(np.asarray(sharp, dtype=np.float32), factor), factor) for factor in factors)
+        patterns[name] = coarse, fine
     places = zip(found.names, found.pixels_px, shapes_px2, strict=True)
     return Track(pose, patterns, {name: Ellipse(pixel, shape) for name, pixel, shape in places}, radius)
 
@@ -197,48 +226,78 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
     Track or None
         After this photo; None where it is lost: too few dots are where a common pose has them.
     """
-    pixels = camera.project(track.pose.apply(known.points_m))
     has_pattern = np.array([name in track.patterns for name in known.names])
-    seen_before = np.nonzero(has_pattern & np.isfinite(pixels).all(axis=1))[0]
-    if seen_before.size < LEAST_TARGETS:
-        return None
-    before = [(pixels[k], track.patterns[known.names[k]]) for k in seen_before]
-    pixels = _moved_in_common(image, before, track.radius_px, pixels)
-    expected = has_pattern & _well_inside(pixels, camera, _PATTERN_RADII * track.radius_px + 2)
-    matched = np.full_like(pixels, np.nan)
-    for k in np.nonzero(expected)[0]:
-        matched[k] = _match(image, pixels[k], track.patterns[known.names[k]], track.radius_px, _SEARCH_PX)
-    usable = np.isfinite(matched[:, 0])
-    pose = track.pose
-    for _ in range(3):
-        if np.count_nonzero(usable) < max(LEAST_TARGETS, _LEAST_SHARE * np.count_nonzero(expected)):
+    ahead = track.pose
+    if track.motion is not None and track.steady:
+        ahead = track.motion @ track.pose
+        pixels = camera.project(ahead.apply(known.points_m))
+    else:
+        pixels = camera.project(track.pose.apply(known.points_m))
+        seen_before = np.nonzero(has_pattern & np.isfinite(pixels).all(axis=1))[0]
+        if seen_before.size < LEAST_TARGETS:
             return None
-        pose = _fitted(camera, known.points_m[usable], matched[usable], pose)
-        off = np.linalg.norm(camera.project(pose.apply(known.points_m)) - matched, axis=1)
+        before = [(pixels[k], track.patterns[known.names[k]][0]) for k in seen_before]
+        pixels = _moved_in_common(image, before, track.radius_px, pixels)
+    margin = _PATTERN_RADII * track.radius_px + 2
+    expected = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin))
+    whole = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin + _NEAR_PX))
+    few = whole[np.linspace(0, whole.size - 1, _ENOUGH).round().astype(np.intp)] if whole.size >= _ENOUGH else whole
+    for chosen, reach, share in ((few, _NEAR_PX, 1.0), (expected, _SEARCH_PX, _LEAST_SHARE)):
+        pose = _found_near(image, track, known, camera, (ahead, pixels), (chosen, reach, share))
+        if pose is not None:
+            return _at(pose, track, known, camera)
+    # A flight that is steady no more is looked for as widely as at first.
+    return follow(image, replace(track, steady=False), known, camera) if track.steady else None
+
+
+def _found_near(
+    image: Image,
+    track: Track,
+    known: KnownTargets,
+    camera: Camera,
+    expected: tuple[RigidTransform, FloatArray],
+    targets: tuple[IntArray, int, float],
+) -> RigidTransform | None:
+    """Find the pose from some targets near where they are expected; None where less than a share is found and agrees.
+
+    Expected are a pose to start with, and places; of the targets: which, how far away, and the share.
+    """
+    (pose, pixels), (chosen, reach, share) = expected, targets
+    if chosen.size < LEAST_TARGETS:
+        return None
+    matched = np.array([
+        _match(image, pixels[k], track.patterns[known.names[k]][1], track.radius_px, reach) for k in chosen
+    ])  # fmt: skip
+    points, usable = known.points_m[chosen], np.isfinite(matched[:, 0])
+    for _ in range(3):
+        if np.count_nonzero(usable) < max(LEAST_TARGETS, share * chosen.size):
+            return None
+        pose = _fitted(camera, points[usable], matched[usable], pose)
+        off = np.linalg.norm(camera.project(pose.apply(points)) - matched, axis=1)
         agreeing = off < _FAR_PX
         if (agreeing == usable).all():
-            seen = {known.names[k]: matched[k] for k in np.nonzero(usable)[0]}
-            return _at(pose, track, known, camera, seen)
+            return pose
         usable = agreeing
     return None
 
 
-def _at(
-    pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera, seen: Mapping[str, FloatArray]
-) -> Track:
-    """Say where all listed targets are that the photo shows whole: as seen; those that come in look like the others."""
+def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
+    """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
     pixels = camera.project(pose.apply(known.points_m))
     usual = next(iter(track.ellipses.values())).shape_px2
     ellipses = {}
     for k in np.nonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))[0]:
-        name = known.names[k]
-        before = track.ellipses.get(name)
-        ellipses[name] = Ellipse(seen.get(name, pixels[k]), usual if before is None else before.shape_px2)
-    return Track(pose, track.patterns, ellipses, track.radius_px)
+        before = track.ellipses.get(known.names[k])
+        ellipses[known.names[k]] = Ellipse(pixels[k], usual if before is None else before.shape_px2)
+    steady = False
+    if track.motion is not None:
+        foreseen = camera.project((track.motion @ track.pose).apply(known.points_m))
+        steady = bool(np.nanmax(np.abs(foreseen - pixels), initial=0.0) < _STEADY_PX)
+    return Track(pose, track.patterns, ellipses, track.radius_px, pose @ track.pose.inverse(), steady)
 
 
 def _moved_in_common(
-    image: Image, targets: list[tuple[FloatArray, Float32Array]], radius_px: float, pixels: FloatArray
+    image: Image, targets: list[tuple[FloatArray, Pattern]], radius_px: float, pixels: FloatArray
 ) -> FloatArray:
     """Move places as some targets, spread over the list, have moved; NaN where those do not agree.
 
@@ -265,10 +324,6 @@ def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolAr
         return np.asarray(((pixels > margin_px) & (pixels < limits)).all(axis=1))
 
 
-def _reduction(radius_px: float) -> int:
-    return max(1, round(radius_px / _REDUCED_RADIUS_PX))
-
-
 def _as_float(image: Image, pixel: FloatArray, half: int) -> tuple[Float32Array, tuple[int, int]]:
     """Return the pixels around a place as float32, and the column and row of the first."""
     column, row = (max(round(float(value)) - half, 0) for value in pixel)
@@ -285,22 +340,23 @@ def _reduced(part: Float32Array, factor: int) -> Float32Array:
     return np.ascontiguousarray(smoothed[middle[0] % factor :: factor, middle[1] % factor :: factor])
 
 
-def _match(image: Image, pixel: FloatArray, pattern: Float32Array, radius_px: float, search_px: int) -> FloatArray:
+def _match(image: Image, pixel: FloatArray, pattern: Pattern, radius_px: float, search_px: int) -> FloatArray:
     """Return where near a place the pattern is, to some tenths of a pixel; NaN where it is not."""
-    factor = _reduction(radius_px)
+    factor, (rows, columns) = pattern.factor, pattern.image.shape
     half = search_px + int(np.ceil(_PATTERN_RADII * radius_px))
     part, first = _as_float(image, pixel, half)
     reduced = _reduced(part, factor)
-    if reduced.shape[0] <= pattern.shape[0] or reduced.shape[1] <= pattern.shape[1]:
+    if reduced.shape[0] <= rows or reduced.shape[1] <= columns:
         return np.full(2, np.nan)
-    likeness = np.asarray(cv2.matchTemplate(reduced, pattern, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
+    likeness = np.asarray(cv2.matchTemplate(reduced, pattern.image, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
     _, best, _, (column, row) = cv2.minMaxLoc(likeness)
     if best < _LEAST_LIKENESS:
         return np.full(2, np.nan)
-    place = np.array([column + _top(likeness[row], column), row + _top(likeness[:, column], row)])
-    place += np.array([pattern.shape[1] // 2, pattern.shape[0] // 2])
-    start = np.array([(size // 2) % factor for size in part.shape[::-1]])
-    return np.asarray(np.array(first) + start + factor * place)
+    found = (column + _top(likeness[row], column) + columns // 2, row + _top(likeness[:, column], row) + rows // 2)
+    height, width = part.shape
+    return np.array([
+        first[0] + (width // 2) % factor + factor * found[0], first[1] + (height // 2) % factor + factor * found[1]
+    ])  # fmt: skip
 
 
 def _top(values: Float32Array, index: int) -> float:
@@ -313,15 +369,29 @@ def _top(values: Float32Array, index: int) -> float:
 
 
 def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: RigidTransform) -> RigidTransform:
-    """Refine a pose by a few Gauss-Newton steps; it only tells windows, so 0.05 px are enough."""
-    pose = start
+    """Refine a pose by a few Gauss-Newton steps; it only tells windows, so 0.05 px are enough.
+
+    Steps are those of a camera without lens errors, which change them by some percent; residuals are exact.
+    """
+    rotation, shift = start.rotation, start.translation_m
+    focal = np.array([camera.focal_x_px, camera.focal_y_px])
     for _ in range(_MOST_STEPS):
-        seen = camera.project_posed(points_m, pose)
-        jacobian = seen.d_pixel_d_pose.reshape(-1, 6)
-        if not np.isfinite(jacobian).all():
+        arms = points_m @ rotation.T
+        seen = arms + shift
+        residuals = pixels_px - camera.project(seen)
+        if not np.isfinite(residuals).all():
             return start
-        step = np.linalg.lstsq(jacobian, (pixels_px - seen.pixels_px).reshape(-1), rcond=None)[0]
-        pose = pose.moved(step)
+        by_point = np.zeros((len(seen), 2, 3))
+        scale = focal / seen[:, 2:]
+        by_point[:, 0, 0], by_point[:, 1, 1] = scale.T
+        by_point[:, :, 2] = -scale * seen[:, :2] / seen[:, 2:]
+        # A turn w moves a point by w x arm: the derivative of a row d is arm x d.
+        jacobian = np.concatenate([by_point @ -skew(arms), by_point], axis=2).reshape(-1, 6)
+        try:
+            step = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residuals.ravel())
+        except np.linalg.LinAlgError:
+            return start
+        rotation, shift = rotation_from_vector(step[:3]) @ rotation, shift + step[3:]
         if np.abs(jacobian @ step).max() < _ENOUGH_PX:
             break
-    return pose
+    return RigidTransform(rotation, shift)

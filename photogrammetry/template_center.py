@@ -1,5 +1,6 @@
 """Centre of a target by least-squares template matching: the blurred disc that reproduces the pixels best."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,27 +16,27 @@ from photogrammetry.target_center import REACH, TargetCenter, UnmeasuredTargetEr
 __all__ = ["disc_model", "template_center", "template_centers"]
 
 #: Variance of a pixel's own width [px^2]: the projection of a unit square has it in every direction.
-_PIXEL_VARIANCE = 1 / 12
+PIXEL_VARIANCE = 1 / 12
 #: Pixels farther from the edge than this say nothing about the centre, up to a blur of 1.5 px [px].
-_BAND_PX = 4.0
+BAND_PX = 4.0
 _MOST_ITERATIONS = 25
 #: A step of the centre below this is taken and is the last one [px]: the next would be some thirty times smaller, a
 #: hundredth of the best centres' sigma.
-_ENOUGH_PX, _COARSE_PX = 1e-3, 2e-2
+ENOUGH_PX, _COARSE_PX = 1e-3, 2e-2
 #: Pixels off by more than this many robust sigmas are dust or glare, if also off by this share of the contrast.
-_OUTLIER_SIGMAS, _OUTLIER_CONTRAST = 5.0, 0.05
+OUTLIER_SIGMAS, OUTLIER_CONTRAST = 5.0, 0.05
 #: Columns of the parameters: centre, inverse frame, edge width, outside plane, inside minus outside plane.
-_N_PARAMETERS = 12
+N_PARAMETERS = 12
 #: Width of an edge before it is measured, known to 0.5 px: it keeps discs of a few pixels from running away.
-_USUAL_WIDTH_PX = 0.75
+USUAL_WIDTH_PX = 0.75
 _SMALL_PX = 5.0
 #: Slope of inside minus outside that is always allowed, per pixel, as a share of the contrast. On discs of 6 px a free
 #: slope doubles the centre's sigma (0.0042 px instead of 0.0022 at SNR 200); this floor costs 0.001 px.
-_SLOPE_FLOOR = 0.0003
+SLOPE_FLOOR = 0.0003
 #: Pixels that are fitted together: some ten arrays of this length stay in the second-level cache.
 _GROUP_PIXELS = 6000
 #: Contrast in units of its own sigma below which there is nothing; in pure noise the best disc has up to five.
-_LEAST_STEP_SIGMAS = 8.0
+LEAST_STEP_SIGMAS = 8.0
 _NOT_YET = EstimationError("not measured")
 
 
@@ -53,9 +54,11 @@ def normal_distribution(z: FloatArray) -> tuple[FloatArray, FloatArray]:
     scipy.special has it to round-off, but its import costs more than all centres of a photo.
     """
     bell = np.exp(-0.5 * z * z)
-    t = 1.0 / (1.0 + 0.3275911 / np.sqrt(2.0) * np.abs(z))
+    t = 1.0 / (1.0 + 0.3275911 / math.sqrt(2.0) * np.abs(z))
     tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))) * bell
-    return np.where(z > 0, 1 - 0.5 * tail, 0.5 * tail), bell / np.sqrt(2 * np.pi)
+    tail *= 0.5
+    bell *= 1 / math.sqrt(2 * math.pi)
+    return np.where(z > 0, 1 - tail, tail), bell
 
 
 def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -63,18 +66,18 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
 
     Parameters
     ----------
-    parameters : ndarray, shape (12,) or (12, n)
-        Of one disc, or of the disc that each pixel belongs to. Centre (x, y); m11, m12, m22 of the symmetric M that
-        maps the ellipse onto the unit circle; standard deviation s of the edge with the pixel's width; plane outside
-        (level at the origin of x and y, slopes); inside minus outside (level, slopes).
-    x, y : ndarray, shape (n,)
+    parameters : ndarray, shape (12,), (12, n) or (12, k, 1)
+        Of one disc, of the disc that each pixel belongs to, or of k discs with n pixels each. Centre (x, y); m11, m12,
+        m22 of the symmetric M that maps the ellipse onto the unit circle; standard deviation s of the edge with the
+        pixel's width; plane outside (level at the origin of x and y, slopes); inside minus outside (level, slopes).
+    x, y : ndarray, shape (n,) or (k, n)
         Pixels.
 
     Returns
     -------
-    values_dn : ndarray, shape (n,)
+    values_dn : ndarray, shape (n,) or (k, n)
         Grey values [DN].
-    d_values_d_parameters : ndarray, shape (n, 12)
+    d_values_d_parameters : ndarray, shape (n, 12) or (k, n, 12)
         Their derivatives.
 
     Notes
@@ -92,47 +95,47 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
     ux, uy = m11 * dx + m12 * dy, m12 * dx + m22 * dy
     q = np.maximum(np.sqrt(ux * ux + uy * uy), 1e-9)
     vx, vy = m11 * ux + m12 * uy, m12 * ux + m22 * uy
-    g = np.maximum(np.sqrt(vx * vx + vy * vy), 1e-12)
-    distance = (q - q * q) / g
+    per_g = 1 / np.maximum(np.sqrt(vx * vx + vy * vy), 1e-12)
+    nx2, ny2 = (vx * per_g) ** 2, (vy * per_g) ** 2
+    distance = (q - q * q) * per_g
     determinant = m11 * m22 - m12 * m12
-    curvature = (determinant * determinant) * (q / g) ** 3
-    z = distance / s - 0.5 * s * curvature
+    ratio = q * per_g
+    # s times the curvature, times its half: blur moves the edge by that much.
+    shift = ratio * ratio * ratio
+    shift *= 0.5 * s * (determinant * determinant)
+    z = distance / s - shift
     cumulative, bell = normal_distribution(z)
-    normal4 = (vx**4 + vy**4) / g**4
-    square = normal4 / (2880 * s**4)
+    square = nx2 * nx2 + ny2 * ny2
+    square /= 2880 * s**4
     z2 = z * z
-    coverage = cumulative + square * (z2 - 3) * z * bell
-    d_coverage_d_z = bell * (1 + square * (-3 + 6 * z2 - z2 * z2))
+    skewed = (z2 - 3) * z * bell * square
+    coverage = cumulative + skewed
     outside = parameters[6] + parameters[7] * x + parameters[8] * y
     step = parameters[9] + parameters[10] * x + parameters[11] * y
 
-    # d q = u.du / q,  d g = v.d(M u) / g,  du = dM (x - c) - M dc,  d(M u) = dM u + M du
-    d_q = np.stack([-vx, -vy, ux * dx, ux * dy + uy * dx, uy * dy]) / q
-    wx, wy = m11 * vx + m12 * vy, m12 * vx + m22 * vy  # M v
-    d_g = (
-        np.stack(
-            [
-                -(m11 * wx + m12 * wy),
-                -(m12 * wx + m22 * wy),
-                vx * ux + wx * dx,
-                vx * uy + vy * ux + wx * dy + wy * dx,
-                vy * uy + wy * dy,
-            ]
-        )
-        / g
-    )
-    # d of distance - s^2 curvature / 2
-    bend = 1.5 * s * s * curvature
-    d_distance = ((1 - 2 * q) / g - bend / q) * d_q + ((bend - distance) / g) * d_g
-    by_determinant = 2 / 3 * bend / determinant
-    d_distance[2:] -= np.stack([m22 * by_determinant, -2 * m12 * by_determinant, m11 * by_determinant])
-    jacobian = np.empty((_N_PARAMETERS, len(x)))
-    along_z = step * d_coverage_d_z / s
-    jacobian[:5] = along_z * d_distance
-    jacobian[5] = -along_z * (z + s * curvature) - step * 4 * square / s * (z2 - 3) * z * bell
+    jacobian = np.empty((N_PARAMETERS, *x.shape), dtype=coverage.dtype)
+    along_z = bell * (1 + square * (-3 + 6 * z2 - z2 * z2))
+    along_z *= step / s
+    jacobian[5] = -along_z * (z + 2 * shift) - 4 / s * step * skewed
+    # d q = u.du / q,  d g = v.d(M u) / g,  du = dM (x - c) - M dc,  d(M u) = dM u + M du; of distance - s shift both.
+    bend = 3 * s * shift
+    by_u = along_z * (((1 - 2 * q) * per_g - bend / q) / q)
+    by_v = along_z * ((bend - distance) * per_g * per_g)
+    ax, ay, bx, by = by_u * ux, by_u * uy, by_v * vx, by_v * vy
+    wx, wy = m11 * bx + m12 * by, m12 * bx + m22 * by
+    tx, ty = ax + wx, ay + wy
+    jacobian[0], jacobian[1] = -(m11 * tx + m12 * ty), -(m12 * tx + m22 * ty)
+    jacobian[2] = bx * ux + tx * dx
+    jacobian[3] = bx * uy + by * ux + tx * dy + ty * dx
+    jacobian[4] = by * uy + ty * dy
+    along_z *= 2 / 3 / determinant * bend
+    jacobian[2] -= m22 * along_z
+    jacobian[3] += 2 * m12 * along_z
+    jacobian[4] -= m11 * along_z
     jacobian[6], jacobian[7], jacobian[8] = 1.0, x, y
     jacobian[9], jacobian[10], jacobian[11] = coverage, coverage * x, coverage * y
-    return outside + step * coverage, jacobian.T
+    outside += step * coverage
+    return outside, np.moveaxis(jacobian, 0, -1)
 
 
 def template_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> TargetCenter:
@@ -216,7 +219,7 @@ def _centers(windows: Sequence[tuple[FloatArray, Ellipse]], reach: float) -> lis
         if isinstance(coarse, TargetCenter):
             windows[k] = windows[k][0], coarse.ellipse
     left = [k for k in range(len(windows)) if k not in small or isinstance(found[k], TargetCenter)]
-    for k, fine in zip(left, _fits([windows[k] for k in left], reach, _ENOUGH_PX), strict=True):
+    for k, fine in zip(left, _fits([windows[k] for k in left], reach, ENOUGH_PX), strict=True):
         found[k] = fine
     return found
 
@@ -286,8 +289,8 @@ class _Fit:
     def normal_equations(self) -> tuple[FloatArray, FloatArray]:
         weighted = self.jacobian.T * self.weights
         normal = weighted @ self.jacobian
-        normal[np.diag_indices(_N_PARAMETERS)] += self.prior.weights
-        normal[np.diag_indices(_N_PARAMETERS)] *= 1 + self.damping
+        normal[np.diag_indices(N_PARAMETERS)] += self.prior.weights
+        normal[np.diag_indices(N_PARAMETERS)] *= 1 + self.damping
         return normal, weighted @ self.residuals + self.prior.weights * (self.prior.mean - self.parameters)
 
     def result(self) -> TargetCenter | EstimationError:
@@ -302,12 +305,12 @@ class _Fit:
 def _start(window_dn: FloatArray, start: Ellipse, reach: float) -> _Fit:
     radius = normalised_radius(window_dn.shape, start)
     smaller = start.semi_axes_px[1]
-    width = min(_USUAL_WIDTH_PX, 0.4 * smaller)
-    band = _BAND_PX / smaller
+    width = min(USUAL_WIDTH_PX, 0.4 * smaller)
+    band = BAND_PX / smaller
     rows, columns = np.nonzero((radius > 1 - band) & (radius < min(reach, 1 + band)))
-    if len(rows) < 2 * _N_PARAMETERS:
+    if len(rows) < 2 * N_PARAMETERS:
         raise UnmeasuredTargetError(
-            SampleFlag.TOO_SMALL, f"{len(rows)} pixels show the target's edge; a template needs {2 * _N_PARAMETERS}"
+            SampleFlag.TOO_SMALL, f"{len(rows)} pixels show the target's edge; a template needs {2 * N_PARAMETERS}"
         )
     values, near = window_dn[rows, columns], radius[rows, columns]
     x, y = columns - start.center_px[0], rows - start.center_px[1]
@@ -323,16 +326,16 @@ def _start(window_dn: FloatArray, start: Ellipse, reach: float) -> _Fit:
     step = inside - plane[0]
     if step == 0:
         raise EstimationError("the target has no contrast against its ground")
-    parameters, mean, sigma = np.zeros(_N_PARAMETERS), np.zeros(_N_PARAMETERS), np.full(_N_PARAMETERS, np.inf)
+    parameters, mean, sigma = np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
     inverse = np.linalg.inv(start.frame_px)
     parameters[2:6] = inverse[0, 0], inverse[0, 1], inverse[1, 1], width
     parameters[6:9], parameters[9] = plane, step
     # Shading multiplies (the dark side slopes less) or adds (both slope alike): half way, with that as its sigma.
     lighter = max(abs(plane[0]), abs(inside), 1.0)
     half = 0.5 * abs(step) / lighter * plane[1:]
-    mean[5], sigma[5] = _USUAL_WIDTH_PX, 0.5
+    mean[5], sigma[5] = USUAL_WIDTH_PX, 0.5
     mean[10:] = -half if step < 0 else half
-    sigma[10:] = np.hypot(*half) + _SLOPE_FLOOR * abs(step)
+    sigma[10:] = np.hypot(*half) + SLOPE_FLOOR * abs(step)
     parameters[10:] = mean[10:]
     prior = _Prior(mean, (noise / sigma) ** 2)
     empty = np.empty(0)
@@ -401,8 +404,8 @@ def _evaluated(fits: Sequence[_Fit], trials: Sequence[FloatArray]) -> list[tuple
 def _steps(fits: Sequence[_Fit]) -> FloatArray:
     """Return the steps of all fits, shape (n, 12)."""
     equations = [fit.normal_equations() for fit in fits]
-    normal = np.array([one for one, _ in equations]).reshape(-1, _N_PARAMETERS, _N_PARAMETERS)
-    right = np.array([one for _, one in equations]).reshape(-1, _N_PARAMETERS, 1)
+    normal = np.array([one for one, _ in equations]).reshape(-1, N_PARAMETERS, N_PARAMETERS)
+    right = np.array([one for _, one in equations]).reshape(-1, N_PARAMETERS, 1)
     try:
         return np.asarray(np.linalg.solve(normal, right)[..., 0])
     except np.linalg.LinAlgError:
@@ -424,7 +427,7 @@ def _plausible(parameters: FloatArray, reach: float) -> bool:
 
 def _outliers(residuals: FloatArray, parameters: FloatArray) -> BoolArray:
     size = np.abs(residuals)
-    limit = max(_OUTLIER_SIGMAS * 1.4826 * _median(size), _OUTLIER_CONTRAST * abs(parameters[9]))
+    limit = max(OUTLIER_SIGMAS * 1.4826 * _median(size), OUTLIER_CONTRAST * abs(parameters[9]))
     return np.asarray(size > limit)
 
 
@@ -433,7 +436,7 @@ def _result(
 ) -> TargetCenter:
     jacobian, used, prior = linear
     count = int(np.count_nonzero(used))
-    if count < 2 * _N_PARAMETERS or count < 0.6 * len(used):
+    if count < 2 * N_PARAMETERS or count < 0.6 * len(used):
         raise UnmeasuredTargetError(
             SampleFlag.PARTLY_COVERED,
             f"{len(used) - count} of {len(used)} pixels do not fit a blurred disc: partly covered?",
@@ -445,16 +448,16 @@ def _result(
     except np.linalg.LinAlgError:
         raise EstimationError("the pixels do not determine the disc") from None
     influence = inverse[:2] @ jacobian.T
-    square = residuals**2 * (count / (count - _N_PARAMETERS))
+    square = residuals**2 * (count / (count - N_PARAMETERS))
     total = float(square.mean())
-    if parameters[9] ** 2 < _LEAST_STEP_SIGMAS**2 * total * inverse[9, 9]:
+    if parameters[9] ** 2 < LEAST_STEP_SIGMAS**2 * total * inverse[9, 9]:
         raise EstimationError(
             f"a contrast of {abs(parameters[9]):.1f} DN does not stand out from noise of {total**0.5:.1f} DN"
         )
     # Two variances, inside and outside, mixed by coverage; a side with a handful of pixels leans on the mean.
     share = np.array([max(float(coverage.sum()), 1.0), max(float((1 - coverage).sum()), 1.0)])
     variances = np.array([float(coverage @ square), float((1 - coverage) @ square)])
-    inside, outside = (variances + _N_PARAMETERS * total) / (share + _N_PARAMETERS)
+    inside, outside = (variances + N_PARAMETERS * total) / (share + N_PARAMETERS)
     noise = outside + coverage * (inside - outside)
     m11, m12, m22 = parameters[2:5]
     frame = np.array([[m22, -m12], [-m12, m11]]) / (m11 * m22 - m12 * m12)
@@ -466,7 +469,7 @@ def _result(
         freeze((influence * noise) @ influence.T + total * (inverse[:2] * prior.weights) @ inverse[:2].T),
         float(step),
         float(outside_dn + step),
-        float(np.sqrt(max(parameters[5] ** 2 - _PIXEL_VARIANCE, 0.0))),
+        float(np.sqrt(max(parameters[5] ** 2 - PIXEL_VARIANCE, 0.0))),
         float(np.sqrt(total)),
         count,
     )

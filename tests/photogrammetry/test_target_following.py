@@ -57,7 +57,7 @@ def test_followed_targets_have_the_centres_that_a_search_gives(walk) -> None:
         track = follow(images[k], track, known, CAMERA)
         assert track is not None
         searched = measure_targets(images[k], "photo", SEARCH).detections
-        found, shapes = measure_at(images[k], "photo", track.ellipses, SEARCH)
+        [(found, shapes)] = measure_at([images[k]], ["photo"], [track.ellipses], SEARCH)
         assert set(found.names) >= set(searched.names)
         assert len(shapes) == len(found.names)
         place = dict(zip(found.names, found.pixels_px, strict=True))
