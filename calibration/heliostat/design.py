@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from calibration.heliostat.parameters import Parameters
 from heliogauge.errors import InputError
+from heliogauge.rigid import skew
 from heliogauge.validate import FloatArray, float_array, freeze, positive
 
 #: Names that every design has: where the chain stands.
@@ -34,9 +35,12 @@ class Turn:
 
     axis: FloatArray
     angle: str
+    #: The axis' cross-product matrix and its square, shape (2, 3, 3): R = I + sin K + (1 - cos) K^2.
+    generator: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axis", _unit(f"axis of {self.angle}", self.axis))
+        object.__setattr__(self, "generator", _generator(self.axis))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +77,14 @@ class Driven:
 
     axis: FloatArray
     drive: int
+    #: The axis' cross-product matrix and its square, shape (2, 3, 3): R = I + sin K + (1 - cos) K^2.
+    generator: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.drive not in (0, 1):
             raise InputError(f"driven step: drive 0 or 1 is needed, not {self.drive}")
         object.__setattr__(self, "axis", _unit(f"axis of drive {self.drive}", self.axis))
+        object.__setattr__(self, "generator", _generator(self.axis))
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,3 +423,8 @@ def _unit(name: str, vector: npt.ArrayLike) -> FloatArray:
         raise InputError(f"{name}: a vector of length zero has no direction")
     # A direction that is a unit vector already keeps its bits: (0, 0, 1) stays exact.
     return array if length == 1.0 else np.asarray(freeze(array / length))
+
+
+def _generator(axis: FloatArray) -> FloatArray:
+    cross = skew(axis)
+    return np.asarray(freeze(np.stack([cross, cross @ cross])))
