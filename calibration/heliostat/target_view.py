@@ -176,7 +176,8 @@ class Rectifier:
         pixels = self.view.pixels_px(np.stack(np.meshgrid(x, y), axis=-1)).astype(np.float32)
         # Only the part of the picture around the target is converted and resampled.
         first = np.maximum(np.floor(np.nanmin(pixels.reshape(-1, 2), axis=0)).astype(int) - 2, 0)
-        return pixels[..., 0] - first[0], pixels[..., 1] - first[1], (int(first[0]), int(first[1]))
+        columns_px, rows_px = (np.ascontiguousarray(pixels[..., k] - np.float32(first[k])) for k in (0, 1))
+        return columns_px, rows_px, (int(first[0]), int(first[1]))
 
     def rectify(self, image_dn: npt.NDArray[np.generic], *, full_scale_dn: float | None = None) -> TargetImage:
         """Resample one picture.
