@@ -131,6 +131,27 @@ def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covari
     return replace(prior, across=10.0 ** (low + (first + 0.5) * width))
 
 
+def evidence_of_rows(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> float:
+    """Return how probable lines are under a roughness, with nothing that rows have in common left to find.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations of slope errors from zero; their common unknowns are not looked at.
+    grid : RowGrid
+        Nodes.
+    prior : Roughness
+        How slopes may vary.
+
+    Returns
+    -------
+    float
+        Logarithm of the marginal likelihood, but for a constant.
+    """
+    still = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    return _eliminate(lines, grid, prior, still, (np.zeros(0), np.zeros((0, 0)))).evidence
+
+
 def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
     """Keep the lines of some of the common unknowns, evenly spread, numbered anew."""
     count = len(covariance)

@@ -182,7 +182,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         )  # fmt: skip
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
-        slope_map = slope_map_of(reflector, collector, absorber, visible, prior.along_rad)
+        slope_map = slope_map_of(reflector, collector, absorber, visible)
         angles = angle_maps(slope_map, absorber, collector)
     with progress.stage("intercept factor"):
         intercept = evaluate_intercept(sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance())
@@ -197,7 +197,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
             *design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector),
         )
-    slanting = incidence_warning(slope_map, photos.eyes_m, collector, prior.along_rad)
+    slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
     said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))

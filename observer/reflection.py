@@ -11,7 +11,7 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.edges import Edges, find_edges
-from observer.rectify import rectified_strip
+from observer.rectify import Strip, rectified_strip
 from observer.sight import Misfit, Sights, misfit
 from observer.slope_field import IntArray
 
@@ -28,6 +28,8 @@ _CLEAR_EDGES = 30
 _DARKEST_SHARE = 0.1
 #: The tube's side of an edge may be brighter than the tube by this share of the step: blur, weak images in the glass.
 _DARK_SHARE = 0.2
+#: Distances on both sides of an edge between which the brightness should not change any more [px].
+_EVEN_PX = (4.0, 6.0)
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -50,6 +52,9 @@ class ReflectionEdges:
         Standard deviation of the position across the trough [m].
     contrast : ndarray, shape (m,)
         Step of the brightness towards larger x over that of the brighter side, so that exposure does not matter.
+    unevenness : ndarray, shape (m,)
+        Change of the brightness some pixels beside the edge over its step; 0 where a panel's edge or the tube in front
+        would make it.
     """
 
     photo: IntArray
@@ -58,6 +63,7 @@ class ReflectionEdges:
     points_m: FloatArray
     sigma_x_m: FloatArray
     contrast: FloatArray
+    unevenness: FloatArray
 
     def chosen(self, which: npt.NDArray[np.bool_] | IntArray) -> "ReflectionEdges":
         """Return some of them."""
@@ -139,12 +145,13 @@ def reflection_edges(
     y_m = expected.y_m
     rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
     strip = rectified_strip(image, view, expected.collector.surface, x, y_m, rows_each=rows_each)
-    return _plausible(find_edges(strip), photo, eye, expected, _SPOILT_PX * pixel_m)
+    found = find_edges(strip)
+    return _plausible(found, photo, eye, expected, (pixel_m, _unevenness(strip, found, pixel_m)))
 
 
 def _nothing() -> ReflectionEdges:
     none, empty = np.zeros(0, dtype=np.intp), np.zeros(0)
-    return ReflectionEdges(none, none, empty, np.zeros((0, 3)), empty, empty)
+    return ReflectionEdges(none, none, empty, np.zeros((0, 3)), empty, empty, empty)
 
 
 def design_misfit(
@@ -193,9 +200,13 @@ def _per_radius(points_m: FloatArray, absorber: AbsorberPath) -> FloatArray:
     return np.asarray(1 / np.hypot(axis_x - points_m[:, 0], axis_z - points_m[:, 2]))
 
 
-def _plausible(found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, spoilt_m: float) -> ReflectionEdges:
+def _plausible(
+    found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, beside: tuple[float, FloatArray]
+) -> ReflectionEdges:
     """Keep edges that can be the tube's, and say which of its two edges each is."""
     collector, absorber = expected.collector, expected.absorber
+    pixel_m, unevenness = beside
+    spoilt_m = _SPOILT_PX * pixel_m
     points = np.stack([found.x_m, expected.y_m[found.row], found.x_m**2 / (4 * collector.focal_length_m)], axis=1)
     eyes = np.tile(eye_m, (len(points), 1))
     both = [design_misfit(points, eyes, np.full(len(points), side), collector, absorber) for side in (1.0, -1.0)]
@@ -207,10 +218,29 @@ def _plausible(found: Edges, photo: int, eye_m: FloatArray, expected: Expectatio
     keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
     keep &= _is_tube_dark(found, side, keep)
     keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m + _END_MARGIN_M)
+    far_m = spoilt_m + _EVEN_PX[1] * pixel_m
+    judged = is_on_panels(collector, points[:, 0], points[:, 1], far_m)
+    judged &= ~_hidden(points, eye_m, collector, absorber, far_m)
     edges = ReflectionEdges(
-        np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast
-    )
+        np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast,
+        np.where(judged, unevenness, 0.0),
+    )  # fmt: skip
     return edges.chosen(keep)
+
+
+def _unevenness(strip: Strip, found: Edges, pixel_m: float) -> FloatArray:
+    """Return by what share of its step the brightness changes some pixels beside each edge, on the worse side."""
+    step = float(strip.x_m[1] - strip.x_m[0])
+    column = (found.x_m - strip.x_m[0]) / step
+    last = strip.x_m.size - 1
+    changes = []
+    for way in (-1, 1):
+        near, far = (
+            strip.image_dn[found.row, np.clip(np.rint(column + way * px * pixel_m / step), 0, last).astype(np.intp)]
+            for px in _EVEN_PX
+        )
+        changes.append(np.abs(far - near))
+    return np.asarray(np.maximum(*changes) / np.maximum(np.abs(found.rise_dn), 1e-6), dtype=np.float64)
 
 
 def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray:

@@ -4,17 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-import cv2
 import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
+from observer.along_variance import find_along
 from observer.camera_modes import CameraModes, pose_derivatives, reduce_to_modes
 from observer.design import Collector
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.mirror_shape import at_points, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
+from observer.shadows import borne_out, pulled_curves
 from observer.sight import Sights, change_across, misfit
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slope_sums import sum_covariance
@@ -35,15 +36,20 @@ _STEEPEST_CURVE = 4.0
 #: With more than this share of edges that step the wrong way there are shadows in the reflection: 0.2 % under a clear
 #: or cloudy sky, 4 % with the collector's own shadow on the ground.
 _SHADOWS_SHARE = 0.01
-#: Around a refused edge nothing is believed then within these distances along and across the trough [m]; with less,
-#: tens of slopes were wrong by more than 2 mrad.
-_SHADOW_REACH_M = (0.1, 0.24)
+#: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
+#: usually does: where a shadow or a thing on the ground ends beside it the edge is up to 4 mrad off.
+_MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
 #: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
 _STEEPEST_RAD = 0.04
-#: Where the slope along the trough is known better than this it helps to integrate the surface [rad].
-_ALONG_KNOWN_RAD = 0.7e-3
+#: Where the slope along the trough is measured better than this, and better than this share of what it usually is, it
+#: helps to integrate the surface [rad].
+_ALONG_KNOWN_RAD, _ALONG_GAIN = 0.7e-3, 0.5
 #: An edge says something of the mirror up to this distance along its row [m].
 _REACH_M = 0.12
+
+
+#: An edge that others say nothing of has all the leverage; its residual is taken to have this share of its noise.
+_MOST_LEVERAGE = 0.98
 
 
 class EdgeFate(IntEnum):
@@ -54,6 +60,8 @@ class EdgeFate(IntEnum):
     FAINT = 2
     BESIDE = 3
     ALONE = 4
+    UNEVEN = 5
+    ONE_SIDED = 6
 
 
 FATE_TEXTS = {
@@ -62,6 +70,8 @@ FATE_TEXTS = {
     EdgeFate.FAINT: "much less contrast than the tube's edges have",
     EdgeFate.BESIDE: "does not agree with the edges around it",
     EdgeFate.ALONE: "not continued in the neighbouring rows",
+    EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
+    EdgeFate.ONE_SIDED: "not borne out by the tube's other edge, where shadows are about",
 }
 
 
@@ -116,6 +126,8 @@ class Reflector:
         Height of the mirror over its design, mean zero on each panel [m].
     last_change_m : float
         RMS change of the height in the last round [m].
+    has_shadows : bool
+        Whether shadows as dark as the tube are in the reflection: what few edges say is then not believed.
     """
 
     grid: RowGrid
@@ -130,6 +142,7 @@ class Reflector:
     lines: TouchingLines
     height_m: FloatArray
     last_change_m: float
+    has_shadows: bool
 
     def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
         """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
@@ -218,30 +231,61 @@ def solve_reflector(
     nothing = (np.zeros(len(modes.covariance)), modes.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = _Surface(none, none[..., 0])
-    noise, roughness, change = 1.0, prior, 0.0
-    for allowance in (*_ALLOWANCES_RAD, None):
+    noise, roughness = 1.0, prior
+    for allowance in _ALLOWANCES_RAD:
         lines = _lines(nominal, expected, present, grid)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
-        sigma = np.hypot(noise * lines.sigma_rad, allowance or 0.0)
+        sigma = np.hypot(noise * lines.sigma_rad, allowance)
         used = replace(lines, sigma_rad=sigma).chosen(keep)
-        if allowance is not None:
-            roughness = find_roughness(used, grid, roughness, modes.covariance)
-        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=allowance is None)
+        roughness = find_roughness(used, grid, roughness, modes.covariance)
+        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=False)
         residuals, predicted = _residuals(lines, grid, errors)
-        measured = _near_edges(used, grid)
-        if allowance is None:
-            break
         if allowance == 0.0:
             noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
         limit = _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
         fate[is_bold] = np.where(np.abs(residuals) < limit, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
-        present, change = _next_surface(present, errors, measured, expected, grid)
+        present, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
         if not shaped:
             present = replace(present, height_m=none[..., 0])
-    measured &= ~_disturbed(edges, fate, grid, expected.y_m)
+    lines = _lines(nominal, expected, present, grid)
+    lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
+    keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+    agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
+    shadows = _has_shadows(fate)
+    for last in (False, True) if shadows else ():
+        borne, agreed = borne_out(_apart(lines.chosen(keep), errors), edges.side[keep], grid, roughness)
+        fate[np.nonzero(keep)[0][~borne]] = EdgeFate.ONE_SIDED
+        keep &= fate == EdgeFate.USED
+        if not last:
+            errors = solve_jointly(lines.chosen(keep), grid, roughness, none, nothing, with_shares=False)
+            fate[keep & _is_pulled(lines, keep, edges, errors, grid)] = EdgeFate.BESIDE
+            keep &= fate == EdgeFate.USED
+    used = lines.chosen(keep)
+    roughness = find_along(_apart(used, errors), grid, roughness)
+    errors = solve_jointly(used, grid, roughness, none, nothing)
     return Reflector(
-        grid, expected.y_m, errors, measured, fate, residuals, roughness, noise, modes, used, present.height_m, change
-    )
+        grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
+        roughness, noise, modes, used, present.height_m, change, shadows,
+    )  # fmt: skip
+
+
+def _is_pulled(
+    lines: TouchingLines, keep: BoolArray, edges: ReflectionEdges, errors: SlopeErrors, grid: RowGrid
+) -> BoolArray:
+    """Return which edges are off together with their curve, where the others alone would predict them."""
+    residuals, predicted = _residuals(lines, grid, errors)
+    leverage = np.clip(predicted / lines.sigma_rad**2, 0.0, _MOST_LEVERAGE)
+    normalised = residuals / (lines.sigma_rad * np.sqrt(1 - leverage))
+    curve = 2 * edges.photo + (edges.side > 0)
+    pulled = np.zeros(keep.size, dtype=bool)
+    pulled[keep] = pulled_curves(curve[keep], edges.row[keep], normalised[keep], grid.n_rows)
+    return pulled
+
+
+def _apart(lines: TouchingLines, errors: SlopeErrors) -> TouchingLines:
+    """Return lines from whose misfits the common unknowns, as found, are taken off."""
+    moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index])
+    return replace(lines, misfit_rad=moved, common_index=lines.common_index[:, :0], d_common=lines.d_common[:, :0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,12 +335,13 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
 
 
 def _next_surface(
-    present: _Surface, errors: SlopeErrors, measured: BoolArray, expected: Expectation, grid: RowGrid
+    present: _Surface, errors: SlopeErrors, known: tuple[BoolArray, Roughness], expected: Expectation, grid: RowGrid
 ) -> tuple[_Surface, float]:
     """Return the surface found, and the RMS change of its height [m]."""
+    measured, roughness = known
     slopes = np.where(measured[..., None], np.clip(errors.slopes, -_STEEPEST_RAD, _STEEPEST_RAD), 0.0)
-    known = errors.random[..., 1, 1] < _ALONG_KNOWN_RAD**2
-    height = heights(slopes, measured, known & measured, expected.collector, grid, expected.y_m)
+    along = errors.random[..., 1, 1] < min(_ALONG_KNOWN_RAD, _ALONG_GAIN * roughness.along_rad) ** 2
+    height = heights(slopes, measured, along & measured, expected.collector, grid, expected.y_m)
     return _Surface(slopes, height), float(np.sqrt(np.mean(np.square(height - present.height_m)[measured])))
 
 
@@ -312,6 +357,10 @@ def _first_fate(edges: ReflectionEdges) -> IntArray:
     usual = float(np.median(size[right])) if right.any() else 0.0
     fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
     fate[size < _LEAST_CONTRAST * usual] = int(EdgeFate.FAINT)
+    limit = _MOST_UNEVEN
+    if right.any():
+        limit = max(limit, _UNEVEN_TIMES_USUAL * float(np.median(edges.unevenness[right])))
+    fate[right & (edges.unevenness > limit)] = int(EdgeFate.UNEVEN)
     return np.asarray(fate, dtype=np.intp)
 
 
@@ -343,23 +392,13 @@ def _is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> Bool
     return alone
 
 
-def _disturbed(edges: ReflectionEdges, fate: IntArray, grid: RowGrid, y_m: FloatArray) -> BoolArray:
-    """Return nodes near refused edges, shape (r, nx), where shadows as dark as the tube are in the reflection.
+def _has_shadows(fate: IntArray) -> bool:
+    """Return whether shadows as dark as the tube are in the reflection.
 
     Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such edges
-    as they have right ones, which nothing tells from the tube's.
+    as they have right ones, which nothing in their brightness tells from the tube's.
     """
-    near = np.zeros((grid.n_rows, grid.x_m.size), dtype=np.uint8)
-    if np.mean(fate == EdgeFate.WRONG_STEP) < _SHADOWS_SHARE or y_m.size < 2:
-        return near.astype(bool)
-    wrong = np.isin(fate, (EdgeFate.WRONG_STEP, EdgeFate.BESIDE, EdgeFate.ALONE))
-    before, share = nodes_of(grid, edges.points_m[wrong, 0])
-    near[edges.row[wrong], before + (share > 0.5)] = 1
-    rows, columns = (
-        2 * round(reach / step) + 1
-        for reach, step in zip(_SHADOW_REACH_M, (float(y_m[1] - y_m[0]), grid.step_m), strict=True)
-    )
-    return cv2.dilate(near, np.ones((rows, columns), np.uint8)).astype(bool)
+    return bool(np.mean(fate == EdgeFate.WRONG_STEP) > _SHADOWS_SHARE)
 
 
 def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tuple[FloatArray, FloatArray]:

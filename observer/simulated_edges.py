@@ -114,7 +114,7 @@ def _edges_of_photo(scene: Scene, lattice: _Lattice, photo: int, noise: EdgeNois
     keep &= ~_behind_receiver(sights, truth, margin)
     keep &= in_image(scene.views[photo], points)
     sigma = np.full(row.size, noise.reflection_px * pixel_m)
-    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, -0.5 * side).chosen(keep)
+    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, -0.5 * side, 0 * side).chosen(keep)
 
 
 def _near(eye_m: FloatArray, x_m: FloatArray, truth: Expectation) -> BoolArray:

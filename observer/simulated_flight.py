@@ -174,7 +174,7 @@ def simulate(
     reflector = solve_reflector(edges, believed.photos, expected, evaluation.column_step_m, prior)
     nodes = (reflector.grid.x_m, y)
     visible = visibility(nodes, believed.photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
-    slope_map = slope_map_of(reflector, collector, absorber, visible, evaluation.along_rad)
+    slope_map = slope_map_of(reflector, collector, absorber, visible)
     grid_x, grid_y = np.meshgrid(*nodes)
     true_error, _ = scene.mirror.errors(grid_x.reshape(-1), grid_y.reshape(-1))
     true_x, true_z = truth.absorber.at(absorber.y_m)

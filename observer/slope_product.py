@@ -23,6 +23,8 @@ from observer.visibility import Visibility
 #: A node is refused where noise and the distance to the next edge leave it less sure than this, and less sure than so
 #: many times the usual: 0.5 mrad keeps 97 % of what can show the tube of an LS-2 in 100 photos.
 _LARGEST_SIGMA_RAD = 0.5e-3
+#: ... and than this where shadows are in the reflection: one edge that a shadow has pulled is then not borne out.
+_LARGEST_IN_SHADOW_RAD = 0.3e-3
 _LARGEST_TIMES_USUAL = 3.0
 #: Values that others may rest on are surer than this, or than so many times the usual: inside an island that no edge
 #: came near to all rows err together.
@@ -76,9 +78,7 @@ def known_theta_r(reflector: Reflector, collector: Collector) -> FloatArray:
     return np.where(reflector.measured, turned, np.nan)
 
 
-def slope_map_of(
-    reflector: Reflector, collector: Collector, absorber: AbsorberPath, visible: Visibility, prior_along_rad: float
-) -> SlopeMap:
+def slope_map_of(reflector: Reflector, collector: Collector, absorber: AbsorberPath, visible: Visibility) -> SlopeMap:
     """Return the mirror's slopes in the common form.
 
     Parameters
@@ -91,8 +91,6 @@ def slope_map_of(
         The tube's axis; its covariance becomes a common share of the slopes' uncertainty.
     visible : Visibility
         What the cameras can see of the tube by way of each node.
-    prior_along_rad : float
-        Standard deviation of the prior of the slope along the trough [rad].
 
     Returns
     -------
@@ -110,7 +108,7 @@ def slope_map_of(
     sigma_y = np.sqrt(reflector.errors.random[..., 1, 1] + reflector.errors.shared[..., 1])
     valid = np.isfinite(nodes.error)
     bridged = (nodes.flags & np.uint32(SampleFlag.SMOOTHED_GAP)) > 0
-    has_along = valid & ~bridged & (sigma_y < _LEAST_GAIN * prior_along_rad)
+    has_along = valid & ~bridged & (sigma_y < _LEAST_GAIN * reflector.roughness.along_rad)
     error_y = reflector.errors.slopes[..., 1]
     return SlopeMap(
         grid.x_m, y,
@@ -145,7 +143,8 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     error, variance = reflector.errors.slopes[..., 0], reflector.errors.random[..., 0, 0]
     near = aperture & reflector.measured
     usual = float(np.median(variance[near])) if near.any() else 0.0
-    limit = max(_LARGEST_SIGMA_RAD**2, _LARGEST_TIMES_USUAL**2 * usual)
+    largest = _LARGEST_IN_SHADOW_RAD if reflector.has_shadows else _LARGEST_SIGMA_RAD
+    limit = max(largest**2, _LARGEST_TIMES_USUAL**2 * usual)
     firm = near & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     step = float(reflector.y_m[1] - reflector.y_m[0]) if reflector.y_m.size > 1 else 1.0
     beside = bridge_rows(error, variance, firm, panel, step)

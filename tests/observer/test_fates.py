@@ -1,10 +1,13 @@
 """Which edges of a photo can be the tube's: by darkness, by how they go on from row to row."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from observer.edges import Edges
-from observer.reflection import ReflectionEdges, _is_tube_dark
-from observer.reflector import _is_alone
+from observer.rectify import Strip
+from observer.reflection import ReflectionEdges, _is_tube_dark, _unevenness
+from observer.reflector import EdgeFate, _first_fate, _is_alone
 
 Y = np.arange(50) * 0.02
 
@@ -12,7 +15,7 @@ Y = np.arange(50) * 0.02
 def curve(photo: int, rows: np.ndarray, x: np.ndarray) -> ReflectionEdges:
     n = rows.size
     points = np.stack([x, Y[rows], np.zeros(n)], axis=1)
-    return ReflectionEdges(np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8))
+    return ReflectionEdges(np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8), np.zeros(n))
 
 
 def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() -> None:
@@ -48,3 +51,19 @@ def test_edges_of_bright_things_are_refused() -> None:
     np.testing.assert_array_equal(kept, np.repeat([True, False], 60))
     # Steps the other way: a bright tube is not judged by its darkness.
     assert _is_tube_dark(both, -np.ones(120), everything).all()
+
+
+def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> None:
+    x = np.arange(120) * 0.01
+    step = 100.0 / (1 + np.exp(-(x - 0.4) / 0.01)) + 20.0
+    # A shadow that ends 5 samples beside the second row's edge.
+    shadowed = np.where(x > 0.45, 0.4 * step, step)
+    image = np.stack([step, shadowed]).astype(np.float32)
+    strip = Strip(image, x, np.ones(image.shape, dtype=bool))
+    edges = Edges(np.array([0, 1]), np.full(2, 0.4), np.full(2, 1e-3), np.full(2, 100.0), np.full(2, 0.8))
+    even, uneven = _unevenness(strip, edges, 0.01)
+    assert even < 0.05
+    assert uneven > 0.5
+    both = curve(0, np.arange(40), np.full(40, 0.1))
+    both = replace(both, unevenness=np.where(np.arange(40) < 5, uneven, even))
+    np.testing.assert_array_equal(_first_fate(both) == EdgeFate.UNEVEN, np.arange(40) < 5)
