@@ -15,6 +15,8 @@ __all__ = ["Rectifier", "TargetImage", "TargetView", "view_from_points", "whole_
 
 #: Pixels on the longer side of a rectified picture, unless the camera resolves less: a beam is tens of them wide.
 _LONGEST_PX = 256
+#: Residual of the known points, as a share of the target, above which they cannot be what they are said to be.
+_MOST_MISFIT = 0.02
 _CORNER_NAMES = ("upper left", "upper right", "lower right", "lower left")
 
 
@@ -288,7 +290,7 @@ def view_from_points(
     InputError
         Fewer than four points, points that lie on a line or cross over, a mirrored order.
     EstimationError
-        The points do not fit one plane: the residual is larger than a twentieth of the target.
+        The points do not fit one plane: the residual is larger than a fiftieth of the target.
     """
     measured = float_array("pixels_px", pixels_px, (None, 2))
     plane = float_array("points_m", points_m, (measured.shape[0], 2))
@@ -303,7 +305,7 @@ def view_from_points(
     spare = 2 * measured.shape[0] - 8
     from_residuals = float(np.sqrt(np.sum(residuals**2) / spare)) if spare else 0.0
     size = float(np.ptp(straight, axis=0).max())
-    if from_residuals > 0.05 * size:
+    if from_residuals > _MOST_MISFIT * size:
         raise EstimationError(
             f"target: its points miss a plane's picture by {from_residuals:.1f} px (target: {size:.0f} px); check the "
             "order and the coordinates of the points"
