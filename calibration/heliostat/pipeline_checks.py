@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.actuators import check_readings
 from calibration.heliostat.design import HeliostatDesign, LinearActuator
 from calibration.heliostat.pipeline_rows import Rows, Verdicts
 from heliogauge.errors import InputError
@@ -61,7 +60,6 @@ def readings_of(rows: Rows, design: HeliostatDesign, verdicts: Verdicts) -> Floa
     low, high = design.limits.T
     outside: BoolArray = np.asarray((values < low) | (values > high))
     verdicts.refuse(outside.any(axis=1), "reading", lambda row: _outside_text(design, names, values[row], outside[row]))
-    _check_triangles(design, values, verdicts)
     return values
 
 
@@ -103,22 +101,6 @@ def _outside_text(design: HeliostatDesign, names: list[str], values: FloatArray,
     axis = int(np.argmax(outside))
     low, high = design.limits[axis]
     return f"{names[axis]}: {values[axis]:g} {design.reading_unit} is beyond the drive's limits {low:g} to {high:g}"
-
-
-def _check_triangles(design: HeliostatDesign, values: FloatArray, verdicts: Verdicts) -> None:
-    numbers = design.parameters.values
-    usable = verdicts.usable
-    try:
-        check_readings(design, numbers, values[usable])
-        return
-    except InputError:
-        pass
-    for row in np.nonzero(usable)[0].tolist():
-        try:
-            check_readings(design, numbers, values[row : row + 1])
-        except InputError as error:
-            # The message begins with heliostat and row, which residuals.csv has in columns.
-            verdicts.refuse(np.arange(len(values)) == row, "reading", str(error).split(": ", 2)[-1])
 
 
 # --- the sun ----------------------------------------------------------------------------------------------------------

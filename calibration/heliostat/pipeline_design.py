@@ -86,13 +86,14 @@ def paint_design(properties: PaintProperties, name: str, plant: Plant) -> Helios
         for one in properties.actuators
     ]
     shifts = properties.translations_m
-    return linear_actuators(
+    design = linear_actuators(
         name,
         enu_from_geodetic(*properties.position, plant.origin),
         (numbers[0], numbers[1]),
         concentrator_m=shifts["concentrator"],
         joints_m=(shifts["joint_1"], shifts["joint_2"]),
     )
+    return design.with_value(properties.tilts_rad)
 
 
 def _preset(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.design import PlaneTarget
+from calibration.heliostat.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.pipeline_rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
 from heliogauge.errors import InputError
-from heliogauge.geodesy import enu_from_geodetic
+from heliogauge.geodesy import enu_from_geodetic, geodetic_from_enu
 from heliogauge.measurement import natural_order
 from heliogauge.measurement_heliostat import properties_files
 from heliogauge.store_json import read_json
@@ -44,6 +44,13 @@ _TRANSLATIONS = {
     "concentrator": ("concentrator_translation_{}", "concentrator_translation_{}"),
 }
 _SOUTH = (0.0, -1.0, 0.0)
+#: Tilts of the chain, by the names that ARTIST has for them; PAINT's own files have none.
+TILT_KEYS = {
+    "tilt_1_n": "first_joint_tilt_n",
+    "tilt_1_u": "first_joint_tilt_u",
+    "tilt_2_e": "second_joint_tilt_e",
+    "tilt_2_n": "second_joint_tilt_n",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +103,8 @@ class PaintProperties:
         Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
     translations_m : dict of str to tuple of float
         East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
+    tilts_rad : dict of str to float
+        Tilts of both joints by the names of the chain; 0 where not told [rad].
     size_m : tuple of float
         Width and height of the mirror [m]; NaN where not told.
     warnings : tuple of str
@@ -107,6 +116,7 @@ class PaintProperties:
     position: tuple[float, float, float]
     actuators: tuple[dict[str, float], dict[str, float]]
     translations_m: dict[str, tuple[float, float, float]]
+    tilts_rad: dict[str, float]
     size_m: tuple[float, float]
     warnings: tuple[str, ...]
     content: dict[str, Any]
@@ -281,6 +291,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
         position=_position(content, where),
         actuators=(_actuator(kinematics, 1, where), _actuator(kinematics, 2, where)),
         translations_m=translations,
+        tilts_rad={name: _finite(kinematics.get(key, 0.0), f"{where}: {key}") for name, key in TILT_KEYS.items()},
         size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
         warnings=tuple(warnings),
         content=content,
@@ -423,3 +434,49 @@ def _of(table: Mapping[str, Any], keys: tuple[str, str]) -> float:
         if key in table:
             return _finite(table[key], key)
     raise InputError(f"the key {keys[0]} is missing")
+
+
+# --- and back ---------------------------------------------------------------------------------------------------------
+
+
+def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> dict[str, Any]:
+    """Return a properties file with calibrated numbers, as PAINT has it and ARTIST reads it.
+
+    Parameters
+    ----------
+    content : mapping
+        ``heliostat.json``; the properties it came from are kept but for the numbers.
+    design : HeliostatDesign
+        The calibrated heliostat, with linear actuators.
+
+    Returns
+    -------
+    dict
+        The file.
+    """
+    numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
+    earlier = dict(content.get("paint_properties") or {})
+    site = content["site"]
+    origin = (site["latitude_deg"], site["longitude_deg"], site["altitude_m"])
+    latitude, longitude, altitude = geodetic_from_enu(design.position_m, origin)
+    old = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
+    actuators = []
+    for axis, drive in enumerate(design.drives, start=1):
+        told = dict((old.get("actuators") or [{}, {}])[axis - 1])
+        told |= {"type_axis": "linear", "clockwise_axis_movement": int(getattr(drive, "clockwise", True))}
+        low, high = design.limits[axis - 1].tolist()
+        if np.isfinite([low, high]).all():
+            told |= {"min_increment": low, "max_increment": high}
+        for name in ("increment", "initial_stroke", "offset", "pivot_radius", "initial_angle"):
+            told[ACTUATOR_KEYS[name][0]] = numbers[f"{name}_{axis}"]
+        actuators.append(told)
+    kinematics: dict[str, Any] = {"actuators": actuators}
+    for joint, (today, _) in _TRANSLATIONS.items():
+        for axis_name in "enu":
+            kinematics[today.format(axis_name)] = numbers[f"{joint}_{axis_name}"]
+    kinematics |= {key: numbers[name] for name, key in TILT_KEYS.items()}
+    return earlier | {
+        "heliostat_position": [float(latitude), float(longitude), float(altitude)],
+        "initial_orientation": list(_SOUTH),
+        "kinematics_properties": kinematics,
+    }
