@@ -459,7 +459,7 @@ def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> 
     site = content["site"]
     origin = (site["latitude_deg"], site["longitude_deg"], site["altitude_m"])
     latitude, longitude, altitude = geodetic_from_enu(design.position_m, origin)
-    old = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
+    old: dict[str, Any] = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
     actuators = []
     for axis, drive in enumerate(design.drives, start=1):
         told = dict((old.get("actuators") or [{}, {}])[axis - 1])
