@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.actuators import check_readings, drive_angle
+from calibration.heliostat.actuators import DriveAngle, check_readings, drive_angle
 from calibration.heliostat.design import Driven, HeliostatDesign, Turn
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, freeze
@@ -129,13 +129,8 @@ def mirror_poses(
     InputError
         Shapes that do not fit, or readings outside the geometry of an actuator.
     """
-    values, readings, approach = _checked(design, values, readings, approach, outside)
-    numbers = dict(zip(design.parameters.names, values.tolist(), strict=True))
-    angles = [
-        drive_angle(drive, numbers, readings[:, axis], None if approach is None else approach[:, axis]).angle_rad
-        for axis, drive in enumerate(design.drives)
-    ]
-    return chain_poses(design, numbers, angles)
+    numbers, drives = _drive_angles(design, values, readings, approach, outside)
+    return chain_poses(design, numbers, [drive.angle_rad for drive in drives])
 
 
 def pose_derivatives(
@@ -179,24 +174,19 @@ def pose_derivatives(
     The geometric Jacobian of a serial chain: a parameter that turns about the axis w through the point q moves a centre
     c by ``w x (c - q)`` and turns everything behind it by w.
     """
-    values, readings, approach = _checked(design, values, readings, approach, outside)
+    numbers, drives = _drive_angles(design, values, readings, approach, outside)
     wanted = np.arange(len(design.parameters)) if columns is None else np.asarray(columns, dtype=np.intp)
     column_of = {design.parameters.names[index]: column for column, index in enumerate(wanted)}
-    numbers = dict(zip(design.parameters.names, values.tolist(), strict=True))
-    drives = [
-        drive_angle(drive, numbers, readings[:, axis], None if approach is None else approach[:, axis])
-        for axis, drive in enumerate(design.drives)
-    ]
     links = _links(design, numbers, column_of)
     frames = _walk(links, [drive.angle_rad for drive in drives])
     centre = frames[-1].origin
-    omega, shift = np.zeros((2, len(wanted), 3, len(readings)))
+    omega, shift = np.zeros((2, len(wanted), 3, len(drives[0].angle_rad)))
     for link, frame in zip(links, frames[:-1], strict=True):
         _add_constant((omega, shift), link, frame, centre)
         if link.driven is not None:
             gains = drives[link.driven.drive].by_parameter.items()
             _add_driven((omega, shift), link, frame, [(column_of[n], g) for n, g in gains if n in column_of], centre)
-    poses = _poses(frames[-1], len(readings))
+    poses = _poses(frames[-1], omega.shape[-1])
     return PoseDerivatives(poses, omega.transpose(2, 1, 0), shift.transpose(2, 1, 0), wanted)
 
 
@@ -322,22 +312,29 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return product
 
 
-def _checked(
+def _drive_angles(
     design: HeliostatDesign,
     values: npt.ArrayLike,
     readings: npt.ArrayLike,
     approach: npt.ArrayLike | None,
     outside: Literal["raise", "nan"],
-) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+) -> tuple[dict[str, float], list[DriveAngle]]:
+    """Check the shapes; return the numbers by name and the angles of both drives."""
     value_array = np.asarray(values, dtype=np.float64)
     if value_array.shape != (len(design.parameters),):
         raise InputError(f"values: shape ({len(design.parameters)},) is needed, not {value_array.shape}")
     reading_array = np.asarray(readings, dtype=np.float64)
     if reading_array.ndim != 2 or reading_array.shape[1] != 2:
         raise InputError(f"readings: shape (n, 2) is needed, not {reading_array.shape}")
-    approach_array = None if approach is None else np.asarray(approach, dtype=np.float64)
-    if approach_array is not None and approach_array.shape != reading_array.shape:
-        raise InputError(f"approach: shape {reading_array.shape} is needed, not {approach_array.shape}")
-    if outside == "raise":
+    moves = None if approach is None else np.asarray(approach, dtype=np.float64)
+    if moves is not None and moves.shape != reading_array.shape:
+        raise InputError(f"approach: shape {reading_array.shape} is needed, not {moves.shape}")
+    numbers = dict(zip(design.parameters.names, value_array.tolist(), strict=True))
+    drives = [
+        drive_angle(drive, numbers, reading_array[:, axis], None if moves is None else moves[:, axis])
+        for axis, drive in enumerate(design.drives)
+    ]
+    # Only when something is wrong is it worth asking what.
+    if outside == "raise" and not all(np.isfinite(drive.angle_rad).all() for drive in drives):
         check_readings(design, value_array, reading_array)
-    return value_array, reading_array, approach_array
+    return numbers, drives

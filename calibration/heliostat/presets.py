@@ -20,12 +20,12 @@ from calibration.heliostat.design import (
 )
 from calibration.heliostat.parameters import Parameters
 from heliogauge.errors import InputError
-from heliogauge.validate import float_array
+from heliogauge.validate import FloatArray, float_array
 
 _EAST, _NORTH, _UP = np.eye(3)
 _WEST, _SOUTH, _DOWN = -np.eye(3)
 #: Azimuth clockwise from north and elevation: one turn either way, and whatever is not upside down [rad].
-_TURN, _UPRIGHT = 2 * np.pi, np.pi / 2
+_TURN, _QUARTER = 2 * np.pi, np.pi / 2
 _TILTS, _OFFSETS = ("tilt_north", "tilt_east"), ("azimuth_offset", "elevation_offset")
 #: Terms that `with_drive_terms` knows.
 DRIVE_TERMS = ("scale", "worm", "worm2", "sag", "backlash")
@@ -194,6 +194,67 @@ def six_error(
     return _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=-1.0)
 
 
+def two_axes(
+    name: str,
+    position_m: npt.ArrayLike,
+    axes: npt.ArrayLike,
+    normal: npt.ArrayLike,
+    *,
+    arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    rad_per_reading: Sequence[float] | None = None,
+) -> HeliostatDesign:
+    """Return a heliostat with any two axes: pitch and roll, an axis that points at the tower, and so on.
+
+    Parameters
+    ----------
+    name : str
+        Which heliostat.
+    position_m : array_like, shape (3,)
+        Point of the first axis: east, north, up [m].
+    axes : array_like, shape (2, 3)
+        Directions of the first axis, which stands still, and of the second as it is at readings 0; right-handed turns.
+    normal : array_like, shape (3,)
+        The mirror's normal at readings 0.
+    arm_m : sequence of float, optional
+        From the axes to the mirror's centre at readings 0: east, north, up [m].
+    rad_per_reading : sequence of float, optional
+        Angle of one count of each axis [rad]; readings are radians if not given.
+
+    Returns
+    -------
+    HeliostatDesign
+        angle = reading + offset, a quarter turn either way unless the limits are replaced. The mirror's frame is the
+        field's at readings 0. Free sets: ``"2"`` offsets, ``"6"`` all angles, ``"12"`` with position and arm.
+
+    Raises
+    ------
+    InputError
+        The second axis is parallel to the first, or the normal to the second.
+
+    Notes
+    -----
+    Six angular errors, as many as two axes can have: the first axis leans toward the second (`lean_along`) or toward
+    the common perpendicular ``axis 1 x axis 2`` (`lean_across`), two offsets, the angle between the axes
+    (`non_orthogonality`), and that between second axis and normal (`canting`).
+    """
+    first, second = (_direction(f"axis {i + 1}", axis) for i, axis in enumerate(float_array("axes", axes, (2, 3))))
+    facing = _direction("normal", float_array("normal", normal, (3,)))
+    common, across = np.cross(first, second), np.cross(second, facing)
+    if min(np.linalg.norm(common), np.linalg.norm(across)) < 1e-3:
+        raise InputError(f"{name}: the axes, or second axis and normal, are parallel: no two axes point such a mirror")
+    arm = Shift(("arm_e", "arm_n", "arm_u"))
+    leans = (Turn(common, "lean_along"), Turn(np.cross(first, common), "lean_across"))
+    drives = (Driven(first, 0), Turn(common, "non_orthogonality"), Driven(second, 1))
+    steps = (Shift(POSITION), *leans, *drives, Turn(across, "canting"), arm)
+    offsets = ("offset_1", "offset_2")
+    angles = ("lean_along", "lean_across", *offsets, "non_orthogonality", "canting")
+    table = _position(position_m) | dict.fromkeys(angles, (0.0, "rad")) | _lengths(arm, arm_m)
+    free_sets = {"2": offsets, "6": angles, "12": (*angles, *POSITION, "arm_e", "arm_n", "arm_u")}
+    design = _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=1.0)
+    quarter = np.broadcast_to(_QUARTER / np.abs(1.0 if rad_per_reading is None else rad_per_reading), 2)
+    return replace(design, normal=facing, limits=np.outer(quarter, [-1.0, 1.0]))
+
+
 def linear_actuators(
     name: str,
     position_m: npt.ArrayLike,
@@ -333,9 +394,9 @@ def _rotary(
     per_reading = float_array("rad_per_reading", (1.0, 1.0) if rad_per_reading is None else rad_per_reading, (2,))
     first, second = (
         RotaryDrive(offset, float(size), offset_sign=offset_sign)
-        for offset, size in zip(_OFFSETS, per_reading, strict=True)
+        for offset, size in zip(free_sets["2"], per_reading, strict=True)
     )
-    limits = np.abs(np.array([_TURN, _UPRIGHT]) / per_reading)[:, None] * [-1.0, 1.0]
+    limits = np.abs(np.array([_TURN, _QUARTER]) / per_reading)[:, None] * [-1.0, 1.0]
     unit: ReadingUnit = "rad" if rad_per_reading is None else "counts"
     parameters = Parameters.of(table)
     return HeliostatDesign(name, steps, (first, second), _NORTH, parameters, limits, unit, free_sets)
@@ -343,6 +404,13 @@ def _rotary(
 
 def _position(position_m: npt.ArrayLike) -> dict[str, tuple[float, str]]:
     return _lengths(Shift(POSITION), float_array("position_m", position_m, (3,)).tolist())
+
+
+def _direction(name: str, vector: FloatArray) -> FloatArray:
+    length = float(np.linalg.norm(vector))
+    if length == 0:
+        raise InputError(f"{name}: a vector of length zero has no direction")
+    return np.asarray(vector / length)
 
 
 def _lengths(shift: Shift, lengths_m: Sequence[float]) -> dict[str, tuple[float, str]]:

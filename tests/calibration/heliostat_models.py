@@ -10,6 +10,7 @@ from calibration.heliostat.presets import (
     drone_heliostat,
     linear_actuators,
     six_error,
+    two_axes,
     with_drive_terms,
 )
 
@@ -73,6 +74,9 @@ def all_models():
         "drone": drone_heliostat("d", POSITION, (0.4325, 0.24)),
         "six_error": six_error("s", POSITION, arm_normal_m=0.15),
         "rolling": rolling(),
+        "two_axes": two_axes(
+            "t", POSITION, [[-0.5, 0.8, 0.33], [0.85, 0.53, 0.0]], (-0.1, 0.2, 1.0), arm_m=(0.1, 0.0, 0.3)
+        ),
     }
     linear = linear_actuators("l", POSITION, ACTUATORS, joints_m=((0.01, 0.02, -0.03), (0.02, -0.01, 0.3)))
     models = rotary | {"linear": linear}

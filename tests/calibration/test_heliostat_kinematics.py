@@ -6,7 +6,7 @@ import pytest
 from calibration.heliostat.actuators import drive_angle, drive_reading
 from calibration.heliostat.aiming import aim
 from calibration.heliostat.kinematics import mirror_poses, pose_derivatives
-from calibration.heliostat.presets import azimuth_elevation, drone_heliostat, linear_actuators, six_error
+from calibration.heliostat.presets import azimuth_elevation, drone_heliostat, linear_actuators, six_error, two_axes
 from heliogauge.errors import InputError
 from heliogauge.rays import intersect_plane, reflect
 from heliogauge.rigid import vector_from_rotation
@@ -187,6 +187,36 @@ def test_six_errors_against_the_reconstructed_equations():
     np.testing.assert_allclose(
         found.readings[0], [azimuth + angles["azimuth_offset"], elevation + angles["elevation_offset"]], atol=1e-13
     )
+
+
+def test_two_axes_are_azimuth_and_elevation_if_they_say_so():
+    """Errors of the general model that are the published ones under other names."""
+    same = {"offset_1": 4e-3, "offset_2": 5e-3, "non_orthogonality": 6e-3}
+    general = two_axes("g", POSITION, [[0, 0, -1], [1, 0, 0]], (0, 1, 0)).with_value(
+        same | {"lean_along": -2e-3, "lean_across": 3e-3}
+    )
+    # Axis 1 looks down, so what leans toward the second axis (east) or the common perpendicular (south) is its foot.
+    named = azimuth_elevation("n", POSITION).with_value(
+        {"azimuth_offset": 4e-3, "elevation_offset": 5e-3, "non_orthogonality": 6e-3}
+        | {"tilt_north": 3e-3, "tilt_east": 2e-3}
+    )
+    readings = [[0.4, 0.7], [-1.2, 0.3]]
+    normals = [mirror_poses(d, d.parameters.values, readings).normals(d) for d in (general, named)]
+    # The order of the two leans is another: their product.
+    np.testing.assert_allclose(*normals, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("axes", "normal", "message"),
+    [
+        ([[0, 0, 1], [0, 0, 2]], (0, 1, 0), "parallel"),
+        ([[0, 0, 1], [1, 0, 0]], (-3, 0, 0), "parallel"),
+        ([[0, 0, 0], [1, 0, 0]], (0, 1, 0), "axis 1: a vector of length zero"),
+    ],
+)
+def test_two_axes_that_cannot_point_a_mirror(axes, normal, message):
+    with pytest.raises(InputError, match=message):
+        two_axes("t", POSITION, axes, normal)
 
 
 # --- For every model -------------------------------------------------------------------------------------------------
