@@ -4,7 +4,6 @@
 else ends as one `InputError` that names file, key, value and remedy.
 """
 
-import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from heliogauge.errors import InputError
 from heliogauge.measurement_faults import fault_lines
+from heliogauge.measurement_files import image_files
 from heliogauge.measurement_heliostat import HeliostatMeasurement, HeliostatModel, paint_measurement
 from heliogauge.measurement_known import with_known_files
 from heliogauge.measurement_models import (
@@ -186,7 +186,7 @@ def load_measurement(folder: Path) -> DeflectometryMeasurement:
     for key, text in model.named_files():
         if not (folder / text).is_file():
             raise InputError(f"{file}: {key} = {text!r}: there is no such file in {folder}")
-    fringe_files = _image_files(folder, "images.fringes", model.images.fringes)
+    fringe_files = image_files(folder, "images.fringes", model.images.fringes)
     needed = model.pattern.n_frames
     if len(fringe_files) != needed:
         raise InputError(
@@ -215,7 +215,7 @@ def load_response(folder: Path) -> ResponseMeasurement:
         As for `load_measurement`; or a number of photographs that differs from that of the levels.
     """
     file, model = _checked(folder, ResponseModel)
-    grey_files = _image_files(folder, "images.grey", model.images.grey)
+    grey_files = image_files(folder, "images.grey", model.images.grey)
     if len(grey_files) != len(model.display.levels):
         raise InputError(
             f"{file}: images.grey = {model.images.grey!r} gives {len(grey_files)} files, but display.levels has "
@@ -246,7 +246,7 @@ def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
     for key, name in model.board.named_files if isinstance(model.board, TargetFieldSection) else ():
         if not (folder / name).is_file():
             raise InputError(f"{file}: board.{key} = {name!r}: there is no such file in {folder}")
-    return CameraCalibrationMeasurement(folder, model, _image_files(folder, "images.photos", model.images.photos))
+    return CameraCalibrationMeasurement(folder, model, image_files(folder, "images.photos", model.images.photos))
 
 
 def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
@@ -268,7 +268,7 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
         As for `load_measurement`.
     """
     file, model = _checked(folder, PhotogrammetryModel)
-    photos = () if model.images is None else _image_files(folder, "images.photos", model.images.photos)
+    photos = () if model.images is None else image_files(folder, "images.photos", model.images.photos)
     found = PhotogrammetryMeasurement(folder, model, photos)
     _refuse_missing(file, found.input_files)
     return replace(found, model=with_known_files(model, folder))
@@ -302,9 +302,9 @@ def load_observer(folder: Path) -> ObserverMeasurement:
         frames = list_frames(folder / images.video, every_nth=images.every_nth)
         photos, doubts = frames.files, frames.doubts
     else:
-        photos = _image_files(folder, "images.photos", images.photos or ())
+        photos = image_files(folder, "images.photos", images.photos or ())
     own = model.absorber.photos
-    absorber = () if own is None else _image_files(folder, "absorber.photos", own)
+    absorber = () if own is None else image_files(folder, "absorber.photos", own)
     found = ObserverMeasurement(folder, model, photos, absorber, doubts)
     _refuse_missing(file, found.input_files)
     return found
@@ -431,28 +431,6 @@ def parse_measurement(content: dict[str, Any], file: Path) -> Model:
         raise InputError(f"{file}:{separator}" + "\n  ".join(lines)) from None
 
 
-def natural_order(name: str) -> list[tuple[int, int | str]]:
-    """Return a sort key that counts: ``frame_2`` comes before ``frame_10``.
-
-    Parameters
-    ----------
-    name : str
-        A file's name.
-
-    Returns
-    -------
-    list of tuple
-        Key for `sorted`.
-
-    Examples
-    --------
-    >>> sorted(["b10", "b9", "a"], key=natural_order)
-    ['a', 'b9', 'b10']
-    """
-    parts = re.split(r"(\d+)", name.casefold())
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
-
-
 def _read_toml(folder: Path, kind: str) -> dict[str, Any]:
     file = folder / MEASUREMENT_FILE
     if not folder.is_dir():
@@ -481,19 +459,3 @@ def _kind(content: dict[str, Any], file: Path) -> str:
         hint = f'did you mean "{near[0]}"?' if near else f"this version measures {known}"
         raise InputError(f"{file}: kind = {kind!r} is not known; {hint}")
     return kind
-
-
-def _image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Path, ...]:
-    file = folder / MEASUREMENT_FILE
-    if isinstance(named, str):
-        if Path(named).is_absolute() or not any(sign in named for sign in "*?["):
-            raise InputError(f"{file}: {key} = {named!r}: give a list of files, or a pattern such as 'photo_*.png'")
-        found = sorted(folder.glob(named), key=lambda path: natural_order(str(path.relative_to(folder))))
-        if not found:
-            raise InputError(f"{file}: {key} = {named!r}: no file in {folder} matches")
-        return tuple(found)
-    missing = [text for text in named if not (folder / text).is_file()]
-    if missing:
-        others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
-        raise InputError(f"{file}: {key}: there is no file {missing[0]!r}{others} in {folder}")
-    return tuple(folder / text for text in named)

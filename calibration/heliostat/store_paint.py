@@ -18,7 +18,7 @@ from calibration.heliostat.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.pipeline_rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
 from heliogauge.errors import InputError
 from heliogauge.geodesy import enu_from_geodetic, geodetic_from_enu
-from heliogauge.measurement import natural_order
+from heliogauge.measurement_files import natural_order
 from heliogauge.measurement_heliostat import properties_files
 from heliogauge.store_json import read_json
 from heliogauge.validate import FloatArray

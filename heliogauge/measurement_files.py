@@ -1,0 +1,66 @@
+"""Images that a measurement.toml names, in the order in which people count."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from heliogauge.errors import InputError
+
+
+def natural_order(name: str) -> list[tuple[int, int | str]]:
+    """Return a sort key that counts: ``frame_2`` comes before ``frame_10``.
+
+    Parameters
+    ----------
+    name : str
+        A file's name.
+
+    Returns
+    -------
+    list of tuple
+        Key for `sorted`.
+
+    Examples
+    --------
+    >>> sorted(["b10", "b9", "a"], key=natural_order)
+    ['a', 'b9', 'b10']
+    """
+    parts = re.split(r"(\d+)", name.casefold())
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+
+
+def image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Path, ...]:
+    """Find the images that a measurement.toml names.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    key : str
+        Key of the file that names them, for messages.
+    named : str or sequence of str
+        A text with ``*`` for all files that match, in natural order; or a list of files.
+
+    Returns
+    -------
+    tuple of Path
+        The files; each is there.
+
+    Raises
+    ------
+    InputError
+        A text without ``*``, no file that matches, or a file that is not there.
+    """
+    file = folder / "measurement.toml"
+    if isinstance(named, str):
+        if Path(named).is_absolute() or not any(sign in named for sign in "*?["):
+            raise InputError(f"{file}: {key} = {named!r}: give a list of files, or a pattern such as 'photo_*.png'")
+        found = sorted(folder.glob(named), key=lambda path: natural_order(str(path.relative_to(folder))))
+        if not found:
+            raise InputError(f"{file}: {key} = {named!r}: no file in {folder} matches")
+        return tuple(found)
+    missing = [text for text in named if not (folder / text).is_file()]
+    if missing:
+        others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+        raise InputError(f"{file}: {key}: there is no file {missing[0]!r}{others} in {folder}")
+    return tuple(folder / text for text in named)
