@@ -36,6 +36,8 @@ LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 
 # OpenCV takes some of these for TIFF and returns the preview they carry.
 _CAMERA_RAW = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"})
+#: Where OpenCV puts each colour.
+_CHANNELS = {"red": 2, "green": 1, "blue": 0}
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # A marker in JPEG's entropy-coded data: ff that is not stuffed (00), not a restart (d0-d7), not fill (ff).
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
@@ -91,6 +93,36 @@ def read_image(path: Path) -> Image:
     if video_of(path) != path:
         return np.asarray(np.rint(_grey(read_frame(path))), dtype=np.uint8)
     return _grey(_decode(path, _read_bytes(path)))
+
+
+def read_channel(path: Path, channel: str) -> Image:
+    """Read one colour of a photograph.
+
+    Parameters
+    ----------
+    path : Path
+        As for `read_image`, but a file.
+    channel : str
+        "red", "green" or "blue"; "luminance" is what `read_image` gives.
+
+    Returns
+    -------
+    ndarray of uint8, uint16 or float32, shape (height, width)
+        Values of that colour, or of a photograph without colours, in the file's depth [DN].
+
+    Raises
+    ------
+    InputError
+        No such channel; or as `read_image`.
+    """
+    if channel == "luminance":
+        return read_image(path)
+    if channel not in _CHANNELS:
+        raise InputError(f"channel: one of luminance, {', '.join(_CHANNELS)} is needed, not {channel!r}")
+    image = _decode(path, _read_bytes(path))
+    if image.ndim == 2 or image.shape[2] < 3:
+        return _grey(image)
+    return np.ascontiguousarray(image[..., _CHANNELS[channel]])
 
 
 def read_frames(

@@ -26,7 +26,7 @@ from calibration.heliostat.target_view import TargetImage
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
-__all__ = ["Beam", "BeamSettings", "SpotEstimate", "measure_beam"]
+__all__ = ["Beam", "BeamSettings", "SpotEstimate", "measure_beam", "no_beam"]
 
 _METHODS = {
     "intensity": intensity_centroid,

@@ -65,12 +65,15 @@ class TargetCorners:
     sigma_px : float
         Uncertainty of a coordinate [px].
     quality : ndarray, shape (4,)
-        Correlation with the template; contrast of the edge over its noise for dark marks.
+        Correlation with the template; contrast of a dark mark [DN].
+    scale : float, optional
+        Size of the marks in the picture over their size in the templates.
     """
 
     pixels_px: FloatArray
     sigma_px: float
     quality: FloatArray
+    scale: float = 1.0
 
 
 def mark_corner(window_dn: npt.ArrayLike, corner: str, *, outer: bool = True) -> tuple[FloatArray, float]:
@@ -173,7 +176,9 @@ def dark_corners(
     return TargetCorners(freeze(np.array(corners)), float(np.sqrt(np.mean(np.square(sigmas)))), np.array(quality))
 
 
-def template_corners(image_dn: npt.NDArray[np.generic], templates: Sequence[MarkTemplate]) -> TargetCorners:
+def template_corners(
+    image_dn: npt.NDArray[np.generic], templates: Sequence[MarkTemplate], *, near: TargetCorners | None = None
+) -> TargetCorners:
     """Find the corners of a target by templates of its marks.
 
     Parameters
@@ -182,6 +187,9 @@ def template_corners(image_dn: npt.NDArray[np.generic], templates: Sequence[Mark
         The camera's picture [DN].
     templates : sequence of MarkTemplate
         Four, in the order of `CORNERS`, all of one scale, which need not be the picture's.
+    near : TargetCorners, optional
+        What another picture of the same camera gave: the search over scales and places is then left out, unless it
+        leads to nothing.
 
     Returns
     -------
@@ -205,24 +213,13 @@ def template_corners(image_dn: npt.NDArray[np.generic], templates: Sequence[Mark
     if len(templates) != 4:
         raise InputError(f"templates: four are needed ({', '.join(CORNERS)}), not {len(templates)}")
     image = np.asarray(image_dn, dtype=np.float32)
+    if near is not None:
+        try:
+            return _at(image, templates, near.scale, _middles(templates, near))
+        except EstimationError:
+            pass  # The camera was moved.
     scale, starts = _search(image, templates)
-    corners, quality, sigmas = [], [], []
-    for name, template, start in zip(CORNERS, templates, starts, strict=True):
-        place, correlation, sigma = _refined(image, template, scale, start)
-        if correlation < _LEAST_CORRELATION:
-            raise EstimationError(
-                f"{name} corner: the best place for its mark correlates by {correlation:.2f}, {_LEAST_CORRELATION} are "
-                "needed; is the mark hidden, or is the template of another target?"
-            )
-        corners.append(place)
-        quality.append(correlation)
-        sigmas.append(sigma)
-    found = np.array(corners)
-    left, right = found[[0, 3], 0].max(), found[[1, 2], 0].min()
-    upper, lower = found[[0, 1], 1].max(), found[[2, 3], 1].min()
-    if not (left < right and upper < lower):
-        raise EstimationError(f"the marks are found at {found.round().tolist()} px, which is no quadrilateral")
-    return TargetCorners(freeze(found), float(np.sqrt(np.mean(np.square(sigmas)))), np.array(quality))
+    return _at(image, templates, scale, starts)
 
 
 # --- dark marks -----------------------------------------------------------------------------------------------------
@@ -275,6 +272,38 @@ def _line(y: FloatArray, x: FloatArray) -> tuple[float, float, float]:
 
 
 # --- templates ------------------------------------------------------------------------------------------------------
+
+
+def _middles(templates: Sequence[MarkTemplate], near: TargetCorners) -> list[FloatArray]:
+    """Return the middle of each template in the picture, from where its anchor was."""
+    halves = [np.array(template.values_dn.shape[::-1]) / 2 for template in templates]
+    return [
+        place + near.scale * (half - template.anchor_px)
+        for place, half, template in zip(near.pixels_px, halves, templates, strict=True)
+    ]
+
+
+def _at(
+    image: npt.NDArray[np.float32], templates: Sequence[MarkTemplate], scale: float, starts: Sequence[FloatArray]
+) -> TargetCorners:
+    """Refine all marks and refuse what is none."""
+    corners, quality, sigmas = [], [], []
+    for name, template, start in zip(CORNERS, templates, starts, strict=True):
+        place, correlation, sigma = _refined(image, template, scale, start)
+        if correlation < _LEAST_CORRELATION:
+            raise EstimationError(
+                f"{name} corner: the best place for its mark correlates by {correlation:.2f}, {_LEAST_CORRELATION} are "
+                "needed; is the mark hidden, or is the template of another target?"
+            )
+        corners.append(place)
+        quality.append(correlation)
+        sigmas.append(sigma)
+    found = np.array(corners)
+    left, right = found[[0, 3], 0].max(), found[[1, 2], 0].min()
+    upper, lower = found[[0, 1], 1].max(), found[[2, 3], 1].min()
+    if not (left < right and upper < lower):
+        raise EstimationError(f"the marks are found at {found.round().tolist()} px, which is no quadrilateral")
+    return TargetCorners(freeze(found), float(np.sqrt(np.mean(np.square(sigmas)))), np.array(quality), scale)
 
 
 def _search(image: npt.NDArray[np.float32], templates: Sequence[MarkTemplate]) -> tuple[float, list[FloatArray]]:

@@ -162,6 +162,12 @@ class Rectifier:
         return rows, columns, int(min(8, max(1, np.ceil(max(wide / columns, tall / rows) - 0.1))))
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the rectified picture."""
+        rows, columns, _ = self._layout
+        return rows, columns
+
+    @property
     def plane_from_pixel(self) -> FloatArray:
         """Homography of the rectified picture, shape (3, 3)."""
         rows, columns, _ = self._layout

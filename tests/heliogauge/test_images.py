@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from heliogauge.errors import InputError, QualityWarning
-from heliogauge.images import orientation_tag, read_frames, read_image, write_image
+from heliogauge.images import orientation_tag, read_channel, read_frames, read_image, write_image
 from heliogauge.progress import SilentProgress
 
 
@@ -257,3 +257,15 @@ class TestWriting:
         with pytest.raises(InputError, match=wanted):
             write_image(tmp_path / name, image)
         assert list(tmp_path.iterdir()) == []
+
+
+def test_one_colour(tmp_path: Path) -> None:
+    colours = np.random.default_rng(4).integers(0, 255, (20, 30, 3)).astype(np.uint16) * 200
+    write_image(tmp_path / "colour.png", colours)
+    for k, name in enumerate(("red", "green", "blue")):
+        assert np.array_equal(read_channel(tmp_path / "colour.png", name), colours[..., k])
+    write_image(tmp_path / "grey.png", colours[..., 0])
+    assert np.array_equal(read_channel(tmp_path / "grey.png", "blue"), colours[..., 0])
+    assert np.array_equal(read_channel(tmp_path / "colour.png", "luminance"), read_image(tmp_path / "colour.png"))
+    with pytest.raises(InputError, match="channel"):
+        read_channel(tmp_path / "colour.png", "infrared")
