@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from heliogauge.measurement_models import ImageFiles, Index, Number, Positive, Section, Text, Vector2, Vector3
 
-Preset = Literal["azimuth-elevation", "drone", "six-error", "linear-actuators"]
+Preset = Literal["azimuth-elevation", "drone", "six-error", "two-axes", "linear-actuators"]
 Split = Literal["random", "chronological", "azimuth", "high-variance", "column"]
 Label = Literal["UTIS", "HeliOS"]
 #: Optional terms of each drive.
@@ -92,7 +92,8 @@ class KinematicsSection(Section):
 
     ``counts_per_turn`` turns motor counts of rotary drives into angles (one number or one for each axis; negative
     where the count runs against the axis). ``worm_ratio`` is the cycles of the periodic error per turn (per metre of
-    stroke of a linear actuator); ``worm2`` has its second harmonic too.
+    stroke of a linear actuator); ``worm2`` has its second harmonic too. ``axes`` and ``normal`` are directions east,
+    north, up at readings 0 of the preset "two-axes".
     """
 
     preset: Preset = "azimuth-elevation"
@@ -101,12 +102,17 @@ class KinematicsSection(Section):
     counts_per_turn: Annotated[tuple[Number, Number], BeforeValidator(_as_pair)] | None = None
     worm_ratio: Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)] | None = None
     printed_signs: bool = False
+    axes: tuple[Vector3, Vector3] | None = None
+    normal: Vector3 | None = None
     parameters: dict[str, ParameterSection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if {"worm", "worm2"} & set(self.terms) and self.worm_ratio is None:
             raise ValueError("a worm's error is asked for, so worm_ratio is needed: its cycles per turn of the axis")
+        given = [key for key in ("axes", "normal") if getattr(self, key) is not None]
+        if len(given) != (2 if self.preset == "two-axes" else 0):
+            raise ValueError('axes (two directions) and normal, both at readings 0, belong to preset = "two-axes"')
         if self.counts_per_turn is not None and 0 in self.counts_per_turn:
             raise ValueError("counts_per_turn must not be 0")
         return self

@@ -42,7 +42,7 @@ file = "heliostats.csv"
 file = "observations.csv"
 
 [kinematics]
-preset = "azimuth-elevation"    # or "drone", "six-error", "linear-actuators"
+preset = "azimuth-elevation"    # or "drone", "six-error", "two-axes" (with axes, normal), "linear-actuators"
 #: free = "8"                   # a usual choice of the preset, or names: ["tilt_north", "tilt_east"]
 #: terms = ["worm", "sag", "backlash"]
 #: worm_ratio = 30.0            # cycles of the periodic error per turn of the axis

@@ -14,6 +14,7 @@ from calibration.heliostat.presets import (
     drone_heliostat,
     linear_actuators,
     six_error,
+    two_axes,
     with_drive_terms,
 )
 from calibration.heliostat.store_paint import PaintProperties, parse_properties
@@ -107,6 +108,8 @@ def _preset(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) ->
         return drone_heliostat(task.name, position, (0.0, 0.0), **rotary)
     if kinematics.preset == "six-error":
         return six_error(task.name, position, **rotary)
+    if kinematics.axes is not None and kinematics.normal is not None:
+        return two_axes(task.name, position, np.array(kinematics.axes), np.array(kinematics.normal), **rotary)
     return linear_actuators(task.name, position, _actuators(task.cells, kinematics))
 
 

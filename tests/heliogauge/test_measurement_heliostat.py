@@ -53,6 +53,7 @@ def test_every_optional_key_of_the_template_is_a_real_key(tmp_path: Path) -> Non
         (lambda c: c["target"].append(c["target"][0]), r"target 'target' is described twice"),
         (lambda c: c["kinematics"].update(preset="azimuth"), r"kinematics\.preset = 'azimuth': say"),
         (lambda c: c["kinematics"].update(terms=["worm"]), r"worm_ratio is needed"),
+        (lambda c: c["kinematics"].update(preset="two-axes"), r'belong to preset = "two-axes"'),
         (lambda c: c["kinematics"].update(parameters={"a": {"sigma": -1.0}}), r"sigma = -1\.0: a value not below 0"),
         (lambda c: c.update(paint={}), r"\[paint\] names the data, and so does \[heliostats\]"),
         (lambda c: c.update(images=[{"target": "target"}]), r"one of whole, .* not nothing"),
