@@ -1,12 +1,21 @@
 """The chain of rigid steps: published numbers, derivatives, forward and back, and what it refuses."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 from calibration.heliostat.actuators import drive_angle, drive_reading
 from calibration.heliostat.aiming import aim
 from calibration.heliostat.kinematics import mirror_poses, pose_derivatives
-from calibration.heliostat.presets import azimuth_elevation, drone_heliostat, linear_actuators, six_error, two_axes
+from calibration.heliostat.presets import (
+    azimuth_elevation,
+    drone_heliostat,
+    linear_actuators,
+    six_error,
+    two_axes,
+    with_drive_terms,
+)
 from heliogauge.errors import InputError
 from heliogauge.rays import intersect_plane, reflect
 from heliogauge.rigid import vector_from_rotation
@@ -370,6 +379,62 @@ def test_what_cannot_be_reached_is_said():
     assert found.within_limits.tolist() == [True, False, False]
     assert found.converged[0]
     assert not found.converged[2]
+
+
+def test_a_worm_that_runs_backwards_is_not_called_solved():
+    """Forty times what a worm may do: whatever Newton's method ends with is judged by where the beam goes."""
+    design = with_drive_terms(azimuth_elevation("w", POSITION), 1, ("worm",), worm_ratio=180.0)
+    design = design.with_value({"worm_sin_2": 0.2})
+    suns = direction(np.linspace(20, 80, 50), np.linspace(20, 60, 50))
+    found = aim(design, design.parameters.values, suns, AIM)
+    poses = mirror_poses(design, design.parameters.values, found.readings)
+    toward = AIM - poses.centre_m
+    miss = np.linalg.norm(
+        reflect(-suns, poses.normals(design)) - toward / np.linalg.norm(toward, axis=1)[:, None], axis=1
+    )
+    np.testing.assert_array_equal(found.converged, miss < 1e-9)
+    np.testing.assert_allclose(found.miss_rad, miss, atol=1e-12, rtol=1e-3)
+
+
+@pytest.mark.parametrize("away", [1e-2, 1e-6, 1e-10, 0.0])
+def test_straight_up_is_a_direction_too(away):
+    """At the pole any azimuth will do; the beam still has to arrive."""
+    design = azimuth_elevation("z", np.zeros(3))
+    toward = np.array([0.6, 0.0, 0.8])
+    sun = reflect(-toward, [away, 0.0, 1.0])
+    found = aim(design, design.parameters.values, sun, 50 * toward)
+    assert found.converged.all()
+    leaning = design.with_value({"non_orthogonality": 1e-3})
+    unreachable = aim(leaning, leaning.parameters.values, reflect(-toward, [0.0, 0.0, 1.0]), 50 * toward)
+    assert not unreachable.converged[0]
+    assert np.isnan(unreachable.readings).all()
+
+
+def test_a_drone_may_come_near():
+    """At 3 m a mirror on an arm of half a metre sees the drone move as it turns."""
+    directions = np.abs(np.random.default_rng(4).normal(size=(200, 3)))
+    drone = FIRST.position_m + 3.0 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    found = aim(FIRST, FIRST.parameters.values, drone, np.array([0.0, 0.0, 2.0]), finite=True)
+    assert found.converged.all()
+    assert found.miss_rad.max() < 1e-13
+
+
+def test_the_first_initial_angle_is_a_tilt_under_another_name():
+    """Which is why the fit with 15 parameters of two linear actuators has one combination too many."""
+    design = linear_actuators("l", POSITION, ACTUATORS)
+    columns = design.parameters.indices(("initial_angle_1", "tilt_2_e"))
+    found = pose_derivatives(design, design.parameters.values, readings_within(design, 9), columns=columns)
+    np.testing.assert_allclose(found.omega[:, :, 0], found.omega[:, :, 1], atol=1e-15)
+    np.testing.assert_allclose(found.shift[:, :, 0], found.shift[:, :, 1], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_designs_go_to_other_processes(name):
+    design = MODELS[name]
+    copy = pickle.loads(pickle.dumps(design))
+    readings = readings_within(design, 3)
+    here, there = (mirror_poses(d, d.parameters.values, readings).rotation for d in (design, copy))
+    np.testing.assert_array_equal(here, there)
 
 
 def test_no_number_of_rows_is_too_small():
