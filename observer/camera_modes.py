@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.rigid import RigidTransform, skew
+from heliogauge.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 from observer.sight import Misfit, Sights, gradient_on_mirror
 from observer.slope_field import IntArray
@@ -62,21 +62,22 @@ def pose_derivatives(
     """
     rotations = np.array([pose.rotation for pose in poses])[photo]
     shifts = np.array([pose.translation_m for pose in poses])[photo]
-    points = sights.points_m
-    inverse = np.swapaxes(rotations, 1, 2)
-    turned = np.einsum("mij,mj->mi", rotations, points)
-    eye, ray = np.empty((points.shape[0], 3, 6)), np.empty((points.shape[0], 3, 6))
-    eye[:, :, 3:] = ray[:, :, 3:] = -inverse
-    # w x t = -[t]x w; the columns of R^T [t]x are those of the step's rotation.
-    eye[:, :, :3] = -inverse @ skew(shifts)
-    ray[:, :, :3] = inverse @ skew(turned)
-    sight = sights.eyes_m - points
-    normal = np.stack([-points[:, 0] / (2 * focal_length_m), np.zeros(len(points)), np.ones(len(points))], axis=1)
-    along = np.einsum("mi,mic->mc", normal, ray) / np.einsum("mi,mi->m", normal, sight)[:, None]
-    point = ray - sight[:, :, None] * along[:, None, :]
+    points, sight = sights.points_m, sights.eyes_m - sights.points_m
     gradient = gradient_on_mirror(sights, found, focal_length_m)
-    result = np.einsum("mi,mic->mc", found.d_angle_d_eye, eye) + np.einsum("mi,mic->mc", gradient, point)
-    return np.asarray(result)
+    # A ray that moves by r moves the point where it meets the mirror by r - s (n.r) / (n.s), s the line of sight.
+    across = (np.einsum("mi,mi->m", gradient, sight)) / (
+        sight[:, 2] - points[:, 0] / (2 * focal_length_m) * sight[:, 0]
+    )
+    by_ray = gradient.copy()
+    by_ray[:, 0] += across * points[:, 0] / (2 * focal_length_m)
+    by_ray[:, 2] -= across
+    # A step (w, d) moves the eye by -R^T ([t]x w + d) and the ray by R^T ([R p]x w - d).
+    eye_turned, ray_turned = (
+        np.einsum("mij,mj->mi", rotations, one) for one in (found.d_angle_d_eye, by_ray)
+    )  # fmt: skip
+    turned = np.einsum("mij,mj->mi", rotations, points)
+    by_turn = np.cross(ray_turned, turned) - np.cross(eye_turned, shifts)
+    return np.concatenate([by_turn, -(eye_turned + ray_turned)], axis=1)
 
 
 def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> CameraModes:

@@ -196,7 +196,8 @@ def diameter_of_absorber(
     covariance[:count, :count] = prior
     grid = RowGrid(reflector.grid.x_m, reflector.grid.joined, rows.size)
     nothing = (np.zeros(count + 1), covariance)
-    solved = solve_jointly(lines, grid, reflector.roughness, np.zeros((rows.size, grid.x_m.size, 2)), nothing)
+    still = np.zeros((rows.size, grid.x_m.size, 2))
+    solved = solve_jointly(lines, grid, reflector.roughness, still, nothing, with_shares=False)
     variance = float(solved.covariance_common[-1, -1])
     # Undo the pull of the prior: the value by the photos alone.
     own = max(1 - variance, 1e-3)

@@ -214,8 +214,9 @@ def solve_jointly(
     if not with_shares:
         nothing = np.zeros((0, rows.size, grid.x_m.size))
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common[0] + step, shared.covariance, rows, nothing)
-    between = _between_rows(shared.variance(), rows, grid.n_rows)
-    return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance, rows, shared.modes())
+    variance, modes = shared.shares()
+    between = _between_rows(variance, rows, grid.n_rows)
+    return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance, rows, modes)
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -253,24 +254,26 @@ class _Eliminated:
     carried: FloatArray
     evidence: float
 
-    def variance(self) -> FloatArray:
-        """Return the variance that the slopes have from the common unknowns, shape (r, nx, 2)."""
-        flat = self.carried.reshape(-1, len(self.covariance))
-        sums = np.einsum("kc,kc->k", flat @ self.covariance, flat)
-        return from_blocks(sums.reshape(self.carried.shape[:3]))
+    def shares(self) -> tuple[FloatArray, FloatArray]:
+        """Return what the slopes have from the common unknowns: variance, shape (r, nx, 2), and modes, (k, r, nx).
 
-    def modes(self) -> FloatArray:
-        """Return the strongest independent changes of dz/dx by the common unknowns, shape (k, r, nx)."""
+        Modes are the strongest independent changes of dz/dx.
+        """
+        from scipy.linalg import eigh
+
         n_blocks, n_rows, _, count = self.carried.shape
-        across = np.ascontiguousarray(self.carried[:, :, 0::2])
         if count == 0:
-            return np.zeros((0, n_rows, 2 * n_blocks))
-        flat = across.reshape(-1, count) @ np.linalg.cholesky(self.covariance)
-        values, vectors = np.linalg.eigh(flat.T @ flat)
-        enough = np.cumsum(values[::-1]) < _MODES_SHARE * values.sum()
-        kept = min(_MODES, int(np.count_nonzero(enough)) + 1)
-        strongest = (flat @ vectors[:, ::-1][:, :kept]).reshape(n_blocks, n_rows, 2, kept)
-        return np.asarray(strongest.transpose(3, 1, 0, 2).reshape(kept, n_rows, 2 * n_blocks))
+            return np.zeros((n_rows, 2 * n_blocks, 2)), np.zeros((0, n_rows, 2 * n_blocks))
+        flat = self.carried.reshape(-1, count) @ np.linalg.cholesky(self.covariance)
+        variance = from_blocks(np.einsum("kc,kc->k", flat, flat).reshape(n_blocks, n_rows, 4))
+        across = np.ascontiguousarray(flat.reshape(-1, 4, count)[:, 0::2]).reshape(-1, count)
+        products = across.T @ across
+        some = min(_MODES, count)
+        values, vectors = eigh(products, subset_by_index=(count - some, count - 1), check_finite=False)
+        enough = np.cumsum(values[::-1]) < _MODES_SHARE * np.trace(products)
+        kept = min(some, int(np.count_nonzero(enough)) + 1)
+        strongest = (across @ vectors[:, ::-1][:, :kept]).reshape(n_blocks, n_rows, 2, kept)
+        return variance, np.asarray(strongest.transpose(3, 1, 0, 2).reshape(kept, n_rows, 2 * n_blocks))
 
 
 def _eliminate(
@@ -286,9 +289,9 @@ def _eliminate(
     if count == 0:
         nothing = np.zeros((grid.x_m.size // 2, grid.n_rows, 4, 0))
         return _Eliminated(value, covariance, nothing, evidence)
-    coupling = _coupling(system, lines, grid, count)
+    coupling = coupling_of(system, lines, grid, count)
     carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count))
-    normal = np.linalg.inv(covariance)
+    normal, spread = _inverted(covariance)
     gradient = normal @ value
     weighted = lines.sigma_rad**-2
     width = lines.common_index.shape[1]
@@ -302,16 +305,44 @@ def _eliminate(
     # Each common unknown touches a few nodes of a row only: with dense factors this product would cost the most of all.
     normal -= coupling.T @ carried.reshape(flat)
     gradient -= carried.reshape(flat).T @ pull.reshape(-1)
-    posterior = np.linalg.inv(0.5 * (normal + normal.T))
-    posterior = 0.5 * (posterior + posterior.T)
+    posterior, narrowed = _inverted(normal)
     step = -posterior @ gradient
-    change = np.linalg.slogdet(posterior)[1] - np.linalg.slogdet(covariance)[1]
-    evidence += 0.5 * (change - float(gradient @ step))
+    evidence -= 0.5 * (narrowed + spread + float(gradient @ step))
     return _Eliminated(step, posterior, carried, evidence)
 
 
-def _coupling(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> "csr_array":
-    """Return the coupling of slopes and common unknowns, shape (b r 4, c), rows in the order of the blocks."""
+def _inverted(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix and the logarithm of its determinant."""
+    from scipy.linalg import lapack
+
+    root, info = lapack.dpotrf(0.5 * (matrix + matrix.T), lower=1)
+    if info != 0:
+        raise np.linalg.LinAlgError("the common unknowns are not determined")
+    inverse, _ = lapack.dpotri(root, lower=1)
+    whole = np.tril(inverse)
+    whole += np.tril(inverse, -1).T
+    return np.asarray(whole), 2 * float(np.log(np.diagonal(root)).sum())
+
+
+def coupling_of(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> "csr_array":
+    """Return the coupling of slopes and common unknowns.
+
+    Parameters
+    ----------
+    system : RowSystem
+        The rows.
+    lines : TouchingLines
+        Observations.
+    grid : RowGrid
+        Nodes.
+    count : int
+        Number of common unknowns.
+
+    Returns
+    -------
+    csr_array, shape (b r 4, c)
+        Sums of weighted products of derivatives, rows in the order of the blocks.
+    """
     from scipy.sparse import csr_array
 
     # Node before and node after, each with two slopes.

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from heliogauge.validate import FloatArray
+from observer.joint_solution import coupling_of
 from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, to_blocks
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
@@ -38,18 +39,11 @@ def sum_covariance(
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
     """
     system = assemble(lines, grid, prior)
-    weight, n_common = lines.sigma_rad**-2, len(covariance_common)
-
-    def carried(slopes: FloatArray) -> FloatArray:
-        """Return how a sum hangs on the common unknowns, from its solution with A, shape (r, nx, 2)."""
-        beside = np.concatenate([slopes[lines.row, system.before], slopes[lines.row, system.before + 1]], axis=1)
-        seen = weight * np.einsum("mi,mi->m", system.weights, beside)
-        columns = zip(lines.common_index.T, lines.d_common.T, strict=True)
-        return np.asarray(sum(np.bincount(index, seen * derivative, n_common) for index, derivative in columns))
+    coupling = coupling_of(system, lines, grid, len(covariance_common))
 
     def covariance(weights: FloatArray) -> FloatArray:
         count = len(weights)
-        own, shared = np.empty((count, count)), np.empty((count, n_common))
+        own, shared = np.empty((count, count)), np.empty((count, len(covariance_common)))
         nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
         for first in range(0, count, _AT_ONCE):
             some = slice(first, min(first + _AT_ONCE, count))
@@ -57,7 +51,7 @@ def sum_covariance(
             # (b, r, 4, k) to (k, r, nx, 2)
             slopes = np.moveaxis(solved, 3, 0).swapaxes(1, 2).reshape(-1, grid.n_rows, grid.x_m.size, 2)
             own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
-            shared[some] = [carried(one) for one in slopes]
+            shared[some] = (coupling.T @ solved.reshape(coupling.shape[0], -1)).T
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
 
     return covariance
