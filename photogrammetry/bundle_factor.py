@@ -222,14 +222,14 @@ class BlockFactor:
     def _whitened(self, right: FloatArray) -> FloatArray:
         """Return ``L^-1 b``."""
         width = right.shape[1]
-        poses = self._roots @ right[: self._first].reshape(-1, 6, width)
-        return np.concatenate([poses.reshape(-1, width), self._corner_root @ right[self._first :]])
+        poses = self._roots @ right[: self._first].reshape(len(self._roots), 6, width)
+        return np.concatenate([poses.reshape(self._first, width), self._corner_root @ right[self._first :]])
 
     def _unwhitened(self, right: FloatArray) -> FloatArray:
         """Return ``L^-T b``."""
         width = right.shape[1]
-        poses = np.swapaxes(self._roots, 1, 2) @ right[: self._first].reshape(-1, 6, width)
-        return np.concatenate([poses.reshape(-1, width), self._corner_root.T @ right[self._first :]])
+        poses = np.swapaxes(self._roots, 1, 2) @ right[: self._first].reshape(len(self._roots), 6, width)
+        return np.concatenate([poses.reshape(self._first, width), self._corner_root.T @ right[self._first :]])
 
     def _turned(self, right: FloatArray) -> FloatArray:
         return right + self._directions @ (self._change[:, None] * (self._directions.T @ right))

@@ -283,6 +283,20 @@ def truth_poses(truth):
     return [truth.cam_from_world(i) for i in range(len(truth.rotations))]
 
 
+@pytest.mark.parametrize("n_photos", [1, 2])
+def test_poses_alone_to_known_targets(n_photos):
+    # Nothing but poses is unknown: no target is, and no part of the camera.
+    rng = np.random.default_rng(4)
+    truth, points = network(rng, n_photos, 30)
+    names = tuple(f"t{i}" for i in range(30))
+    start = disturbed(truth, rng)
+    start = type(start)(start.cameras, start.rotations, start.translations_m, truth.points_m)
+    result = adjust(BundleProblem(points, (CameraModel("c"),), fixed=names), start)
+    assert result.converged, result.reason
+    assert result.redundancy == 2 * points.n - 6 * n_photos
+    np.testing.assert_allclose(result.state.centers_m, truth.centers_m, atol=2e-3)
+
+
 def test_residuals_are_in_the_order_of_the_observations():
     rng, truth, points = small()
     shuffled = points.subset(rng.permutation(points.n))
