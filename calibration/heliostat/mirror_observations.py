@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.heliostat.design import HeliostatDesign
-from calibration.heliostat.directions import stereographic
+from calibration.heliostat.directions import Sights
 from calibration.heliostat.kinematics import mirror_poses
 from calibration.heliostat.parameters import Parameters
 from calibration.heliostat.pointings import (
@@ -98,7 +98,7 @@ class LampSightings(ObservationGroup):
         for k, label in enumerate(labels):
             chosen = np.array([one == label for one in self.position], dtype=np.bool_)
             mean = unit_rows("lamp", lines[chosen], int(chosen.sum())).mean(axis=0)
-            values[2 * k : 2 * k + 2] = stereographic(mean[None], self.camera.axis[None])[0]
+            values[2 * k : 2 * k + 2] = Sights.along(self.camera.axis[None]).coordinates(mean[None])[0]
             names_of += [f"direction_{label}_a", f"direction_{label}_b"]
         directions = Parameters(tuple(names_of), values, np.full(values.size, np.inf), ("rad",) * values.size)
         return point.extended(directions)
