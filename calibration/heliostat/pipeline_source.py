@@ -221,7 +221,8 @@ def _read_header(file: Path) -> tuple[str, ...]:
     sun = [name for name in ("sun_azimuth_deg", "sun_elevation_deg") if name in header]
     if len(sun) == 1:
         raise InputError(f"{file}: {sun[0]} is alone; sun_azimuth_deg and sun_elevation_deg belong together")
-    if not sun and "time_utc" not in header:
+    # Drones, normals and points do without the sun: with kinds it is asked for row by row.
+    if not sun and "time_utc" not in header and "kind" not in header:
         raise InputError(f"{file}: where the sun was is missing: time_utc, or sun_azimuth_deg and sun_elevation_deg")
     return header
 
