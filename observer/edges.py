@@ -15,8 +15,8 @@ _FILTER_SAMPLES = 1.2
 _NOISE_TIMES = 6.0
 #: An edge has at least this share of the contrast that most rows' strongest edges have.
 _LEAST_SHARE = 0.2
-#: So many samples tell the noise to half a percent.
-_NOISE_SAMPLES = 20000
+#: So many samples tell the noise to one percent.
+_NOISE_SAMPLES = 5000
 #: So many samples beside an edge its blur has ended.
 _BESIDE_SAMPLES = 4
 #: What resampling and the grid of pixels leave of an edge's position, in samples.
@@ -76,7 +76,8 @@ def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
     bell = np.exp(-0.5 * (place / width) ** 2)
     bell /= bell.sum()
     derivative = place / width**2 * bell
-    image = np.where(strip.seen, strip.image_dn, np.float32(0))
+    is_whole = bool(strip.seen.all())
+    image = strip.image_dn if is_whole else np.where(strip.seen, strip.image_dn, np.float32(0))
     gradient = cv2.sepFilter2D(image, cv2.CV_32F, derivative, np.ones(1), borderType=cv2.BORDER_REPLICATE)
     size = np.abs(gradient)
     # Samples between the same pixels share their noise.
@@ -86,10 +87,13 @@ def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
     least = max(_NOISE_TIMES * noise, _LEAST_SHARE * strongest, 1e-6)
     middle = size[:, 1:-1]
     peak = (middle > least) & (middle >= size[:, :-2]) & (middle > size[:, 2:])
-    inner = strip.seen.copy()
-    # A filter that reaches beyond the photo sees its border.
-    border = cv2.erode(inner.astype(np.uint8), np.ones((1, 2 * reach + 1), np.uint8), borderValue=0).astype(bool)
-    row, column = np.nonzero(peak & border[:, 1:-1])
+    # A filter that reaches beyond the photo, or the strip, sees its border.
+    if not is_whole:
+        kernel = np.ones((1, 2 * reach + 1), np.uint8)
+        peak &= cv2.erode(strip.seen.astype(np.uint8), kernel, borderValue=0).astype(bool)[:, 1:-1]
+    peak[:, : reach - 1] = peak[:, peak.shape[1] - reach + 1 :] = False
+    # Numbers in one line of memory are found three times as fast as rows and columns.
+    row, column = np.divmod(np.flatnonzero(peak), peak.shape[1])
     column += 1
     before, here, after = (np.log(np.maximum(size[row, column + i], 1e-6)).astype(np.float64) for i in (-1, 0, 1))
     bend = np.minimum(before - 2 * here + after, -1e-3)

@@ -12,7 +12,7 @@ from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.edges import Edges, find_edges
 from observer.rectify import Strip, rectified_strip
-from observer.sight import Misfit, Sights, misfit
+from observer.sight import Misfit, Sights, beside_axis, misfit
 from observer.slope_field import IntArray
 
 AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
@@ -209,15 +209,15 @@ def _plausible(
     spoilt_m = _SPOILT_PX * pixel_m
     points = np.stack([found.x_m, expected.y_m[found.row], found.x_m**2 / (4 * collector.focal_length_m)], axis=1)
     eyes = np.tile(eye_m, (len(points), 1))
-    both = [design_misfit(points, eyes, np.full(len(points), side), collector, absorber) for side in (1.0, -1.0)]
-    angles = np.array([one.angle_rad for one in both])
-    side = np.where(np.abs(angles[0]) < np.abs(angles[1]), 1.0, -1.0)
-    angle = np.where(side > 0, angles[0], angles[1])
+    slope, radius = points[:, 0] / (2 * collector.focal_length_m), collector.absorber_diameter_m / 2
+    middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(len(points))), slope, absorber, radius)
+    side = np.where(np.abs(middle + half) < np.abs(middle - half), 1.0, -1.0)
+    angle = middle + side * half
     keep = np.abs(angle) < 2 * expected.slope_error_rad
     keep &= is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
     keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
     keep &= _is_tube_dark(found, side, keep)
-    keep &= sees_tube(both[0].passing_y_m, collector, spoilt_m + _END_MARGIN_M)
+    keep &= sees_tube(passing, collector, spoilt_m + _END_MARGIN_M)
     far_m = spoilt_m + _EVEN_PX[1] * pixel_m
     judged = is_on_panels(collector, points[:, 0], points[:, 1], far_m)
     judged &= ~_hidden(points, eye_m, collector, absorber, far_m)

@@ -132,6 +132,45 @@ def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: Abso
     return Misfit(angle, d_slopes[0], d_slopes[1], d_eye, d_absorber, d_radius, passing)
 
 
+def beside_axis(
+    sights: Sights, slope_x: FloatArray, absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return by what angle reflected lines of sight pass beside the tube's axis, without derivatives.
+
+    Parameters
+    ----------
+    sights : Sights
+        Mirror points and cameras; sides do not matter.
+    slope_x : ndarray, shape (m,)
+        dz/dx of the mirror at the points; its slope along the trough counts as none.
+    absorber : AbsorberPath
+        The tube's axis.
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    angle_rad : ndarray, shape (m,)
+        Mean of the misfits of both edges [rad].
+    half_rad : ndarray, shape (m,)
+        Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
+    passing_y_m : ndarray, shape (m,)
+        Where along the trough the ray passes the tube [m].
+    """
+    points = sights.points_m
+    away = sights.eyes_m - points
+    twice = 2 * (away[:, 2] - slope_x * away[:, 0]) / (1 + slope_x * slope_x)
+    ray = np.stack([-twice * slope_x - away[:, 0], -away[:, 1], twice - away[:, 2]], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passing = _passing_y(points, ray, absorber)
+        axis_x, axis_z = absorber.at(passing)
+        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
+        sine = radius_m / np.hypot(to_x, to_z)
+        half = np.arcsin(np.where(sine < 1, sine, np.nan))
+        angle = np.arctan2(ray[:, 0], ray[:, 2]) - np.arctan2(to_x, to_z)
+    return angle, half, passing
+
+
 def _passing_y(points_m: FloatArray, ray: FloatArray, absorber: AbsorberPath) -> FloatArray:
     """Return where along the trough the reflected rays come to the absorber's height."""
     upward = np.where(ray[:, 2] > 1e-6, ray[:, 2], np.nan)

@@ -7,7 +7,7 @@ import pytest
 
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, ls2
-from observer.sight import Sights, misfit
+from observer.sight import Sights, beside_axis, misfit
 
 LS2 = ls2()
 RADIUS_M = LS2.absorber_diameter_m / 2
@@ -96,6 +96,17 @@ def test_derivatives_are_those_of_differences() -> None:
     np.testing.assert_allclose(
         found.d_angle_d_radius, change(at(radius_m=RADIUS_M + h), at(radius_m=RADIUS_M - h)), **near
     )
+
+
+def test_angle_beside_the_axis_and_half_the_width_are_the_misfits_of_both_edges() -> None:
+    sights, slope_x, _ = random_sights()
+    absorber = AbsorberPath.straight(3e-3, LS2.focal_length_m - 5e-3, 4.0)
+    angle, half, passing = beside_axis(sights, slope_x, absorber, RADIUS_M)
+    for side in (1.0, -1.0):
+        one = Sights(sights.points_m, sights.eyes_m, np.full(angle.size, side))
+        found = misfit(one, (slope_x, np.zeros_like(slope_x)), absorber, RADIUS_M)
+        np.testing.assert_allclose(angle + side * half, found.angle_rad, atol=1e-13)
+        np.testing.assert_allclose(passing, found.passing_y_m, atol=1e-12)
 
 
 def test_a_ray_that_goes_down_has_no_angle() -> None:
