@@ -221,14 +221,15 @@ def _field(choice: HeliostatChoice) -> HeliostatScene:
 
 def _images(choice: HeliostatChoice) -> HeliostatScene:
     schedule = Schedule(_days("2025-03-04", 4, 45), 4)
-    scene = _azimuth_elevation("images", choice, (2, schedule), Disturbances(spot_m=(0.01, 0.01), aim_m=0.35))
+    # Seen from within 30 deg of the target's normal: the centroid of a slanting beam is centimetres off its middle ray.
+    scene = _azimuth_elevation("images", choice, (2, schedule), Disturbances(spot_m=(0.01, 0.01), aim_m=0.35), 0.5)
     target = scene.plant.targets[0]
     photos = PhotoPlan(
         PinholeCamera(1024, 768, 6400.0, 6400.0, 509.0, 386.0),
         (25.0, 95.0, 2.5),
         (3.2, 2.6),
-        FacetErrors(cant_rad=1.2e-3, focus=0.3, slope_rad=1.3e-3),
-        Light(ambient_suns=0.8, full_scale_suns=6.0),
+        FacetErrors(cant_rad=0.8e-3, focus=0.2, slope_rad=1.3e-3),
+        Light(ambient_suns=0.8, full_scale_suns=7.0),
         Sensor(bits=8, read_noise_dn=1.0, shot_gain_dn=0.02),
     )
     return replace(scene, photos=photos, plant=replace(scene.plant, targets=(target,)))
@@ -316,7 +317,11 @@ PRESETS: Mapping[str, Callable[[HeliostatChoice], HeliostatScene]] = {
 
 
 def _azimuth_elevation(
-    name: str, choice: HeliostatChoice, campaign: tuple[int, Schedule], disturbances: Disturbances
+    name: str,
+    choice: HeliostatChoice,
+    campaign: tuple[int, Schedule],
+    disturbances: Disturbances,
+    half_angle: float = 1.1,
 ) -> HeliostatScene:
     rng = np.random.default_rng([choice.seed, 1])
     count = choice.heliostats or campaign[0]
@@ -324,7 +329,7 @@ def _azimuth_elevation(
         PlaneTarget.facing("upper", [0.0, 0.0, 42.0], 0.0, 7.0, 7.0),
         PlaneTarget.facing("lower", [0.0, 0.0, 34.0], 0.0, 7.0, 7.0),
     )
-    nominal = [{**_position(place), **_zero_angles("azimuth-elevation")} for place in _places(count, rng)]
+    nominal = [{**_position(place), **_zero_angles("azimuth-elevation")} for place in _places(count, rng, half_angle)]
     units = tuple(
         _drawn(TrueHeliostat(name, "azimuth-elevation", values), disturbances, rng)
         for name, values in zip(_names(count), nominal, strict=True)
@@ -341,12 +346,14 @@ def _drawn(nominal: TrueHeliostat, disturbances: Disturbances, rng: np.random.Ge
     return Unit(nominal.with_values(errors), nominal.values, disturbances)
 
 
-def _places(count: int, rng: np.random.Generator) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _places(
+    count: int, rng: np.random.Generator, half_angle: float = 1.1
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     # Arcs north of the tower, 6 m of each other along and 8 m between: the field grows outwards.
     places: list[tuple[float, float, float]] = []
-    radius = 50.0
+    radius = 50.0 if half_angle > 1 else 74.0
     while len(places) < max(count, 60):
-        along = np.arange(-1.1, 1.1, 6.5 / radius) + 0.5 * (6.5 / radius) * (len(places) % 2)
+        along = np.arange(-half_angle, half_angle, 6.5 / radius) + 0.5 * (6.5 / radius) * (len(places) % 2)
         places += [(radius * np.sin(turn), radius * np.cos(turn), 1.8) for turn in along]
         radius += 8.0
     # Spread over all arcs rather than the first: every one of `count` is as likely from near as from far.

@@ -193,8 +193,8 @@ def test_photos_lie_beside_their_truth(tmp_path):
         assert picture.shape == (768, 1024)
         assert 100 < picture.max() < 255
         assert photo["share_on_target"] > 0.99
-        # The beam's centroid and its middle ray: canting and off-axis imaging may part them by centimetres.
-        np.testing.assert_allclose(photo["centroid_m"], spot, atol=0.05)
+        # The centroid of a slanting beam is not quite where its middle ray is.
+        np.testing.assert_allclose(photo["centroid_m"], spot, atol=0.02)
 
 
 def test_measurement_file_states_priors_and_photos():
