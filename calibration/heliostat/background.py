@@ -27,7 +27,7 @@ _ROUNDING = 1 / np.sqrt(12) / 255
 _FREE_FOR_QUADRATIC = 0.25
 _MOST_ITERATIONS = 12
 #: Pixels that are enough for the six coefficients of the smooth part; more of them only cost time.
-_ENOUGH_PIXELS = 2000
+_ENOUGH_PIXELS = 900
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +132,7 @@ def background_around(
     empty: FloatArray | None = None,
     full_scale_dn: float = 255.0,
     steps: Sequence[FloatArray] = (),
+    carried_on: bool = True,
 ) -> Background:
     """Estimate the target's own brightness from the pixels that no beam lights.
 
@@ -147,6 +148,8 @@ def background_around(
         End of the grey scale [DN].
     steps : sequence of ndarray, each of shape (h, w), optional
         Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
+    carried_on : bool, optional
+        Whether what is left around the beam is carried on under it; needed for the last answer only.
 
     Returns
     -------
@@ -167,9 +170,8 @@ def background_around(
         )
     basis = np.concatenate([basis, *(step[..., None] for step in steps)], axis=2)
     smooth, residuals, scatter, cofactor = _fitted(values_dn, free, basis, full_scale_dn)
-    return Background(
-        freeze(smooth + _carried_on(residuals, free)), freeze(basis), freeze(cofactor), scatter, freeze(residuals)
-    )
+    under = smooth + _carried_on(residuals, free) if carried_on else smooth
+    return Background(freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals))
 
 
 def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background, most: int) -> list[FloatArray]:
@@ -236,7 +238,7 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[Flo
     weights: FloatArray = np.ones(values.size)
     coefficients: FloatArray = np.zeros(rows.shape[1])
     normal: FloatArray = np.eye(rows.shape[1])
-    scatter = floor
+    scatter, middle = floor, values.size // 2
     for _ in range(_MOST_ITERATIONS):
         weighted = rows * weights[:, None]
         normal = np.asarray(weighted.T @ rows)
@@ -244,9 +246,10 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[Flo
         normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
         previous, coefficients = coefficients, np.asarray(np.linalg.solve(normal, weighted.T @ values))
         residuals: FloatArray = values - rows @ coefficients
-        scatter = float(np.hypot(1.4826 * np.median(np.abs(residuals - np.median(residuals))), floor))
-        weights = np.asarray(np.clip(1 - (residuals / (_TUKEY_SIGMAS * scatter)) ** 2, 0.0, None) ** 2)
-        if np.abs(coefficients - previous).max() < 1e-3 * floor:
+        # The fit is robust: the median of the residuals is near zero, and need not be taken off first.
+        scatter = float(np.hypot(1.4826 * np.partition(np.abs(residuals), middle)[middle], floor))
+        weights = np.maximum(1 - (residuals / (_TUKEY_SIGMAS * scatter)) ** 2, 0.0) ** 2
+        if np.abs(coefficients - previous).max() < 0.02 * floor:
             break
     return coefficients, scatter, np.asarray(np.linalg.inv(normal))
 

@@ -26,7 +26,7 @@ __all__ = [
 CENTROID_METHODS = ("intensity", "threshold", "gaussian", "super_gaussian")
 _THRESHOLD = 0.5
 #: Fits run on a picture of at most this many pixels on the longer side: a beam is many of them wide.
-_FIT_PX = 96
+_FIT_PX = 64
 _MOST_ITERATIONS = 60
 _LEAST_EXPONENT, _MOST_EXPONENT = 0.4, 6.0
 #: Blocks of the target across its longer side, in each of which an error of the background is taken as constant: from
@@ -374,8 +374,9 @@ def pixel_noise(
     finer = values_dn.size / residuals.size
     excesses, correlated = [], 0.0
     for blocks in _BLOCKS:
-        block, count = _block_variance(residuals, blocks)
-        excess = max(0.0, block - outside / finer / count)
+        block, count, n = _block_variance(residuals, blocks)
+        # White noise alone exceeds its mean in the largest of three scales; only what is beyond counts.
+        excess = max(0.0, block - outside / finer / count * (1 + 2 * np.sqrt(2 / max(n, 1))))
         excesses.append(excess)
         correlated = max(correlated, excess * count)
     return PixelNoise(white, tuple(excesses), basis, cofactor * (outside / finer + correlated))
@@ -395,12 +396,12 @@ def _block_shape(shape: tuple[int, ...], blocks: int) -> tuple[int, int]:
     return max(1, round(shape[0] / side)), max(1, round(shape[1] / side))
 
 
-def _block_variance(residuals: FloatArray, blocks: int) -> tuple[float, float]:
+def _block_variance(residuals: FloatArray, blocks: int) -> tuple[float, float, int]:
     shape = _block_shape(residuals.shape, blocks)
     share = area_resized((residuals != 0).astype(np.float32), shape)
     means = area_resized(residuals, shape)[share > 0.7] / share[share > 0.7]
     count = residuals.size / (shape[0] * shape[1])
-    return (float(np.mean(means**2)) if means.size else float(np.mean(residuals**2))), count
+    return (float(np.mean(means**2)) if means.size else float(np.mean(residuals**2))), count, means.size
 
 
 def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:

@@ -216,14 +216,30 @@ def measure_beam(
         return no_beam(BeamFlag.NOT_FINITE)
     picture = _prepared(image, valid, empty)
     try:
-        region = find_beam_region(
-            picture.values_dn, picture.valid, empty=picture.empty, full_scale_dn=image.full_scale_dn
-        )
+        beam, scatter = _attempt(image, picture, chosen, edges_first=False)
+        if beam.rejected:
+            again, other = _attempt(image, picture, chosen, edges_first=True)
+            beam = again if not again.rejected or other < scatter else beam
     except EstimationError:
         return no_beam(BeamFlag.NOT_FINITE)
-    if not region.inside.any() or region.peak_dn < _least_peak_dn(region, chosen):
-        return no_beam(BeamFlag.NO_BEAM)
-    return _measured(image, picture, region, chosen)
+    return beam
+
+
+def _attempt(
+    image: TargetImage, picture: "_Picture", settings: BeamSettings, *, edges_first: bool
+) -> tuple[Beam, float]:
+    """Measure once; return the beam and the scatter of the background that goes with it."""
+    region = find_beam_region(
+        picture.values_dn,
+        picture.valid,
+        empty=picture.empty,
+        full_scale_dn=image.full_scale_dn,
+        edges_first=edges_first,
+    )
+    scatter = region.background.scatter_dn
+    if not region.inside.any() or region.peak_dn < _least_peak_dn(region, settings):
+        return no_beam(BeamFlag.NO_BEAM), scatter
+    return _measured(image, picture, region, settings), scatter
 
 
 def _least_peak_dn(region: BeamRegion, settings: BeamSettings) -> float:

@@ -1,6 +1,7 @@
 """Where on the target the beam is: beam and background are found in turn, because each needs the other."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -22,11 +23,18 @@ _FIRST_OUTLINE, _FAINTEST, _BRIGHTEST = 0.3, 0.01, 0.1
 _OUTLINE_SCATTERS = 5.0
 #: Margin around the outline that is not counted as free, for the beam's faint skirts [share of the longer side].
 _MARGIN = 0.05
+#: Reach of a beam in standard deviations of its core, the light above half the peak: of a Gaussian's core they are
+#: 0.554 of its own, so this is three of them.
+_CORE_REACH = 5.4
+#: What is brighter than this share of the peak is not taken for background, wherever it is.
+_SECOND = 0.3
 _ROUNDS = 8
+#: Share of the pixels that may still change between beam and background when the search ends.
+_SETTLED = 0.002
 #: Edges of shadows and panels that are looked for.
 _EDGES = 2
-#: Rounds in which they are looked for: first when the beam is roughly known, again when it is better known.
-_EDGE_ROUNDS = (1, 3)
+#: Rounds in which they are looked for: as the beam becomes known, so do the edges that run under it.
+_EDGE_ROUNDS = range(1, 5)
 #: Share of the target that must stay free of the beam and its margin.
 _LEAST_FREE = 0.08
 
@@ -75,7 +83,12 @@ class BeamRegion:
 
 
 def find_beam_region(
-    values_dn: FloatArray, valid: BoolArray, *, empty: FloatArray | None = None, full_scale_dn: float = 255.0
+    values_dn: FloatArray,
+    valid: BoolArray,
+    *,
+    empty: FloatArray | None = None,
+    full_scale_dn: float = 255.0,
+    edges_first: bool = False,
 ) -> BeamRegion:
     """Find beam and background of a rectified picture.
 
@@ -89,6 +102,9 @@ def find_beam_region(
         The target without a beam [DN].
     full_scale_dn : float, optional
         End of the grey scale [DN].
+    edges_first : bool, optional
+        Whether edges of shadows are looked for before the beam is known: right where a shadow is as strong as the
+        beam, wrong where a beam reaches across the target.
 
     Returns
     -------
@@ -104,25 +120,11 @@ def find_beam_region(
     values = area_resized(values_dn, shape)
     seen = area_resized(valid.astype(np.float32), shape) > 0.999
     pattern = None if empty is None else area_resized(empty, shape)
-    background = _start(values, seen, pattern, full_scale_dn)
-    free, little = seen, False
-    steps: list[FloatArray] = []
-    for k in range(_ROUNDS):
-        smoothed = _smoothed(values - background.values_dn, seen)
-        inside, bright = _outline(smoothed, seen, _outline_share(smoothed, background) if k else _FIRST_OUTLINE)
-        now_free = seen & ~_grown(bright)
-        if now_free.mean() < _LEAST_FREE:
-            little = True
-            break
-        if k > 1 and np.array_equal(now_free, free):
-            break
-        free = now_free
-        background = background_around(values, free, empty=pattern, full_scale_dn=full_scale_dn, steps=steps)
-        if k in _EDGE_ROUNDS:
-            if steps:
-                background = background_around(values, free, empty=pattern, full_scale_dn=full_scale_dn)
-            steps = shadow_steps(values, free, background, _EDGES)
-            background = background_around(values, free, empty=pattern, full_scale_dn=full_scale_dn, steps=steps)
+    if seen.sum() < 100:
+        raise EstimationError(f"only {int(seen.sum())} of {seen.size} coarse pixels show the target")
+    fit = partial(background_around, values, empty=pattern, full_scale_dn=full_scale_dn)
+    background = _start(values, seen, fit, _EDGES if edges_first else 0)
+    background, free, little = _settled(values, seen, fit, background)
     smoothed = _smoothed(values - background.values_dn, seen)
     share = _outline_share(smoothed, background)
     inside, bright = _outline(smoothed, seen, share)
@@ -149,13 +151,35 @@ def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
     return max(2, round(shape[0] * scale)), max(2, round(shape[1] * scale))
 
 
-def _start(values: FloatArray, seen: BoolArray, pattern: FloatArray | None, full_scale_dn: float) -> Background:
+def _settled(
+    values: FloatArray, seen: BoolArray, fit: "partial[Background]", background: Background
+) -> tuple[Background, BoolArray, bool]:
+    """Find beam and background in turn; return the background, what is free, and whether too little was."""
+    free, little = seen, False
+    steps: list[FloatArray] = []
+    for k in range(_ROUNDS):
+        smoothed = _smoothed(values - background.values_dn, seen)
+        _, bright = _outline(smoothed, seen, _outline_share(smoothed, background) if k else _FIRST_OUTLINE)
+        now_free = seen & ~_grown(bright)
+        if now_free.mean() < _LEAST_FREE:
+            little = True
+            break
+        if k > 1 and np.count_nonzero(now_free != free) <= _SETTLED * free.size:
+            break
+        free = now_free
+        if k in _EDGE_ROUNDS:
+            steps = shadow_steps(values, free, fit(free, carried_on=False), _EDGES)
+        background = fit(free, steps=steps, carried_on=k > 0)
+    return background, free, little
+
+
+def _start(values: FloatArray, seen: BoolArray, fit: "partial[Background]", edges: int) -> Background:
     """Fit the background first without knowing the beam: pixels that are too bright leave one round after another."""
-    if seen.sum() < 100:
-        raise EstimationError(f"only {int(seen.sum())} of {seen.size} coarse pixels show the target")
     free = seen
-    for _ in range(5):
-        background = background_around(values, free, empty=pattern, full_scale_dn=full_scale_dn)
+    for _ in range(4):
+        background = fit(free, carried_on=False)
+        if edges:
+            background = fit(free, steps=shadow_steps(values, free, background, edges), carried_on=False)
         over = values - background.values_dn
         kept = seen & (over < 2.5 * background.scatter_dn)
         if kept.mean() < _LEAST_FREE:
@@ -179,14 +203,37 @@ def _outline_share(smoothed: FloatArray, background: Background) -> float:
 
 
 def _outline(smoothed: FloatArray, seen: BoolArray, share: float) -> tuple[BoolArray, BoolArray]:
-    """Return the connected region with the most light above a share of the peak, and all regions above it."""
-    bright = seen & (smoothed > share * float(smoothed.max())) & (smoothed > 0)
+    """Return the beam, and what may be lit by a beam: the beam and all that is as bright as a second one."""
+    peak = float(smoothed.max())
+    bright = seen & (smoothed > share * peak) & (smoothed > 0)
+    inside = _most_light(bright, smoothed)
+    if not inside.any():
+        return inside, bright
+    inside = _most_light(inside & _near_core(smoothed, inside & (smoothed > 0.5 * smoothed[inside].max())), smoothed)
+    return inside, inside | (bright & (smoothed > _SECOND * peak))
+
+
+def _most_light(bright: BoolArray, smoothed: FloatArray) -> BoolArray:
     n, labels = cv2.connectedComponents(bright.astype(np.uint8), connectivity=4)
     if n < 2:
-        return bright, bright
+        return bright
     light = np.bincount(labels.ravel(), weights=smoothed.ravel(), minlength=n)
     light[0] = -np.inf
-    return labels == int(np.argmax(light)), bright
+    return np.asarray(labels == int(np.argmax(light)))
+
+
+def _near_core(smoothed: FloatArray, core: BoolArray) -> BoolArray:
+    """Return the pixels within an ellipse about the beam's bright core: faint bridges to shadows end there."""
+    rows, columns = np.nonzero(core)
+    if rows.size < 6:
+        return np.ones_like(core)
+    points = np.stack([columns, rows]).astype(np.float64)
+    light = smoothed[core]
+    middle = points @ light / light.sum()
+    spread = np.cov(points, aweights=light) + 0.1 * np.eye(2)
+    y, x = np.indices(core.shape)
+    away = np.stack([x - middle[0], y - middle[1]])
+    return np.asarray(np.einsum("iab,ij,jab->ab", away, np.linalg.inv(spread), away) < _CORE_REACH**2)
 
 
 def _upper_scatter(smoothed: FloatArray) -> float:

@@ -16,7 +16,7 @@ _ENOUGH_PIXELS = 800
 #: Half the width over which the brightness changes [share of the target's half side]: the sun's disc blurs a shadow.
 _BLUR = 0.02
 #: Share of the residuals' squares that a step must explain, and the share of the free pixels on its smaller side.
-_LEAST_GAIN, _LEAST_SIDE = 0.15, 0.05
+_LEAST_GAIN, _LEAST_SIDE = 0.08, 0.05
 
 
 def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray | None:

@@ -30,7 +30,7 @@ def test_exact_without_noise(method: str, center: tuple[float, float]) -> None:
 
 def test_flat_topped_beam_has_a_large_exponent() -> None:
     beam = measure_beam(picture(sky_light() + 90 * gaussian((0.3, 0.2), exponent=2.5), bits=None))
-    assert beam.estimates["super_gaussian"].exponent == pytest.approx(2.5, rel=0.02)
+    assert beam.estimates["super_gaussian"].exponent == pytest.approx(2.5, rel=0.05)
     assert beam.estimates["super_gaussian"].position_m == pytest.approx([0.3, 0.2], abs=1e-3)
 
 
