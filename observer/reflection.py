@@ -28,6 +28,9 @@ _CLEAR_EDGES = 30
 _DARKEST_SHARE = 0.1
 #: The tube's side of an edge may be brighter than the tube by this share of the step: blur, weak images in the glass.
 _DARK_SHARE = 0.2
+#: Profiles of edges reach so far [px], and are taken where the brightness beside the edge changes by less than this
+#: share of its step.
+_PROFILE_PX, _PROFILE_UNEVEN = 6, 0.05
 #: Distances on both sides of an edge between which the brightness should not change any more [px].
 _EVEN_PX = (4.0, 6.0)
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
@@ -132,21 +135,72 @@ def reflection_edges(
     ReflectionEdges
         Edges within the predicted window that neither a panel's edge nor the tube itself spoils.
     """
+    pixel_m = _pixel_m(view)
+    strip = _strip(image, view, expected, pixel_m)
+    if strip is None:
+        return _nothing()
+    found = find_edges(strip)
+    eye = view[1].inverse().translation_m
+    return _plausible(found, photo, eye, expected, (pixel_m, _unevenness(strip, found, pixel_m)))
+
+
+def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation) -> FloatArray:
+    """Return the brightness across edges of the reflection, from the darker to the brighter side.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    view : (Camera, RigidTransform)
+        Its camera and ``cam_from_frame``.
+    expected : Expectation
+        Collector, absorber and rows.
+
+    Returns
+    -------
+    ndarray, shape (n, 13)
+        Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
+    """
+    pixel_m = _pixel_m(view)
+    strip = _strip(image, view, expected, pixel_m)
+    place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
+    if strip is None:
+        return np.zeros((0, place.size))
+    found = find_edges(strip)
+    unevenness = _unevenness(strip, found, pixel_m)
+    edges = _plausible(found, 0, view[1].inverse().translation_m, expected, (pixel_m, unevenness))
+    edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN))
+    step = float(strip.x_m[1] - strip.x_m[0])
+    at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
+    inside = ((at > 0) & (at < strip.x_m.size - 1)).all(axis=1)
+    at, row = at[inside], edges.row[inside]
+    before = np.floor(at).astype(np.intp)
+    share = at - before
+    values = strip.image_dn[row[:, None], before] * (1 - share) + strip.image_dn[row[:, None], before + 1] * share
+    falling = values[:, -1] < values[:, 0]
+    values[falling] = values[falling, ::-1]
+    return np.asarray(values, dtype=np.float64)
+
+
+def _pixel_m(view: tuple[Camera, RigidTransform]) -> float:
+    """Return the size of a pixel on the mirror [m]."""
     camera, pose = view
     eye = pose.inverse().translation_m
-    window = _window(eye, expected)
+    return float(np.linalg.norm(eye)) / max(camera.focal_x_px, camera.focal_y_px)
+
+
+def _strip(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation, pixel_m: float) -> Strip | None:
+    """Return the part of the mirror in which the reflection can be, resampled."""
+    window = _window(view[1].inverse().translation_m, expected)
     if window is None:
-        return _nothing()
-    pixel_m = float(np.linalg.norm(eye)) / max(camera.focal_x_px, camera.focal_y_px)
+        return None
     step = pixel_m / _SAMPLES_PER_PIXEL
     x = np.arange(window[0], window[1] + step, step)
     if x.size < 24:
-        return _nothing()
+        return None
     y_m = expected.y_m
     rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
-    strip = rectified_strip(image, view, expected.collector.surface, x, y_m, rows_each=rows_each)
-    found = find_edges(strip)
-    return _plausible(found, photo, eye, expected, (pixel_m, _unevenness(strip, found, pixel_m)))
+    return rectified_strip(image, view, expected.collector.surface, x, y_m, rows_each=rows_each)
 
 
 def _nothing() -> ReflectionEdges:

@@ -1,0 +1,145 @@
+"""Whether the numbers in a photo are proportional to light, or encoded for the eye as most cameras and programs do.
+
+Lens and pixels blur an edge evenly to both sides of it, in light. Encoded as sRGB (IEC 61966-2-1) dark tones are drawn
+apart: the blurred edge looks lopsided, and its steepest place moves by a tenth of a pixel to the dark side, so that a
+dark tube looks thinner than it is. So the edges in the photos themselves tell how they are encoded.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.validate import FloatArray
+
+AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
+
+#: Moments of an edge's slope are taken within so many pixels of its middle.
+_HALF_PX = 3
+#: Rounds in which the middle is found.
+_ROUNDS = 4
+#: Edges that are enough to tell.
+_ENOUGH = 100
+#: Photos that are lopsided by more than this towards the dark are no linear ones: those have -0.12 to 0.03, sRGB as
+#: it is stored 0.06 to 0.2, and linear photos taken for sRGB -0.2 to -0.4.
+_CLEARLY = 0.045
+
+
+class Tone(StrEnum):
+    """How light becomes numbers."""
+
+    LINEAR = "linear"
+    SRGB = "srgb"
+
+
+@dataclass(frozen=True, slots=True)
+class ToneFound:
+    """How photos are encoded, and how lopsided their edges are.
+
+    Parameters
+    ----------
+    tone : Tone
+        The encoding that leaves edges most even; linear where too few edges tell.
+    lopsided : float
+        What it leaves; 0 is even. NaN where too few edges tell.
+    as_stored : float
+        Lopsidedness of the numbers as they are.
+    """
+
+    tone: Tone
+    lopsided: float
+    as_stored: float
+
+
+def full_scale(image: AnyImage) -> float:
+    """Return the largest number that a photo of this depth can hold [DN].
+
+    Parameters
+    ----------
+    image : ndarray
+        A photo; luminance of colours (float32) has the depth that its values need.
+
+    Returns
+    -------
+    float
+        255 or 65535.
+    """
+    if image.dtype == np.uint8:
+        return 255.0
+    if image.dtype == np.uint16:
+        return 65535.0
+    return 255.0 if float(image.max(initial=0.0)) <= 255.0 else 65535.0
+
+
+def linear_light(image: AnyImage, tone: Tone) -> AnyImage:
+    """Return a photo whose numbers are proportional to light.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo as stored [DN].
+    tone : Tone
+        How it is encoded.
+
+    Returns
+    -------
+    ndarray, shape (height, width)
+        The photo itself where it is linear, else as float32 of the same full scale.
+    """
+    if tone is Tone.LINEAR:
+        return image
+    top = full_scale(image)
+    if image.dtype == np.float32:
+        return _decoded(np.asarray(image / np.float32(top), dtype=np.float32)) * np.float32(top)
+    table = _decoded(np.arange(int(top) + 1, dtype=np.float32) / np.float32(top)) * np.float32(top)
+    return np.asarray(cv2.LUT(image, table) if image.dtype == np.uint8 else table[image], dtype=np.float32)
+
+
+def _decoded(share: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return the light of sRGB numbers between 0 and 1 (IEC 61966-2-1)."""
+    low = share / np.float32(12.92)
+    high = ((np.maximum(share, np.float32(0)) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+    return np.asarray(np.where(share <= np.float32(0.04045), low, high), dtype=np.float32)
+
+
+def find_tone(as_stored: FloatArray, decoded: FloatArray) -> ToneFound:
+    """Tell from edges of the tube's reflection how photos are encoded.
+
+    Parameters
+    ----------
+    as_stored : ndarray, shape (n, 2 k + 1)
+        Brightness across edges from dark to bright, one pixel apart, in photos as they are stored [DN].
+    decoded : ndarray, shape (m, 2 k + 1)
+        The same in the photos taken for sRGB.
+
+    Returns
+    -------
+    ToneFound
+        The encoding that leaves edges most even.
+    """
+    if min(len(as_stored), len(decoded)) < _ENOUGH:
+        return ToneFound(Tone.LINEAR, float("nan"), float("nan"))
+    stored, as_srgb = _lopsidedness(as_stored), _lopsidedness(decoded)
+    if stored > max(_CLEARLY, abs(as_srgb)):
+        return ToneFound(Tone.SRGB, as_srgb, stored)
+    return ToneFound(Tone.LINEAR, stored, stored)
+
+
+def _lopsidedness(profiles: FloatArray) -> float:
+    """Return the usual third moment of the edges' slope over the usual second moment's power 3/2."""
+    share = (profiles - profiles[:, :1]) / (profiles[:, -1:] - profiles[:, :1])
+    size = share.shape[1]
+    from_middle = np.arange(0.5 - _HALF_PX, _HALF_PX)
+    middle = np.zeros(len(share))
+    for _ in range(_ROUNDS):
+        at = np.clip(middle[:, None] + np.arange(-_HALF_PX, _HALF_PX + 1) + size // 2, 0, size - 1.001)
+        before = np.floor(at).astype(np.intp)
+        way = at - before
+        value = np.take_along_axis(share, before, 1) * (1 - way) + np.take_along_axis(share, before + 1, 1) * way
+        slope = np.diff(value, axis=1)
+        shift = (slope @ from_middle) / np.maximum(slope.sum(axis=1), 0.1)
+        middle = np.clip(middle + shift, _HALF_PX - size // 2, size // 2 - _HALF_PX)
+    second, third = ((slope * (from_middle - shift[:, None]) ** power).sum(axis=1) for power in (2, 3))
+    return float(np.median(third) / max(float(np.median(second)), 1e-3) ** 1.5)

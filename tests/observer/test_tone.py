@@ -1,0 +1,55 @@
+"""How photos are encoded: blurred edges are even in light, lopsided in numbers drawn apart for the eye."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from observer.tone import Tone, find_tone, full_scale, linear_light
+
+PLACE = np.arange(-6, 7)
+
+
+def edges(rng: np.random.Generator, *, n: int = 400, blur_px: float = 0.7, noise: float = 0.004) -> np.ndarray:
+    """Draw edges from a dark tube to a sky, as shares of the full scale, within half a pixel of the middle."""
+    dark, bright = rng.uniform(0.03, 0.08, (n, 1)), rng.uniform(0.4, 0.7, (n, 1))
+    share = ndtr((PLACE - rng.uniform(-0.5, 0.5, (n, 1))) / blur_px)
+    return np.clip(dark + (bright - dark) * share + noise * rng.standard_normal((n, PLACE.size)), 0, 1)
+
+
+def encoded(light: np.ndarray) -> np.ndarray:
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+
+
+def decoded(stored: np.ndarray) -> np.ndarray:
+    return linear_light((255 * stored).astype(np.float32), Tone.SRGB).astype(np.float64) / 255
+
+
+@pytest.mark.parametrize("blur_px", [0.7, 0.9, 1.2])
+def test_edges_tell_how_photos_are_encoded(blur_px: float) -> None:
+    light = edges(np.random.default_rng(0), blur_px=blur_px)
+    assert find_tone(light, decoded(light)).tone is Tone.LINEAR
+    stored = encoded(light)
+    found = find_tone(stored, decoded(stored))
+    assert found.tone is Tone.SRGB
+    assert abs(found.lopsided) < 0.045 < found.as_stored
+
+
+def test_few_edges_tell_nothing() -> None:
+    stored = encoded(edges(np.random.default_rng(1), n=40))
+    assert find_tone(stored, decoded(stored)).tone is Tone.LINEAR
+    assert find_tone(stored[:0], stored[:0]).tone is Tone.LINEAR
+
+
+def test_srgb_numbers_become_light_in_every_depth() -> None:
+    light = np.linspace(0, 1, 200).reshape(10, 20)
+    stored = encoded(light)
+    for image in (
+        np.rint(255 * stored).astype(np.uint8),
+        np.rint(65535 * stored).astype(np.uint16),
+        (255 * stored).astype(np.float32),
+        (65535 * stored).astype(np.float32),
+    ):
+        found = linear_light(image, Tone.SRGB)
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found / full_scale(image), light, atol=5e-3 if image.dtype == np.uint8 else 2e-5)
+        assert linear_light(image, Tone.LINEAR) is image
