@@ -38,7 +38,9 @@ LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 _CAMERA_RAW = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"})
 #: Where OpenCV puts each colour.
 _CHANNELS = {"red": 2, "green": 1, "blue": 0}
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+# A picture whose colours differ does so in every so manyth row already.
+_SOME_ROWS = 61
 # A marker in JPEG's entropy-coded data: ff that is not stuffed (00), not a restart (d0-d7), not fill (ff).
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _JPEG_END, _JPEG_SCAN, _JPEG_EXIF = 0xD9, 0xDA, 0xE1
@@ -123,6 +125,38 @@ def read_channel(path: Path, channel: str) -> Image:
     if image.ndim == 2 or image.shape[2] < 3:
         return _grey(image)
     return np.ascontiguousarray(image[..., _CHANNELS[channel]])
+
+
+def read_luma(path: Path) -> Image:
+    """Read one photograph as grey values for measuring edges: of a JPEG in colour its own luma, without the colours.
+
+    Parameters
+    ----------
+    path : Path
+        As for `read_image`.
+
+    Returns
+    -------
+    ndarray of uint8, uint16 or float32, shape (height, width)
+        Luma of a JPEG (weights 0.299, 0.587, 0.114 of red, green and blue, ITU-R BT.601), which has the full resolution
+        and is decoded in less time than the colours; of other files what `read_image` gives [DN].
+
+    Raises
+    ------
+    InputError
+        As `read_image`.
+
+    Notes
+    -----
+    A pixel counts as saturated only where all colours are.
+    """
+    if video_of(path) == path:
+        content = _read_bytes(path)
+        if content.startswith(_JPEG_SIGNATURE):
+            luma: Image = _decode(path, content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+            return luma
+        return _grey(_decode(path, content))
+    return read_image(path)
 
 
 def read_frames(
@@ -241,7 +275,7 @@ def _read_with_orientation(path: Path) -> tuple[npt.NDArray[Any], int]:
     return _decode(path, content), orientation_tag(content)
 
 
-def _decode(path: Path, content: bytes) -> npt.NDArray[Any]:
+def _decode(path: Path, content: bytes, how: int = cv2.IMREAD_UNCHANGED) -> npt.NDArray[Any]:
     """Return the file's values as they are, shape (height, width) or (height, width, colours in OpenCV's order)."""
     if path.suffix.lower() in _CAMERA_RAW:
         raise InputError(f"{path}: camera raw files are not read; convert them to 16-bit TIFF, linear, all of one size")
@@ -250,7 +284,7 @@ def _decode(path: Path, content: bytes) -> npt.NDArray[Any]:
         raise InputError(f"{path}: {fault}; copy the file again from the camera")
     # Unchanged: depth and values as in the file, no rotation by an orientation tag.
     try:
-        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), how)
     except cv2.error as error:
         raise InputError(f"{path}: cannot be decoded ({error.err}); JPEG, PNG or TIFF is needed") from None
     if image is None:
@@ -270,13 +304,18 @@ def _grey(image: npt.NDArray[Any]) -> Image:
         return image
     if image.shape[2] < 3:
         return np.ascontiguousarray(image[..., 0])
-    blue, green, red = (image[..., k] for k in range(3))
-    if np.array_equal(red, green) and np.array_equal(green, blue):
-        return np.ascontiguousarray(green)
+    blue, green, red = cv2.split(image)[:3]
+    some = slice(None, None, _SOME_ROWS)
+    if np.array_equal(red[some], green[some]) and np.array_equal(red, green) and np.array_equal(green, blue):
+        grey: Image = green  # type: ignore[assignment]
+        return grey
     full_scale = np.iinfo(image.dtype).max
-    weights = np.array([(*LUMINANCE_WEIGHTS[::-1], 0.0)[: image.shape[2]]], dtype=np.float32)
-    luminance = cv2.transform(image.astype(np.float32), weights)
-    luminance[(image[..., :3] == full_scale).any(axis=2)] = full_scale
+    of_red, of_green, of_blue = LUMINANCE_WEIGHTS
+    luminance = cv2.addWeighted(red, of_red, green, of_green, 0.0, dtype=cv2.CV_32F)
+    luminance = cv2.scaleAdd(blue.astype(np.float32), of_blue, luminance, luminance)
+    highest = np.asarray(cv2.max(cv2.max(red, green), blue))
+    if highest.max() == full_scale:
+        luminance[highest == full_scale] = full_scale
     return np.asarray(luminance, dtype=np.float32)
 
 
@@ -314,7 +353,7 @@ def _refuse_mixture(paths: Sequence[Path], properties: Sequence[str], what: str)
 
 
 def _fault(content: bytes) -> str:
-    if content.startswith(b"\xff\xd8"):
+    if content.startswith(_JPEG_SIGNATURE):
         return "" if _jpeg_segments(content).get(_JPEG_END) else "the JPEG file is cut off (its end marker is missing)"
     if content.startswith(_PNG_SIGNATURE):
         return _png_fault(content)

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from heliogauge.errors import InputError, QualityWarning
-from heliogauge.images import orientation_tag, read_channel, read_frames, read_image, write_image
+from heliogauge.images import orientation_tag, read_channel, read_frames, read_image, read_luma, write_image
 from heliogauge.progress import SilentProgress
 
 
@@ -65,6 +65,29 @@ def test_one_saturated_colour_saturates_the_luminance(tmp_path: Path) -> None:
     grey = read_image(tmp_path / "colour.png")
     assert grey[0, 0] == 255
     assert grey[0, 1] < 190
+
+
+def test_luma_of_a_jpeg_is_that_of_its_colours_in_the_sensors_raster(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 48), np.linspace(0, 1, 32))
+    blue, green, red = (np.rint(40 + 180 * one).astype(np.uint8) for one in (x, y, 1 - x))
+    jpeg = bytes(cv2.imencode(".jpg", cv2.merge([blue, green, red]), [cv2.IMWRITE_JPEG_QUALITY, 98])[1])
+    (tmp_path / "turned.jpg").write_bytes(with_orientation(jpeg, 6))
+    luma = read_luma(tmp_path / "turned.jpg")
+    assert luma.dtype == np.uint8
+    np.testing.assert_allclose(luma, 0.299 * red + 0.587 * green + 0.114 * blue, atol=3)
+    (tmp_path / "cut.jpg").write_bytes(jpeg[:-40])
+    with pytest.raises(InputError, match="cut off"):
+        read_luma(tmp_path / "cut.jpg")
+
+
+def test_luma_of_other_files_is_what_they_are_read_as(tmp_path: Path, rng: np.random.Generator) -> None:
+    write_image(tmp_path / "colour.png", picture(rng, 5, 7, 3))
+    write_image(tmp_path / "deep.tif", picture(rng, 5, 7, dtype=np.uint16))
+    (tmp_path / "grey.jpg").write_bytes(encoded(".jpg", picture(rng, 16, 16)))
+    for name in ("colour.png", "deep.tif", "grey.jpg"):
+        luma, image = read_luma(tmp_path / name), read_image(tmp_path / name)
+        assert luma.dtype == image.dtype
+        np.testing.assert_array_equal(luma, image)
 
 
 def test_grey_stored_as_colour_is_mono(tmp_path: Path, rng: np.random.Generator) -> None:
