@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.errors import EstimationError
-from heliogauge.images import read_image
+from heliogauge.images import read_luma
 from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.notation import number_text
 from heliogauge.progress import Progress, SilentProgress
@@ -138,7 +138,7 @@ def _bearings(
     names = bundle.problem.observations.photos
     parts = [
         tube_bearings(
-            read_image(files[name]), k, (bundle.cameras[bundle.problem.camera_index[k]], bundle.cam_from_world[k]),
+            read_luma(files[name]), k, (bundle.cameras[bundle.problem.camera_index[k]], bundle.cam_from_world[k]),
             expected,
         )
         for k, name in enumerate(names)

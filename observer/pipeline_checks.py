@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from heliogauge.images import read_image
+from heliogauge.images import read_luma
 from heliogauge.slope_map import SlopeMap
 from observer.absorber_path import AbsorberPath
 from observer.carried import View
@@ -59,7 +59,7 @@ def design_doubts(
     eyes = np.array([pose.inverse().translation_m for _, pose in views])
     rims, clipped = [], []
     for number in photos_from_above(eyes):
-        image = read_image(files[number])
+        image = read_luma(files[number])
         rims.append(rims_in_photo(image, views[number], collector))
         clipped.append(clipped_share(image, views[number], collector))
     said = (

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.camera import Camera
-from heliogauge.images import read_image
+from heliogauge.images import read_luma
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import Float32Array, FloatArray
@@ -178,7 +178,7 @@ def overlay(
         for slopes, tube in zip((design, measured), tubes, strict=True)
     ]  # fmt: skip
     pixels = camera.project(pose.apply(points))
-    image, pixels = _cut_out(read_image(file), pixels)
+    image, pixels = _cut_out(read_luma(file), pixels)
     return Overlay(photo, image, pixels, beside[0], beside[1])
 
 
