@@ -263,8 +263,10 @@ def _starts(truth):
     known, same, tried = truth.with_free("9"), 0, 0
     index = known.parameters.indices(list(BOUNDS))
     rng = np.random.default_rng(5)
-    for count in (8, 20, 50):
-        observations = flights(truth, TOWER, (32, 70), count)(rng)
+    for count in (20, 50, 100):
+        # Ranges at which nothing is left to a prior, and no offset of the camera: all starts are free to leave.
+        flight = drawn_flight(truth, TOWER, (15, 100), count, rng)
+        observations = drawn_sightings(flight, Place("tower", TOWER), rng)
         best = fit(known, observations, SQUARES)
         for _ in range(20):
             values = truth.parameters.values.copy()

@@ -234,7 +234,8 @@ def heliostat(
         typer.Option(
             help="Plant: small (4 heliostats of 60 beams), field (100 of 100), juelich (20 with linear actuators, "
             "three targets), faulty (24, half of them with one fault each), stellenbosch (one with a worm gear, four "
-            "days), drone (sightings from 32 to 70 m), images (photos of 32 beams)."
+            "days), drone (sightings from 32 to 70 m), images (photos of 32 beams), images-lens (a distorting "
+            "lens)."
         ),
     ] = "small",
     seed: Annotated[

@@ -12,12 +12,14 @@ import numpy.typing as npt
 from calibration.heliostat.design import PlaneTarget
 from data_synth.dataset import SYNTHETIC, TRUTH_ARRAYS_FILE, TRUTH_FILE
 from data_synth.heliostat_campaign import Beams, Campaign, observe
-from data_synth.heliostat_drone import Sightings, fly
+from data_synth.heliostat_drone import Sightings, fly, rtk_log
 from data_synth.heliostat_faults import Columns, Unit, spoil_rows
 from data_synth.heliostat_flux import Beam, Facets, beam_on_target, canted_facets
 from data_synth.heliostat_photo import TargetCamera, TargetSurface, look_at
 from data_synth.heliostat_presets import FREE_SETS, HeliostatScene, PhotoPlan
 from data_synth.truth import TRUTH_SCHEMA
+from heliogauge.camera import Camera
+from heliogauge.distortion import BrownDistortion
 from heliogauge.errors import InputError
 from heliogauge.folders import WholeFolder
 from heliogauge.images import write_image
@@ -26,12 +28,15 @@ from heliogauge.measurement_writer import dump_toml, write_text
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
 from heliogauge.store_json import read_json, write_json
-from heliogauge.store_tables import write_table_csv
+from heliogauge.store_tables import write_camera_json, write_table_csv
 from heliogauge.sun import angles_from_direction
 from heliogauge.validate import BoolArray, FloatArray
 
 _Array: TypeAlias = npt.NDArray[Any]
 HELIOSTATS_FILE, OBSERVATIONS_FILE = "heliostats.csv", "observations.csv"
+CAMERA_FILE = "camera.json"
+#: Log of the drone's receiver at rest.
+RTK_FILE = "rtk_static.csv"
 _SOURCE_ROW = "source_row"
 #: Arrays of truth.npz: one entry for each row of observations.csv.
 _ARRAYS = ("heliostat", "spot_m", "normal", "outlier")
@@ -123,6 +128,10 @@ def write_heliostat_dataset(
         with told.stage("write tables"):
             write_table_csv(working / OBSERVATIONS_FILE, _joined(tables))
             write_table_csv(working / HELIOSTATS_FILE, _heliostats(scene))
+            if scene.photos is not None and scene.photos.is_distorted:
+                write_camera_json(working / CAMERA_FILE, _camera(scene.photos))
+            if scene.flight is not None:
+                write_table_csv(working / RTK_FILE, rtk_log(scene.units[0].disturbances.rtk_m, rngs[-1]))
             corners = {} if photographer is None else photographer.stated()
             content = heliostat_content(scene, corners)
             comment = f"Synthetic measurement, seed {chosen.seed}; see {TRUTH_FILE}."
@@ -198,9 +207,10 @@ def heliostat_content(scene: HeliostatScene, corners_px: Mapping[str, FloatArray
         "kinematics": kinematics,
         "observations": {"file": OBSERVATIONS_FILE},
     }  # fmt: skip
-    if corners_px:
+    if corners_px and scene.photos is not None:
+        lens = {"camera": CAMERA_FILE} if scene.photos.is_distorted else {}
         content["images"] = [
-            {"target": name, "corners_px": corners.round(2).tolist(), "empty": f"{_folder(name)}/empty_*.png"}
+            {"target": name, "corners_px": corners.round(2).tolist(), "empty": f"{_folder(name)}/empty_*.png", **lens}
             for name, corners in corners_px.items()
         ]
     return content
@@ -276,6 +286,14 @@ def _flown(scene: HeliostatScene, unit: Unit, rng: np.random.Generator) -> tuple
     count = len(sightings)
     none = np.full((count, 2), np.nan)
     return columns, {"spot_m": none, "normal": sightings.poses.normals, "outlier": np.zeros(count, dtype=np.bool_)}
+
+
+def _camera(plan: PhotoPlan) -> Camera:
+    lens = plan.camera
+    return Camera(
+        lens.width_px, lens.height_px, lens.focal_x_px, lens.focal_y_px, lens.center_x_px, lens.center_y_px,
+        distortion=BrownDistortion(lens.k1, lens.k2, lens.k3, lens.p1, lens.p2),
+    )  # fmt: skip
 
 
 def _sun_columns(beams: Beams) -> Columns:

@@ -138,6 +138,40 @@ def fly(
     return Sightings(angles, stood, measured, poses)
 
 
+def rtk_log(
+    sigma_m: tuple[float, float, float], rng: np.random.Generator, *, epochs: int = 1500
+) -> dict[str, list[Any]]:
+    """Draw the log of an RTK-GPS receiver at rest, 3.3 m from its base, ten epochs a second (Gouws, section 3.3).
+
+    Parameters
+    ----------
+    sigma_m : tuple of float
+        White noise, east, north, up [m].
+    rng : numpy.random.Generator
+        Draws it.
+    epochs : int, optional
+        Length of the log; the first 3 % are not fixed yet and ten times as noisy.
+
+    Returns
+    -------
+    dict of str to list
+        Columns gps_time_s, north_mm, east_mm, down_mm (whole millimetres), fix_mode, n_sat.
+    """
+    east, north, up = sigma_m
+    errors = rng.standard_normal((epochs, 3)) * [north, east, up]
+    is_floating = np.arange(epochs) < 0.03 * epochs
+    errors[is_floating] *= 10
+    places = np.rint(1e3 * errors + [-2108.755, 2531.074, 135.710])
+    return {
+        "gps_time_s": (0.1 * np.arange(epochs)).round(1).tolist(),
+        "north_mm": places[:, 0].tolist(),
+        "east_mm": places[:, 1].tolist(),
+        "down_mm": places[:, 2].tolist(),
+        "fix_mode": ["FLOAT" if one else "FIX" for one in is_floating],
+        "n_sat": [8] * epochs,
+    }
+
+
 def _dome(flight: Flight, count: int, rng: np.random.Generator) -> FloatArray:
     # One draw for each coordinate of each place: a longer list begins like a shorter one of the same generator.
     draws = rng.random((count, 3))

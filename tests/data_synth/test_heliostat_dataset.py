@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+from calibration.heliostat.rtk import rtk_statistics
 from data_synth.heliostat_dataset import (
     HeliostatOptions,
     heliostat_content,
@@ -32,7 +33,7 @@ def made(folder, preset, faults=(), **choice):
     return rows_of(folder), read_heliostat_truth(folder)
 
 
-@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset != "images"])
+@pytest.mark.parametrize("preset", [preset for preset in PRESETS if not preset.startswith("images")])
 def test_every_preset_is_a_measurement_that_loads(tmp_path, preset):
     n_heliostats = {"faulty": 24}.get(preset, 1)
     rows, truth = made(tmp_path / "set", preset, heliostats=n_heliostats, observations=4)
@@ -172,6 +173,18 @@ def test_the_drone_sees_the_target_where_it_says(tmp_path):
     assert np.arccos(np.einsum("ni,ni->n", between, truth.normal)).max() < 0.02
 
 
+def test_the_log_of_the_receiver_at_rest_gives_the_sigmas_that_the_sightings_state(tmp_path):
+    rows, _ = made(tmp_path / "set", "drone", observations=3)
+    with (tmp_path / "set" / "rtk_static.csv").open() as file:
+        log = list(csv.DictReader(file))
+    places = np.array([[float(row[f"{axis}_mm"]) / 1e3 for axis in ("north", "east", "down")] for row in log])
+    found = rtk_statistics(places, is_fixed=[row["fix_mode"] == "FIX" for row in log])
+    stated = [float(rows[0][f"sigma_drone_{axis}_mm"]) / 1e3 for axis in "neu"]
+    assert found.n_epochs == 1455
+    np.testing.assert_allclose(found.sigma_m, stated, rtol=0.08)
+    assert 1e3 * found.drms_m == pytest.approx(8.05, abs=0.4)
+
+
 def test_a_longer_flight_begins_like_a_shorter_one():
     scene = heliostat_scene("drone")
     unit, target = scene.units[0], scene.plant.targets[0]
@@ -198,7 +211,8 @@ def test_photos_lie_beside_their_truth(tmp_path):
 
 
 def test_measurement_file_states_priors_and_photos():
-    scene = heliostat_scene("images")
+    scene = heliostat_scene("images-lens")
     content = heliostat_content(scene, {"upper": np.zeros((4, 2))})
     assert content["images"][0]["empty"] == "photos_upper/empty_*.png"
+    assert content["images"][0]["camera"] == "camera.json"
     assert content["kinematics"]["parameters"]["tilt_north"] == {"sigma": 3e-3}
