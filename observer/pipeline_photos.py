@@ -22,7 +22,9 @@ from heliogauge.rigid import RigidTransform
 from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
+from observer.pipeline_tone import some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
+from observer.tone import Tone, linear_light
 from photogrammetry.network import StartValues
 from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.pipeline_cameras import build_cameras
@@ -64,11 +66,14 @@ class SeenInPhotos:
         Directions of the tube itself.
     slices : Slices
         A few rows of the mirror in all photos, to look at.
+    tone : Tone
+        How the photos are encoded.
     """
 
     edges: ReflectionEdges
     bearings: Bearings
     slices: Slices
+    tone: Tone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +92,8 @@ class Finder:
         Camera of each photo to start with; empty where none is known.
     expected : Expectation
         Collector, absorber and rows.
+    tone : Tone or None, optional
+        How the photos are encoded; None: as their own edges tell.
     """
 
     section: TargetsSection
@@ -94,6 +101,11 @@ class Finder:
     known: KnownTargets
     camera_of: Mapping[str, Camera]
     expected: Expectation
+    tone: Tone | None = None
+
+    def read(self, file: Path) -> Image:
+        """Return a photo whose numbers are proportional to light."""
+        return linear_light(read_luma(file), self.tone or Tone.LINEAR)
 
     @property
     def measures_alone(self) -> bool:
@@ -122,6 +134,8 @@ class FirstLook:
         What those photos show of the tube.
     slices : Slices
         A few rows of the mirror in all photos.
+    tone : Tone or None, optional
+        How the photos are encoded; None where that is not known yet.
     """
 
     photos: tuple[str, ...]
@@ -130,6 +144,7 @@ class FirstLook:
     edges: dict[str, ReflectionEdges]
     bearings: dict[str, Bearings]
     slices: Slices
+    tone: Tone | None = None
 
     @property
     def start(self) -> StartValues | None:
@@ -163,7 +178,7 @@ class _Run:
 
     def take(self, number: int, file: Path) -> None:
         """Read a photo and find what it shows, or leave that to `finish`."""
-        image, name = read_luma(file), file.name
+        image, name = self.finder.read(file), file.name
         camera = self.finder.camera_of.get(name)
         if self.track is not None and camera is not None:
             self.track = follow(image, self.track, self.finder.known, camera)
@@ -279,7 +294,9 @@ def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progr
     slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
     names = tuple(file.name for file in files)
     if not finder.measures_alone:
-        return FirstLook(names, (), {}, {}, {}, slices)
+        return FirstLook(names, (), {}, {}, {}, slices, finder.tone)
+    with progress.stage("look how photos are encoded"):
+        finder = replace(finder, tone=_tone_of_some(files, finder))
     length = min(max(-(-len(files) // _RUNS), _FEWEST_IN_RUN), _MOST_IN_RUN) if finder.follows else 1
     first = range(0, len(files), length)
     with progress.stage("measure photos", len(files)) as stage:
@@ -297,7 +314,21 @@ def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progr
     poses = {name: pose for run in runs for name, pose in run.poses.items()}
     edges = {name: part for run in runs for name, part in run.edges.items()}
     bearings = {name: part for run in runs for name, part in run.bearings.items()}
-    return FirstLook(names, targets, poses, edges, bearings, slices)
+    return FirstLook(names, targets, poses, edges, bearings, slices, finder.tone)
+
+
+def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
+    """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does."""
+    if finder.tone is not None or not finder.camera_of:
+        return finder.tone
+    views = []
+    for number in some_of(len(files)):
+        run = _Run(finder, empty_slices(finder.expected.collector, finder.expected.y_m, len(files)))
+        run.take(number, files[number])
+        name = files[number].name
+        if name in run.poses:
+            views.append((files[number], (finder.camera_of[name], run.poses[name])))
+    return tone_of(views, finder.expected) if views else None
 
 
 def look_again(
@@ -337,6 +368,10 @@ def look_again(
         A photo cannot be read, or all cameras stand behind the mirror.
     """
     expected = finder.expected
+    tone = first.tone
+    if tone is None:
+        tone = tone_of([(files[number], views[number]) for number in some_of(len(files))], expected)
+    finder = replace(finder, tone=tone)
     if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
         raise InputError(
             "targets: with the coordinates listed all cameras stand behind the mirror (z below 0); is the list "
@@ -355,7 +390,7 @@ def look_again(
     slices = replace(first.slices, brightness_dn=first.slices.brightness_dn[:, order])
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
-        image, view = read_luma(files[number]), views[number]
+        image, view = finder.read(files[number]), views[number]
         slices.take(number, image, view, expected.collector)
         stage.advance()
         return reflection_edges(image, number, view, expected), tube_bearings(image, number, view, expected)
@@ -371,6 +406,7 @@ def look_again(
         carried_edges(joined(everything), before, views, expected),
         carried_bearings(together, before, views, expected),
         slices,
+        tone,
     )
 
 
