@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from heliogauge.images import read_image
+from heliogauge.images import read_luma
 from heliogauge.validate import FloatArray
 from observer.carried import View
 from observer.reflection import Expectation, edge_profiles
@@ -54,7 +54,7 @@ def tone_of(photos: Sequence[tuple[Path, View]], expected: Expectation) -> Tone:
     """
     profiles: list[list[FloatArray]] = [[], []]
     for file, view in photos:
-        image = read_image(file)
+        image = read_luma(file)
         for tone, found in zip((Tone.LINEAR, Tone.SRGB), profiles, strict=True):
             found.append(edge_profiles(linear_light(image, tone), view, expected))
     return find_tone(*(np.concatenate(found) for found in profiles)).tone
