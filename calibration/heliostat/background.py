@@ -7,6 +7,7 @@ is a quadratic surface. What is left around the beam (panels, edges of shadows) 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -221,17 +222,23 @@ def _fitted(
 
 
 def _basis(shape: tuple[int, ...], degree: int, empty: FloatArray | None) -> FloatArray:
+    if empty is not None:
+        plane = _polynomial((shape[0], shape[1]), 1)
+        pattern = (empty / float(np.mean(empty)))[..., None]
+        return np.concatenate([plane[..., :1], pattern * plane], axis=-1)
+    return _polynomial((shape[0], shape[1]), degree)
+
+
+@lru_cache(maxsize=16)
+def _polynomial(shape: tuple[int, int], degree: int) -> FloatArray:
     # Coordinates of the pixels' centres in a square of -1 to 1: the same functions for every resolution.
     y = ((np.arange(shape[0]) + 0.5) * (2 / shape[0]) - 1)[:, None]
     x = ((np.arange(shape[1]) + 0.5) * (2 / shape[1]) - 1)[None, :]
     one = np.ones(shape)
-    if empty is not None:
-        pattern = empty / float(np.mean(empty))
-        return np.stack([one, pattern, pattern * x, pattern * y], axis=-1)
     functions = [one, one * x, one * y]
     if degree == 2:
         functions += [one * x**2, x * y, one * y**2]
-    return np.stack(functions, axis=-1)
+    return np.asarray(freeze(np.stack(functions, axis=-1)))
 
 
 def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[FloatArray, float, FloatArray]:

@@ -226,7 +226,7 @@ def _fitted(spot: Spot, *, free_exponent: bool) -> Centroid:
     stretch = np.array([width / shape[1], height / shape[0]])
     columns, rows = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
     x, y, wanted = columns.ravel()[counted], rows.ravel()[counted], values.ravel()[counted]
-    start = _start(spot, stretch)
+    start = _start(spot, shape)
     free = np.array([True] * 6 + [free_exponent])
     found, d_wanted = _descend(start, free, (x, y, wanted))
     if not (-0.5 <= found[1] <= shape[1] - 0.5 and -0.5 <= found[2] <= shape[0] - 0.5):
@@ -240,14 +240,18 @@ def _fitted(spot: Spot, *, free_exponent: bool) -> Centroid:
     )
 
 
-def _start(spot: Spot, stretch: FloatArray) -> FloatArray:
-    rows, columns = np.nonzero(spot.inside)
-    light = np.maximum(spot.smoothed_dn[spot.inside], 1e-12)
-    points = (np.stack([columns, rows], axis=1) + 0.5) / stretch - 0.5
-    center = np.average(points, axis=0, weights=light)
-    spread = np.cov(points.T, aweights=light) + 0.1 * np.eye(2)
-    form = np.linalg.inv(spread)
-    return np.array([spot.peak_dn, *center, form[0, 0], form[0, 1], form[1, 1], 1.0])
+def _start(spot: Spot, shape: tuple[int, int]) -> FloatArray:
+    light = np.maximum(area_resized(np.where(spot.inside, spot.smoothed_dn, 0.0), shape), 0.0)
+    total = float(light.sum())
+    if not total > 0:
+        raise EstimationError("there is no light in the beam's outline")
+    x, y = np.arange(shape[1]), np.arange(shape[0])
+    columns, rows = light.sum(axis=0) / total, light.sum(axis=1) / total
+    center_x, center_y = float(columns @ x), float(rows @ y)
+    cross = float((y - center_y) @ light @ (x - center_x)) / total
+    spread = np.array([[columns @ (x - center_x) ** 2, cross], [cross, rows @ (y - center_y) ** 2]])
+    form = np.linalg.inv(spread + 0.1 * np.eye(2))
+    return np.array([spot.peak_dn, center_x, center_y, form[0, 0], form[0, 1], form[1, 1], 1.0])
 
 
 def _model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

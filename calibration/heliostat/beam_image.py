@@ -329,16 +329,17 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
     noise = pixel_noise(
         picture.values_dn, spot.inside, free, (background.basis, background.cofactor, background.residuals_dn)
     )
-    estimates = {}
+    estimates, centroids = {}, {}
     for name, method in _METHODS.items():
         try:
-            estimates[name] = _estimate(image, picture, method(spot), noise)
+            centroids[name] = method(spot)
+            estimates[name] = _estimate(image, picture, centroids[name], noise)
         except (EstimationError, np.linalg.LinAlgError):
             continue
     if settings.method not in estimates or "intensity" not in estimates:
         return no_beam(BeamFlag.NO_BEAM)
     chosen = _with_shape(settings.method, estimates)
-    moments, widths = _moments(image, picture, spot)
+    moments, widths = _moments(image, picture, spot, centroids["intensity"].position_px)
     saturated = float(picture.saturated[spot.inside].mean())
     edge = _edge_share(region)
     flags = _flags(region, settings, saturated, edge)
@@ -369,11 +370,12 @@ def _with_shape(method: str, estimates: dict[str, SpotEstimate]) -> SpotEstimate
     return replace(chosen, covariance_m2=freeze(chosen.covariance_m2 + np.diag(beyond**2)))
 
 
-def _moments(image: TargetImage, picture: _Picture, spot: Spot) -> tuple[BeamMoments, tuple[float, float, float]]:
+def _moments(
+    image: TargetImage, picture: _Picture, spot: Spot, centroid: FloatArray
+) -> tuple[BeamMoments, tuple[float, float, float]]:
     """Moments, and diameters that hold 50 and 90 % with the area above half the peak."""
     light = np.where(spot.inside, spot.values_dn, 0.0)
     rows, columns = light.shape
-    centroid = intensity_centroid(spot).position_px
     pixel = (centroid + 0.5) * picture.stretch - 0.5
     jacobian, place = image.jacobian(pixel) * picture.stretch, image.points_m(pixel)
     # Perspective within a rectified picture is millimetres: straight axes through the centroid do.

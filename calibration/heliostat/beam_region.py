@@ -166,8 +166,10 @@ def _settled(
             break
         if k > 1 and np.count_nonzero(now_free != free) <= _SETTLED * free.size:
             break
+        changed = np.count_nonzero(now_free != free) / free.size
         free = now_free
-        if k in _EDGE_ROUNDS:
+        # Where no edge was found, none will be, unless the beam turned out to be elsewhere.
+        if k in _EDGE_ROUNDS and (steps or k == _EDGE_ROUNDS[0] or changed > 0.02):
             steps = shadow_steps(values, free, fit(free, carried_on=False), _EDGES)
         background = fit(free, steps=steps, carried_on=k > 0)
     return background, free, little
@@ -228,12 +230,13 @@ def _near_core(smoothed: FloatArray, core: BoolArray) -> BoolArray:
     if rows.size < 6:
         return np.ones_like(core)
     points = np.stack([columns, rows]).astype(np.float64)
-    light = smoothed[core]
-    middle = points @ light / light.sum()
-    spread = np.cov(points, aweights=light) + 0.1 * np.eye(2)
-    y, x = np.indices(core.shape)
-    away = np.stack([x - middle[0], y - middle[1]])
-    return np.asarray(np.einsum("iab,ij,jab->ab", away, np.linalg.inv(spread), away) < _CORE_REACH**2)
+    share = smoothed[core] / smoothed[core].sum()
+    middle = points @ share
+    points -= middle[:, None]
+    form = np.linalg.inv((points * share) @ points.T + 0.1 * np.eye(2))
+    x = np.arange(core.shape[1])[None, :] - middle[0]
+    y = np.arange(core.shape[0])[:, None] - middle[1]
+    return np.asarray(form[0, 0] * x**2 + 2 * form[0, 1] * x * y + form[1, 1] * y**2 < _CORE_REACH**2)
 
 
 def _upper_scatter(smoothed: FloatArray) -> float:
