@@ -64,7 +64,8 @@ def fit(design: HeliostatDesign, observations: Observations, options: FitOptions
     end, tried = _from(model, model.start), 1
     if _far_rad(end) > _FAR_RAD:
         end, tried = _restarted(end)
-    return _result(end, tried)
+    end.solution.require(design.name) if end.solution.null_space.size else None
+    return _result(end.with_own_covariance(), tried)
 
 
 def _from(model: FitModel, start: FloatArray) -> Descended:
@@ -191,7 +192,6 @@ def _held_by_nothing(end: Descended) -> frozenset[str]:
 
 def _result(end: Descended, tried: int) -> HeliostatFit:
     model = end.model
-    end.solution.require(model.design.name) if end.solution.null_space.size else None
     values = model.full(end.values)
     covariance = np.zeros((values.size, values.size))
     covariance[np.ix_(model.columns, model.columns)] = end.solution.covariance

@@ -13,7 +13,7 @@ from calibration.heliostat.observations import Observations
 from calibration.heliostat.residuals import ObservationModel, Residuals
 from heliogauge.chi_square import chi_square_quantile
 from heliogauge.least_squares import VECTOR, Huber, Options, Prior, Problem, Solution, Squares, Tukey, solve
-from heliogauge.robust_loss import Loss, block_lengths, normal_moments
+from heliogauge.robust_loss import Loss, LossMoments, block_lengths, normal_moments
 from heliogauge.validate import BoolArray, FloatArray
 
 #: 95 % efficiency for normal errors in blocks of one, two and three components (quadrature of `normal_moments`).
@@ -181,6 +181,34 @@ class Descended:
         scale = self.model.row_factors(factors)
         limit = self.limits() * np.sqrt(self._own_variance(residuals, scale))
         return np.asarray(residuals.computable & (residuals.lengths <= limit * scale))
+
+    def with_own_covariance(self) -> "Descended":
+        """Return the same end with the covariance for normal errors of the sigmas in force.
+
+        Notes
+        -----
+        ``A^-1 B A^-1``, ``A = E psi' N + P``, ``B = E psi^2 N + P`` with the normal matrices N of the observations and
+        P of the priors. The adjustment takes the larger of this and of what the residuals themselves say; here the
+        sigmas were tested or estimated before, and the larger of two is 10 % too large with 15 rows and 5 parameters.
+        """
+        model, block = self.model, self.model.block(self.used)
+        chosen = self.used[model.owners]
+        scale = model.row_factors(self.factors)[model.owners[chosen]]
+        _, jacobian, _ = model.seen.whitened(model.full(self.values))
+        jacobian = jacobian[chosen] / scale[:, None]
+        loss = model.loss(block)
+        plain = isinstance(loss, Squares) or not chosen.any()
+        expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(loss, block)
+        known = np.where(np.isfinite(model.priors), 1.0 / model.priors**2, 0.0)
+        observed = jacobian.T @ jacobian
+        # Angles and metres in one matrix: scaled to a diagonal of ones before it is inverted.
+        bread = expected.slope * observed + np.diag(known)
+        root = np.sqrt(np.diag(bread))
+        if not (root > 0).all():
+            return self
+        inverse = np.linalg.inv(bread / root[:, None] / root) / root[:, None] / root
+        covariance = inverse @ (expected.influence * observed + np.diag(known)) @ inverse
+        return replace(self, solution=replace(self.solution, covariance=0.5 * (covariance + covariance.T)))
 
     def limits(self) -> FloatArray:
         """Return the longest residual that chance allows each row, shape (n,) [sigma]."""

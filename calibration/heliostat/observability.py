@@ -95,7 +95,7 @@ def unobserved(
     scaled = jacobian * yardstick
     if len(scaled) > len(names):
         # The triangle has the same right singular vectors; all the left ones of 200 residuals would take 7 ms.
-        scaled = np.linalg.qr(scaled, mode="r")
+        scaled = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
     _, singular, right = np.linalg.svd(scaled, full_matrices=True)
     information = np.zeros(len(names))
     information[: singular.size] = singular**2
