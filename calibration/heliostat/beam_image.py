@@ -239,7 +239,9 @@ def _attempt(
     scatter = region.background.scatter_dn
     if not region.inside.any() or region.peak_dn < _least_peak_dn(region, settings):
         return no_beam(BeamFlag.NO_BEAM), scatter
-    return _measured(image, picture, region, settings), scatter
+    beam = _measured(image, picture, region, settings)
+    # What is faint and no whole single lump is a panel, a shadow or a cloud's light rather than a beam.
+    return (no_beam(BeamFlag.NO_BEAM) if beam.rejected and beam.flags & BeamFlag.SUNLIT_TARGET else beam), scatter
 
 
 def _least_peak_dn(region: BeamRegion, settings: BeamSettings) -> float:

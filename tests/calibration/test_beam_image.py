@@ -89,6 +89,8 @@ def test_better_than_the_thesis(noise: float, gradient: float, most_px: float) -
             60 + 135 * light / light.max() + gradient * np.linspace(0, 1, 300) + noise * rng.normal(size=(300, 300))
         )
         image = whole_image(np.clip(np.rint(values), 0, 255).astype(np.uint8), corners)
+        # V-16: 2 m on 300 px, 0.175 mrad of the beam per pixel at 38.2 m.
+        assert image.jacobian([150, 150]) == pytest.approx(np.diag([6.667e-3, -6.667e-3]), abs=1e-6)
         errors.append(image.pixels_px(measure_beam(image).spot.position_m) - true_px)
     assert np.sqrt(np.mean(np.square(errors))) < most_px
 
@@ -102,6 +104,15 @@ def test_no_beam() -> None:
         assert beam.flags == BeamFlag.NO_BEAM
         assert np.isnan(beam.spot.position_m).all()
         assert "no beam" in beam.reason
+
+
+def test_panels_and_clouds_are_no_beam() -> None:
+    """Panels of slightly different brightness: nothing is called a beam that may be used."""
+    rng = np.random.default_rng(6)
+    for _ in range(4):
+        panels = cv2.resize(rng.uniform(0.97, 1.03, (3, 4)), (256, 224), interpolation=cv2.INTER_NEAREST)
+        beam = measure_beam(picture(sky_light() * panels, noise_dn=1.0))
+        assert beam.rejected
 
 
 def test_cut_by_the_edge() -> None:
