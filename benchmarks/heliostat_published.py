@@ -39,7 +39,9 @@ BOUNDS = {
     "azimuth_offset": np.radians(10), "elevation_offset": np.radians(10), "tilt_about_east": np.radians(2.5),
     "tilt_about_north": np.radians(2.5),
 }  # fmt: skip
+#: The camera's offset from the antenna is one number of the thesis' ten, taken as a height.
 OFFSET_M = 6e-3
+OFFSET_SIGMA_M = (0.0, 0.0, OFFSET_M / np.sqrt(3))
 SQUARES = FitOptions(loss="squares", sigma="stated")
 
 
@@ -142,22 +144,22 @@ def tracker(truth, tower=TOWER):
     return mean_mrad
 
 
-def flights(truth, tower, radius, count, sigma=1.0):
+def flights(truth, tower, radius, count, sigma=1.0, offset=OFFSET_SIGMA_M):
     place = Place("tower", tower)
     sigmas = tuple(sigma * one for one in RTK_SIGMA_M)
 
     def draw(rng):
         places, noise = rng.spawn(2)
         flight = drawn_flight(truth, tower, radius, count, places)
-        return drawn_sightings(flight, place, noise, sigma_m=sigmas, offset_sigma_m=OFFSET_M / np.sqrt(3))
+        return drawn_sightings(flight, place, noise, sigma_m=sigmas, offset_sigma_m=offset)
 
     return draw
 
 
-def study(truth, radius, count, trials, *, wide=1.0, sigma=1.0, believed=None, seed=1):
+def study(truth, radius, count, trials, *, wide=1.0, sigma=1.0, believed=None, offset=OFFSET_SIGMA_M):
     known = known_before(truth, wide) if believed is None else believed
-    draw = flights(truth, TOWER, radius, count, sigma)
-    return monte_carlo(truth, known, draw, trials, (seed, count), evaluate=tracker(truth))
+    draw = flights(truth, TOWER, radius, count, sigma, offset)
+    return monte_carlo(truth, known, draw, trials, (1, count), evaluate=tracker(truth))
 
 
 def published_cost(truth, radius, count, trials, *, wide=1.0, seed=1):
@@ -191,7 +193,7 @@ def zero_noise():
     title("Spec 000, V11 to V13: mean of the year [mrad]")
     truth = number_one()
     for count in (4, 5, 10, 50):
-        worst = study(truth, (32, 32), count, 5, sigma=1e-6, wide=1000).figures.max()
+        worst = study(truth, (32, 32), count, 5, sigma=1e-6, wide=1).figures.max()
         asked = "<= 2e-9 from 5" if count >= 5 else "0.23 at 4"
         line(f"V12 drone at 32 m, noise 1e-6 of the published, {count} points", asked, f"{worst:.2g}",
              worst < 1e-2 if count >= 5 else "prior-dependent")  # fmt: skip
@@ -243,14 +245,13 @@ def sweep():
 def _new_draws(truth):
     """V23, studies (d) to (f): new places and noise, new noise at the same places, the same noise at new places."""
     place, evaluate, known = Place("tower", TOWER), tracker(truth), known_before(truth)
-    offset = OFFSET_M / np.sqrt(3)
 
     def spread(where, what):
         found = []
         for trial in range(15):
             flight = drawn_flight(truth, TOWER, (32, 32), 10, np.random.default_rng((6, where * trial)))
             noise = np.random.default_rng((7, what * trial))
-            seen = drawn_sightings(flight, place, noise, offset_sigma_m=offset)
+            seen = drawn_sightings(flight, place, noise, offset_sigma_m=OFFSET_SIGMA_M)
             found.append(evaluate(fit(known, seen, SQUARES).design)[0])
         return f"{np.mean(found):.2f} +- {np.std(found):.2f}"
 
@@ -282,37 +283,39 @@ def improved():
     truth = number_one()
     counts = (10, 50, 240)
 
-    def three(run):
-        return " / ".join(f"{run(count):.3f}" for count in counts)
+    def three(name, asked, run):
+        found = [run(count) for count in counts]
+        # Ten trials whose scatter is half the mean know it to 16 %: within half again.
+        holds = all(one < 1.5 * float(limit) for one, limit in zip(found, asked.split(" / "), strict=True))
+        line(name, asked, " / ".join(f"{one:.3f}" for one in found), holds)
 
-    for name, radius, text in (
+    for name, radius, asked in (
         ("B1 32 m", (32, 32), "0.386 / 0.191 / 0.155"),
         ("B2 50 m", (50, 50), "0.202 / 0.084 / 0.041"),
         ("B3 70 m", (70, 70), "0.140 / 0.055 / 0.022"),
         ("B4 100 m", (100, 100), "0.088 / 0.035 / 0.015"),
         ("B5 32 to 70 m", (32, 70), "0.215 / 0.065 / 0.037"),
     ):
-        found = three(lambda n, r=radius: published_cost(truth, r, n, 10)[0].mean())
-        line(f"{name}, published cost", text, found, "noted")
-    for name, radius, wide, text in (
-        ("B1 with our residual, 32 m", (32, 32), 1, "below B1"),
+        three(f"{name}, published cost", asked, lambda n, r=radius: published_cost(truth, r, n, 10)[0].mean())
+    for name, radius, wide, asked in (
+        ("B1 with our residual and priors, 32 m", (32, 32), 1, "0.386 / 0.191 / 0.155"),
+        ("B4 with our residual and priors, 100 m", (100, 100), 1, "0.088 / 0.035 / 0.015"),
         ("B6 32 to 70 m", (32, 70), 1, "0.197 / 0.060 / 0.029"),
         ("B7 32 to 70 m, lengths 50 times as vague", (32, 70), 50, "0.261 / 0.074 / 0.032"),
         ("B8 15 to 100 m, lengths 50 times as vague", (15, 100), 50, "0.164 / 0.044 / 0.019"),
         ("B10 32 m, lengths 50 times as vague", (32, 32), 50, "6.1 / 5.7 / 4.6"),
     ):
-        found = three(lambda n, r=radius, w=wide: study(truth, r, n, 12, wide=w).figures.mean())
-        line(name, text, found, "noted")
-    old = three(lambda n: published_cost(truth, (32, 32), n, 8, wide=50)[0].mean())
-    line("B9 32 m, published cost, bounds 50 times as wide", "3.9 / 4.0 / 4.0", old, "noted")
+        three(name, asked, lambda n, r=radius, w=wide: study(truth, r, n, 12, wide=w).figures.mean())
+    three("B9 32 m, published cost, bounds 50 times as wide", "3.9 / 4.0 / 4.0",
+          lambda n: published_cost(truth, (32, 32), n, 8, wide=50)[0].mean())  # fmt: skip
     known = known_before(truth, 50, free_arm=False)
-    line("B11 32 m, zeta 1 known, the rest vague", "0.337 / 0.117 / 0.053",
-         three(lambda n: study(truth, (32, 32), n, 12, believed=known).figures.mean()), "noted")  # fmt: skip
+    three("B11 32 m, zeta 1 known, the rest vague", "0.337 / 0.117 / 0.053",
+          lambda n: study(truth, (32, 32), n, 12, believed=known).figures.mean())  # fmt: skip
     angles = known_before(truth)
     lengths = ("position_e", "position_n", "position_u", "arm_normal", "arm_up")
     held = angles.with_parameters(angles.parameters.with_sigmas(dict.fromkeys(lengths, 0.0)))
-    line("B12 32 m, lengths known", "0.107 / 0.048 / 0.024",
-         three(lambda n: study(truth, (32, 32), n, 12, believed=held).figures.mean()), "noted")  # fmt: skip
+    three("B12 32 m, lengths and offset known", "0.107 / 0.048 / 0.024",
+          lambda n: study(truth, (32, 32), n, 12, believed=held, offset=0.0).figures.mean())  # fmt: skip
 
 
 def hundred(heliostats=60):
