@@ -1,14 +1,17 @@
 """Figures of beams on the target: the picture with centroid, ellipse and aim point, in metres."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse
 
 from calibration.heliostat.beam_image import Beam
 from calibration.heliostat.target_view import TargetImage
 from heliogauge.figures_canvas import INK, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
 from heliogauge.validate import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["beam_image_figure"]
 
@@ -26,7 +29,7 @@ _LOW, _HIGH = 0.01, 0.999
 
 def beam_image_figure(
     image: TargetImage, beam: Beam, *, aim_m: FloatArray | None = None, title: str = "", methods: bool = True
-) -> Figure:
+) -> "Figure":
     """Draw a beam on its target as seen from the field: x to the right, y up.
 
     Parameters
@@ -79,7 +82,9 @@ def beam_image_figure(
     return figure
 
 
-def _draw_shape(axes: Axes, beam: Beam) -> None:
+def _draw_shape(axes: "Axes", beam: Beam) -> None:
+    from matplotlib.patches import Circle, Ellipse
+
     major, minor = beam.moments.d4sigma_m
     place = (float(beam.moments.centroid_m[0]), float(beam.moments.centroid_m[1]))
     angle = float(np.degrees(beam.moments.direction_rad))
@@ -93,7 +98,7 @@ def _draw_shape(axes: Axes, beam: Beam) -> None:
     axes.add_patch(ring)
 
 
-def _draw_places(axes: Axes, beam: Beam, *, methods: bool) -> None:
+def _draw_places(axes: "Axes", beam: Beam, *, methods: bool) -> None:
     for name, estimate in beam.estimates.items():
         chosen = np.array_equal(estimate.position_m, beam.spot.position_m)
         if chosen or methods:
