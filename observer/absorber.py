@@ -25,10 +25,12 @@ _PRIOR_M = 0.1
 _BEND_M = 0.01
 #: Edges of one photo share their error of pixel grid and background along a few rows: so many count as one.
 _ROWS_ALIKE = 3
-#: What the background does to the bisector stays alike over this length; stations do not average it out [m].
-_ALIKE_M = 1.0
-#: Of the error that rows of one photo share, this part may be alike in all photos from one side: what the glass throws
-#: back, and what it shows of the mirror, differ towards the trough's middle and away from it.
+#: What the background does to the bisector is for this part of it alike along the whole tube; the rest stays alike over
+#: this length, so that stations do not average it out [m].
+_UNEVEN_SHARE, _ALIKE_M = 0.5, 1.0
+#: Of the error that rows of one photo share, this part may be alike in all photos from one side, besides what single
+#: photos have: what the glass throws back, and what it shows of the mirror, differ towards the trough's middle and away
+#: from it.
 _ONE_SIDED_SHARE = 0.5
 #: Times the standard deviation beyond which a bearing is not the tube's.
 _REJECT_TIMES = 4.0
@@ -175,10 +177,23 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Direct
     wide = np.nanmedian(table(bearings.diameter_m), axis=1)
     away = photos.eyes_m[names // path.n] - np.stack([*path.at(place), place], axis=1)[:, [0, 2, 1]]
     shared = np.hypot(shared, PULLED_SHARE * np.abs(wide - np.median(wide)) / np.hypot(away[:, 0], away[:, 2]))
-    one_sided = _ONE_SIDED_SHARE * shared * np.sign(np.nanmedian(table(bearings.angle_rad), axis=1))
+    one_sided = shared * _one_sided_share(np.nanmedian(table(bearings.angle_rad), axis=1), names // path.n)
     own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
-    sigma = np.hypot(own, np.sqrt(alike) * shared)
+    sigma = np.hypot(own, _UNEVEN_SHARE * np.sqrt(alike) * shared)
     return _Directions(names // path.n, names % path.n, place, mean, sigma, one_sided)
+
+
+def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> FloatArray:
+    """Return which part of each bearing's shared error all from its side have in common, with the sign of the side.
+
+    What single photos have all along the tube counts as common, as much of it as the mean of one side's photos has.
+    """
+    side = np.sign(angle_rad)
+    share = np.zeros(side.size)
+    for way in (-1.0, 1.0):
+        here = side == way
+        share[here] = way * np.sqrt(_ONE_SIDED_SHARE**2 + 1 / max(np.unique(photo[here]).size, 1))
+    return share
 
 
 def _adjusted(

@@ -16,8 +16,8 @@ from heliogauge.camera import Camera
 from heliogauge.rigid import RigidTransform
 from heliogauge.surfaces import quadric
 from heliogauge.validate import BoolArray, FloatArray
-from observer.design import Collector
 from observer.edges import Edges, find_edges
+from observer.glass import turned_rad
 from observer.rectify import rectified_strip
 from observer.reflection import AnyImage, Expectation, design_misfit
 from observer.silhouette import level_edges
@@ -169,7 +169,7 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     wide = 2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first]))
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
     pulled = PULLED_SHARE * np.maximum(np.abs(wide - 2 * radius) - _WIDER_PX * pixel_m, 0) / distance
-    nearness = _prism_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / to_reflection
+    nearness = 2 * turned_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / to_reflection
     shared = _SHARED_PX * pixel_rad * max(1.0, nearness) ** _NEAR_POWER
     bearings = Bearings(
         np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared, pulled)
@@ -193,21 +193,6 @@ def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
     found = design_misfit(point, eye_m[None], np.zeros(1), collector, expected.absorber)
     half = collector.absorber_diameter_m / 2 / float(np.hypot(axis_x - x, axis_z - point[0, 2]))
     return max(abs(float(found.angle_rad[0])) - half - 2 * expected.slope_error_rad, 0.0)
-
-
-def _prism_rad(collector: Collector, radii: float) -> float:
-    """Return by what angle the glass turns a ray that passes the middle of tube and glass at so many tube radii [rad].
-
-    By the plane law of refraction: towards the axis at the outer face, away from it at the inner, twice.
-    """
-    glass = collector.glass
-    if glass is None:
-        return 0.0
-    inner = min(radii * collector.absorber_diameter_m / glass.inner_diameter_m, 1.0)
-    outer = inner * glass.inner_diameter_m / glass.outer_diameter_m
-    return float(
-        2 * (np.arcsin(inner) - np.arcsin(inner / glass.index) - np.arcsin(outer) + np.arcsin(outer / glass.index))
-    )
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:

@@ -11,8 +11,7 @@ from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.joint_solution import sample_rows, solve_jointly
 from observer.outline import Span
-from observer.reflection import ReflectionEdges
-from observer.reflector import EdgeFate, Reflector
+from observer.reflector import Reflector
 from observer.slope_field import RowGrid
 
 #: Slopes of a parabola whose focal length is wrong by this share are 4 mrad off at the rim of an LS-2: no mirror that
@@ -150,19 +149,13 @@ def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collect
     )
 
 
-def diameter_of_absorber(
-    reflector: Reflector, edges: ReflectionEdges, absorber: AbsorberPath, collector: Collector
-) -> Found:
+def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
     """Estimate the tube's diameter from the width of its reflection, together with slopes and camera positions.
 
     Parameters
     ----------
     reflector : Reflector
         The solution with the stated diameter.
-    edges : ReflectionEdges
-        All edges it came from.
-    absorber : AbsorberPath
-        The tube's axis.
     collector : Collector
         The design.
 
@@ -172,36 +165,24 @@ def diameter_of_absorber(
         The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection, in photos
         that are some ten apart.
     """
-    used = reflector.fate == EdgeFate.USED
-    points, side = edges.points_m[used], edges.side[used]
-    axis_x, axis_z = absorber.at(points[:, 1])
-    radius = collector.absorber_diameter_m / 2
-    unit = _DIAMETER_PRIOR_SHARE * radius
-    square = (axis_x - points[:, 0]) ** 2 + (axis_z - points[:, 2]) ** 2 - radius**2
-    d_radius = side / np.sqrt(square)
+    unknowns = reflector.unknowns
     rows = sample_rows(reflector.grid, _ROWS)
     number = np.full(reflector.grid.n_rows, -1)
     number[rows] = np.arange(rows.size)
-    chosen = number[reflector.lines.row] >= 0
-    some = reflector.lines.chosen(chosen)
-    prior = reflector.modes.covariance
-    count = len(prior)
-    lines = replace(
-        some,
-        row=number[some.row],
-        common_index=np.column_stack([some.common_index, np.full(some.row.size, count)]),
-        d_common=np.column_stack([some.d_common, unit * d_radius[chosen]]),
-    )
-    covariance = np.eye(count + 1)
-    covariance[:count, :count] = prior
+    some = reflector.lines.chosen(number[reflector.lines.row] >= 0)
+    lines = replace(some, row=number[some.row])
+    radius, unit = collector.absorber_diameter_m / 2, float(unknowns.units[0])
+    prior = (_DIAMETER_PRIOR_SHARE * radius / unit) ** 2
+    covariance = unknowns.covariance.copy()
+    covariance[unknowns.radius, unknowns.radius] = prior
     grid = RowGrid(reflector.grid.x_m, reflector.grid.joined, rows.size)
-    nothing = (np.zeros(count + 1), covariance)
+    nothing = (np.zeros(len(covariance)), covariance)
     still = np.zeros((rows.size, grid.x_m.size, 2))
     solved = solve_jointly(lines, grid, reflector.roughness, still, nothing, with_shares=False)
-    variance = float(solved.covariance_common[-1, -1])
+    variance = float(solved.covariance_common[unknowns.radius, unknowns.radius])
     # Undo the pull of the prior: the value by the photos alone.
-    own = max(1 - variance, 1e-3)
-    return Found(2 * (radius + unit * float(solved.common[-1]) / own), 2 * unit * float(np.sqrt(variance / own)))
+    own = max(1 - variance / prior, 1e-3)
+    return Found(2 * (radius + unit * float(solved.common[unknowns.radius]) / own), 2 * unit * np.sqrt(variance / own))
 
 
 def diameter_doubt(found: Found, collector: Collector) -> str | None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.slope_field import (
     IntArray,
     Roughness,
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
 #: many photos fewer rows do, because each mirror point is seen by more of them.
 _MOST_ROWS_FOR_COMMON, _FEWEST_ROWS_FOR_COMMON = 48, 12
-_ROWS_TIMES_COMMON = 9600
+_ROWS_TIMES_COMMON = 18000
 #: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
 _ROWS_FOR_ROUGHNESS = 16
-#: Common unknowns whose lines suffice for that: two of each of 100 photos.
-_COMMON_FOR_ROUGHNESS = 200
+#: Photos whose lines suffice for that.
+_PHOTOS_FOR_ROUGHNESS = 70
 #: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
 _MODES = 10
 _MODES_SHARE = 0.99
@@ -153,13 +153,13 @@ def evidence_of_rows(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> f
 
 
 def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
-    """Keep the lines of some of the common unknowns, evenly spread, numbered anew."""
-    count = len(covariance)
-    if count <= _COMMON_FOR_ROUGHNESS:
+    """Keep the lines of some photos, evenly spread, and the common unknowns that move them, numbered anew."""
+    if len(covariance) == 0:
         return lines, covariance
     leading = np.unique(lines.common_index[:, 0])
-    most = max(1, _COMMON_FOR_ROUGHNESS // lines.common_index.shape[1])
-    chosen = leading[np.unique(np.linspace(0, leading.size - 1, min(most, leading.size)).round().astype(np.intp))]
+    if leading.size <= _PHOTOS_FOR_ROUGHNESS:
+        return lines, covariance
+    chosen = leading[np.linspace(0, leading.size - 1, _PHOTOS_FOR_ROUGHNESS).round().astype(np.intp)]
     some = lines.chosen(np.isin(lines.common_index[:, 0], chosen))
     kept, number = np.unique(some.common_index, return_inverse=True)
     index = np.asarray(number.reshape(some.common_index.shape), dtype=np.intp)
@@ -173,7 +173,7 @@ def solve_jointly(
     start: FloatArray,
     common: tuple[FloatArray, FloatArray],
     *,
-    with_shares: bool = True,
+    with_shares: bool | BoolArray = True,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns by one Gauss-Newton step, which is exact for linear observations.
 
@@ -189,9 +189,9 @@ def solve_jointly(
         Slope errors where the lines were linearised [rad].
     common : (ndarray, ndarray), shapes (c,) and (c, c)
         Values of the common unknowns where the lines were linearised, and their prior covariance about zero.
-    with_shares : bool, optional
-        Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
-        there are no modes, which takes half the time.
+    with_shares : bool or ndarray of bool, shape (c,), optional
+        Whether the share of the common unknowns in the slopes' variance is wanted, or of which of them; without it that
+        share is zero and there are no modes, which takes half the time.
 
     Returns
     -------
@@ -211,12 +211,17 @@ def solve_jointly(
     random = np.empty((n_rows, 2 * n_blocks, 2, 2))
     random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
-    if not with_shares:
+    if with_shares is False:
         nothing = np.zeros((0, rows.size, grid.x_m.size))
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common[0] + step, shared.covariance, rows, nothing)
+    posterior = shared.covariance
+    if with_shares is not True:
+        # A little variance keeps the matrix positive definite.
+        kept = np.outer(with_shares, with_shares)
+        shared = replace(shared, covariance=np.where(kept, posterior, 1e-30 * np.eye(len(posterior))))
     variance, modes = shared.shares()
     between = _between_rows(variance, rows, grid.n_rows)
-    return SlopeErrors(slopes, random, between, common[0] + step, shared.covariance, rows, modes)
+    return SlopeErrors(slopes, random, between, common[0] + step, posterior, rows, modes)
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -293,14 +298,10 @@ def _eliminate(
     carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count))
     normal, spread = _inverted(covariance)
     gradient = normal @ value
+    derivatives = _sparse_derivatives(lines, count)
     weighted = lines.sigma_rad**-2
-    width = lines.common_index.shape[1]
-    for i in range(width):
-        own = weighted * lines.d_common[:, i]
-        gradient += np.bincount(lines.common_index[:, i], own * lines.misfit_rad, count)
-        for j in range(width):
-            place = lines.common_index[:, i] * count + lines.common_index[:, j]
-            normal += np.bincount(place, own * lines.d_common[:, j], count**2).reshape(count, count)
+    gradient += derivatives.T @ (weighted * lines.misfit_rad)
+    normal += (derivatives.T @ derivatives.multiply(weighted[:, None]).tocsr()).toarray()
     flat = (-1, count)
     # Each common unknown touches a few nodes of a row only: with dense factors this product would cost the most of all.
     normal -= coupling.T @ carried.reshape(flat)
@@ -322,6 +323,16 @@ def _inverted(matrix: FloatArray) -> tuple[FloatArray, float]:
     whole = np.tril(inverse)
     whole += np.tril(inverse, -1).T
     return np.asarray(whole), 2 * float(np.log(np.diagonal(root)).sum())
+
+
+def _sparse_derivatives(lines: TouchingLines, count: int) -> "csr_array":
+    """Return the derivatives of all lines with respect to the common unknowns, shape (m, c)."""
+    from scipy.sparse import csr_array
+
+    width = lines.common_index.shape[1]
+    first = np.arange(lines.row.size + 1) * width
+    table = (lines.d_common.ravel(), lines.common_index.ravel(), first)
+    return csr_array(table, shape=(lines.row.size, count))
 
 
 def coupling_of(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> "csr_array":

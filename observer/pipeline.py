@@ -1,6 +1,6 @@
 """Photos of a trough to slope errors, absorber position and what they cost: read, measure, solve, write."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ class Result:
     seen : SeenInPhotos
         Edges and bearings.
     absorber : AbsorberPath
-        The tube's axis that the slopes were solved with.
+        The tube's axis, adjusted together with the slopes.
     absorber_solution : AbsorberSolution or None
         Its measurement; None where it was given.
     reflector : Reflector
@@ -180,6 +180,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior,
             shaped=model.evaluation.shape_from_slopes,
         )  # fmt: skip
+        absorber = reflector.absorber
+        solution = None if solution is None else replace(solution, path=absorber)
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
         slope_map = slope_map_of(reflector, collector, absorber, visible)
@@ -195,7 +197,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         design = (
             camera_doubt(network.solved.image_sigma_factor),
             sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
-            *design_doubts((files, views), (reflector, seen.edges), slope_map, absorber, collector),
+            *design_doubts((files, views), reflector, slope_map, absorber, collector),
         )
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
     said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting)

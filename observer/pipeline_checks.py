@@ -19,13 +19,12 @@ from observer.design_checks import (
     overexposure_doubt,
 )
 from observer.outline import clipped_share, photos_from_above, rims_in_photo, spans_of
-from observer.reflection import ReflectionEdges
 from observer.reflector import Reflector
 
 
 def design_doubts(
     photos: tuple[Sequence[Path], Sequence[View]],
-    solved: tuple[Reflector, ReflectionEdges],
+    reflector: Reflector,
     slope_map: SlopeMap,
     absorber: AbsorberPath,
     collector: Collector,
@@ -36,8 +35,8 @@ def design_doubts(
     ----------
     photos : (sequence of Path, sequence of (Camera, RigidTransform))
         Files and views of the network's photos; seven of them are read.
-    solved : (Reflector, ReflectionEdges)
-        The mirror and all edges it came from.
+    reflector : Reflector
+        The mirror.
     slope_map : SlopeMap
         The mirror in the common form.
     absorber : AbsorberPath
@@ -65,7 +64,7 @@ def design_doubts(
     said = (
         overexposure_doubt(float(np.median(clipped))),
         focal_length_doubt(focal_length_of_mirror(slope_map, collector), absorber, collector),
-        diameter_doubt(diameter_of_absorber(*solved, absorber, collector), collector),
+        diameter_doubt(diameter_of_absorber(reflector, collector), collector),
         *outline_doubts(*spans_of(np.array(rims)), collector),
     )
     return tuple(text for text in said if text is not None)

@@ -9,8 +9,9 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
+from observer.absorber_path import AbsorberPath
 from observer.along_variance import find_along
-from observer.camera_modes import CameraModes, pose_derivatives, reduce_to_modes
+from observer.camera_modes import pose_derivatives, reduce_to_modes
 from observer.design import Collector
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.mirror_shape import at_points, heights, on_surface
@@ -19,6 +20,7 @@ from observer.shadows import borne_out, pulled_curves
 from observer.sight import Sights, change_across, misfit
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slope_sums import sum_covariance
+from observer.tube_unknowns import CommonUnknowns, common_unknowns
 
 #: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out
 #: step by step, while those of a mirror that is bent more than expected stay.
@@ -118,8 +120,10 @@ class Reflector:
         Of the slopes along the rows.
     noise_factor : float
         By what the sigmas of the edges had to be multiplied.
-    modes : CameraModes
-        The unknowns that stand for the poses.
+    absorber : AbsorberPath
+        The tube's axis, to which the width of its reflection has added what it says of it.
+    unknowns : CommonUnknowns
+        What the lines have in common.
     lines : TouchingLines
         The edges that were used, as observations.
     height_m : ndarray, shape (r, nx)
@@ -138,7 +142,8 @@ class Reflector:
     residuals_rad: FloatArray
     roughness: Roughness
     noise_factor: float
-    modes: CameraModes
+    absorber: AbsorberPath
+    unknowns: CommonUnknowns
     lines: TouchingLines
     height_m: FloatArray
     last_change_m: float
@@ -152,7 +157,9 @@ class Reflector:
         callable
             From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
-        return sum_covariance(self.lines, self.grid, self.roughness, self.errors.covariance_common)
+        free = ~self.unknowns.is_place
+        held = self.errors.covariance_common * np.outer(free, free)
+        return sum_covariance(self.lines, self.grid, self.roughness, held)
 
 
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
@@ -218,7 +225,7 @@ def solve_reflector(
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
     nominal = _nominal(edges, photos, expected)
-    modes = nominal.modes
+    unknowns = nominal.unknowns
     fate = _first_fate(edges)
     fate[_is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
@@ -228,7 +235,7 @@ def solve_reflector(
             "collector's dimensions and the targets right?"
         )
     is_bold = fate == EdgeFate.USED
-    nothing = (np.zeros(len(modes.covariance)), modes.covariance)
+    nothing = (np.zeros(len(unknowns.covariance)), unknowns.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
@@ -237,7 +244,7 @@ def solve_reflector(
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         sigma = np.hypot(noise * lines.sigma_rad, allowance)
         used = replace(lines, sigma_rad=sigma).chosen(keep)
-        roughness = find_roughness(used, grid, roughness, modes.covariance)
+        roughness = find_roughness(used, grid, roughness, unknowns.covariance)
         errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=False)
         residuals, predicted = _residuals(lines, grid, errors)
         if allowance == 0.0:
@@ -262,10 +269,11 @@ def solve_reflector(
             keep &= fate == EdgeFate.USED
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
-    errors = solve_jointly(used, grid, roughness, none, nothing)
+    errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=~unknowns.is_place)
+    absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
-        roughness, noise, modes, used, present.height_m, change, shadows,
+        roughness, noise, absorber, unknowns, used, present.height_m, change, shadows,
     )  # fmt: skip
 
 
@@ -298,12 +306,12 @@ class _Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nominal:
-    """Edges with what the design's surface suffices for: the noise of their angle and the effect of the poses."""
+    """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
 
     edges: ReflectionEdges
     eyes_m: FloatArray
     sigma_rad: FloatArray
-    modes: CameraModes
+    unknowns: CommonUnknowns
 
 
 def _nominal(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> _Nominal:
@@ -313,7 +321,8 @@ def _nominal(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> _
     focal = expected.collector.focal_length_m
     sigma = np.abs(change_across(sights, found, focal)) * edges.sigma_x_m
     derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal)
-    return _Nominal(edges, eyes, sigma, reduce_to_modes(derivatives, edges.photo, photos.covariance))
+    modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
+    return _Nominal(edges, eyes, sigma, common_unknowns(edges, sights, found, modes, expected))
 
 
 def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: RowGrid) -> TouchingLines:
@@ -330,7 +339,7 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     by_x, by_y = found.d_angle_d_slope_x, found.d_angle_d_slope_y
     return TouchingLines(
         edges.row, points[:, 0], found.angle_rad - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
-        nominal.sigma_rad, nominal.modes.index, nominal.modes.derivative,
+        nominal.sigma_rad, nominal.unknowns.index, nominal.unknowns.derivative,
     )  # fmt: skip
 
 

@@ -172,6 +172,7 @@ def simulate(
     expected = Expectation(collector, absorber, y, truth.slope_error_rad)
     prior = Roughness(1e-3, evaluation.along_rad)
     reflector = solve_reflector(edges, believed.photos, expected, evaluation.column_step_m, prior)
+    absorber = reflector.absorber
     nodes = (reflector.grid.x_m, y)
     visible = visibility(nodes, believed.photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
     slope_map = slope_map_of(reflector, collector, absorber, visible)

@@ -1,0 +1,189 @@
+"""What all touching lines of sight have in common: camera poses, where the tube is, how wide it looks.
+
+Each mirror point is seen through both edges of the tube, by different photos. Half the sum of what they say is the
+slope; half the difference is the width ``w = asin(a / R)`` of the tube as seen from there, R its distance. That width
+says how the tube lies to the mirror, but other things change it too, and are unknowns beside it:
+
+- the tube's place at its stations, known from its direct view, with that covariance;
+- its radius;
+- a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are told;
+- the middle of the glass beside that of the tube: the glass turns a line that touches the metal by kappa while it is
+  inside, so that with the tube d beside the middle of the glass and the line's direction u the tube looks wider by
+  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm).
+
+What is left out of these comes back as wrong poses: with the glass 6 mm beside the tube they err by four times their
+standard deviation, and slopes by 0.1 mrad.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.validate import BoolArray, FloatArray
+from observer.absorber_path import AbsorberPath
+from observer.camera_modes import CameraModes
+from observer.glass import turned_rad
+from observer.reflection import Expectation, ReflectionEdges
+from observer.sight import Misfit, Sights, change_across
+from observer.slope_field import IntArray
+
+#: What the stated radius is good for, as a share of it.
+_RADIUS_SHARE = 5e-3
+#: How far the glass may be beside the tube [m].
+_GLASS_M = 3e-3
+#: How far edges may lie outward, in standard deviations of the noise of one: all of them (0.05 px at a noise of 0.025
+#: px), and those of one photo beyond that. In ray-traced photos it is 0.003 to 0.006 px.
+_OUTWARD, _OUTWARD_OF_PHOTO = 2.0, 0.4
+#: Unknowns of the tube beside its place: radius, displacement of all edges, x and z of the glass.
+_TUBE_UNKNOWNS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonUnknowns:
+    """Unknowns that move many lines, in this order: poses, widths of photos, the tube's place, the tube itself.
+
+    Parameters
+    ----------
+    index : ndarray of int, shape (m, c)
+        Unknowns that move each line; those of its photo come first.
+    derivative : ndarray, shape (m, c)
+        By how much [rad].
+    covariance : ndarray, shape (k, k)
+        Prior covariance of the unknowns about zero.
+    n_photo : int
+        Number of unknowns that belong to single photos.
+    n_stations : int
+        Stations of the tube whose place is unknown; 0 where it is held.
+    units : ndarray, shape (4,)
+        Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
+    """
+
+    index: IntArray
+    derivative: FloatArray
+    covariance: FloatArray
+    n_photo: int
+    n_stations: int
+    units: FloatArray
+
+    @property
+    def place(self) -> slice:
+        """Unknowns that are the tube's place, x at all stations and z at all stations [m]."""
+        return slice(self.n_photo, self.n_photo + 2 * self.n_stations)
+
+    @property
+    def radius(self) -> int:
+        """Unknown that is the tube's radius, in its unit."""
+        return self.n_photo + 2 * self.n_stations
+
+    @property
+    def is_place(self) -> BoolArray:
+        """Which unknowns are the tube's place, shape (k,)."""
+        which = np.zeros(len(self.covariance), dtype=bool)
+        which[self.place] = True
+        return which
+
+    def moved(self, path: AbsorberPath, common: FloatArray, covariance: FloatArray) -> AbsorberPath:
+        """Return the tube's path as the solution has it.
+
+        Parameters
+        ----------
+        path : AbsorberPath
+            As it was before.
+        common : ndarray, shape (k,)
+            The solution.
+        covariance : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        AbsorberPath
+            The path; the same one where it was held.
+        """
+        if self.n_stations == 0:
+            return path
+        step, block = common[self.place], covariance[self.place, self.place]
+        n = self.n_stations
+        return replace(path, x_m=path.x_m + step[:n], z_m=path.z_m + step[n:], covariance_m2=0.5 * (block + block.T))
+
+
+def common_unknowns(
+    edges: ReflectionEdges, sights: Sights, found: Misfit, modes: CameraModes, expected: Expectation
+) -> CommonUnknowns:
+    """Collect what touching lines of sight have in common.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        The edges.
+    sights : Sights
+        Their lines of sight.
+    found : Misfit
+        Misfits and derivatives of these, with the design's slopes.
+    modes : CameraModes
+        The unknowns that stand for the poses.
+    expected : Expectation
+        Collector and the tube's place; it is held where it has no variance.
+
+    Returns
+    -------
+    CommonUnknowns
+        Index, derivatives and prior covariance.
+    """
+    path, collector, m = expected.absorber, expected.collector, edges.photo.size
+    n_modes = len(modes.covariance)
+    n_photos = n_modes // modes.index.shape[1]
+    n_stations = path.n if np.diagonal(path.covariance_m2).any() else 0
+    n_photo = n_modes + n_photos
+    outward, unit = _outward(edges, sights, found, collector.focal_length_m)
+    place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
+    tube, units = _tube(found, sights, expected, outward, unit)
+    first_tube = n_photo + 2 * n_stations
+    index = np.column_stack([
+        modes.index, n_modes + edges.photo, n_photo + place[0],
+        np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
+    ])  # fmt: skip
+    derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube])
+    covariance = np.eye(first_tube + _TUBE_UNKNOWNS)
+    covariance[:n_modes, :n_modes] = modes.covariance
+    if n_stations:
+        covariance[n_photo:first_tube, n_photo:first_tube] = path.covariance_m2
+    return CommonUnknowns(index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units)
+
+
+def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:
+    """Return the change of the misfits where edges lie outward by one radian at the camera, and the usual noise [rad].
+
+    Outward is towards the brighter side.
+    """
+    away = sights.eyes_m - sights.points_m
+    distance = np.linalg.norm(away, axis=1)
+    slope = sights.points_m[:, 0] / (2 * focal_m)
+    # How long a step of dx along the mirror looks: its part across the line of sight.
+    along = (away[:, 0] + slope * away[:, 2]) / distance
+    looks = np.sqrt(np.maximum(1 + slope**2 - along**2, 1e-6)) / distance
+    unit = float(np.median(edges.sigma_x_m * looks)) if edges.photo.size else 0.0
+    return change_across(sights, found, focal_m) * np.sign(edges.contrast) / looks, unit
+
+
+def _place(found: Misfit, path: AbsorberPath) -> tuple[IntArray, FloatArray]:
+    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4)."""
+    before, share = path.shares(np.nan_to_num(found.passing_y_m))
+    after = np.minimum(before + 1, path.n - 1)
+    weights = np.column_stack([1 - share, share])
+    by_x, by_z = found.d_angle_d_absorber.T
+    index = np.column_stack([before, after, path.n + before, path.n + after])
+    return index, np.column_stack([weights * by_x[:, None], weights * by_z[:, None]])
+
+
+def _tube(
+    found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, unit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the tube's own unknowns do to each line, shape (m, 4), and their units."""
+    collector = expected.collector
+    axis_x, axis_z = expected.absorber.at(np.nan_to_num(found.passing_y_m))
+    to_x, to_z = axis_x - sights.points_m[:, 0], axis_z - sights.points_m[:, 2]
+    kappa = turned_rad(collector, 1.0) / np.hypot(to_x, to_z)
+    by_radius = found.d_angle_d_radius
+    units = np.array([_RADIUS_SHARE * collector.absorber_diameter_m / 2, _OUTWARD * unit, _GLASS_M, _GLASS_M])
+    columns = np.stack([by_radius, outward, kappa * to_x * by_radius, kappa * to_z * by_radius], axis=1)
+    return columns * units, units
