@@ -218,7 +218,12 @@ def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) ->
 
 
 def tracking_error(
-    calibrated: HeliostatDesign, truth: HeliostatDesign, sun: npt.ArrayLike, aim_point_m: npt.ArrayLike
+    calibrated: HeliostatDesign,
+    truth: HeliostatDesign,
+    sun: npt.ArrayLike,
+    aim_point_m: npt.ArrayLike,
+    *,
+    believed_aim_m: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return by how much the beam of a true heliostat misses when a calibrated model commands it.
 
@@ -230,6 +235,8 @@ def tracking_error(
         Directions to the sun.
     aim_point_m : array_like, shape (3,) or (n, 3)
         Where the beam shall go [m].
+    believed_aim_m : array_like, shape (3,) or (n, 3), optional
+        Where the model takes that point to be, if it was calibrated with the heliostat [m].
 
     Returns
     -------
@@ -243,7 +250,8 @@ def tracking_error(
     """
     suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
     points = np.broadcast_to(np.asarray(aim_point_m, dtype=np.float64), suns.shape)
-    aimed = aim(calibrated, calibrated.parameters.values, suns, points)
+    believed = points if believed_aim_m is None else np.broadcast_to(np.asarray(believed_aim_m), suns.shape)
+    aimed = aim(calibrated, calibrated.parameters.values, suns, believed)
     known = np.isfinite(aimed.readings).all(axis=1) & aimed.converged
     error = np.full((len(suns), 2), np.nan)
     if known.any():
@@ -299,9 +307,9 @@ def yearly_evaluation(
     aim_point_m: npt.ArrayLike,
     *,
     year: int = 2018,
-    per_day: int = 35,
+    believed_aim_m: npt.ArrayLike | None = None,
 ) -> YearlyError:
-    """Return the tracking error on the tenth day of every month.
+    """Return the tracking error at 35 suns on the tenth day of every month.
 
     Parameters
     ----------
@@ -313,8 +321,8 @@ def yearly_evaluation(
         Where the beam shall go [m].
     year : int, optional
         Which year.
-    per_day : int, optional
-        Sun positions spread over the daylight of each day.
+    believed_aim_m : array_like, shape (3,), optional
+        As for `tracking_error`.
 
     Returns
     -------
@@ -326,8 +334,8 @@ def yearly_evaluation(
     InputError
         Shapes that do not fit.
     """
-    suns, day = sun_positions_of_year(site, year, per_day=per_day)
-    return YearlyError(tracking_error(calibrated, truth, suns, aim_point_m), day)
+    suns, day = sun_positions_of_year(site, year)
+    return YearlyError(tracking_error(calibrated, truth, suns, aim_point_m, believed_aim_m=believed_aim_m), day)
 
 
 def sun_positions_of_year(
