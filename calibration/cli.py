@@ -1,4 +1,4 @@
-"""Commands of calibration: camera; response of camera and display."""
+"""Commands of calibration: heliostats; camera; response of camera and display."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,13 +12,14 @@ from heliogauge.commands import (
     NoReport,
     OutFolder,
     Quiet,
+    Scheduler,
     Verbose,
     into_folder,
     make_app,
     tell,
 )
 
-app = make_app("Calibration of what measures: camera; response of camera and display.")
+app = make_app("Calibration: heliostats; camera; response of camera and display.")
 
 
 @app.command("response")
@@ -96,3 +97,78 @@ def camera_command(
         f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement',
         quiet=quiet,
     )
+
+
+@app.command("heliostat")
+def heliostat_command(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder with measurement.toml, or one as of the PAINT database.", show_default=False
+        ),
+    ],
+    out: OutFolder,
+    split: Annotated[
+        str | None,
+        typer.Option(help="What is held out: chronological, random, azimuth, azimuth-reversed, high-variance, column."),
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help='Free parameters: "auto", or a usual choice of the preset, such as 4, 8, 15.')
+    ] = None,
+    label: Annotated[str | None, typer.Option(help="Centres of beams in PAINT's records: UTIS or HeliOS.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
+    ] = None,
+    thorough: Annotated[
+        bool | None,
+        typer.Option(
+            "--thorough/--quick", help="Make every split and choose the model by trial; default: up to 25 heliostats."
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    no_report: NoReport = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Where beams were seen and the drive readings -> tracking models: heliostat.json, residuals.csv, field.csv in OUT.
+
+    An interrupted field is continued by the same command; --force begins anew.
+    """
+    from calibration.heliostat.pipeline import Options
+    from calibration.heliostat.pipeline_field import headline_text, run_into
+    from heliogauge.measurement import load_heliostat
+    from heliogauge.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    options = Options(split, model, label, only, thorough, jobs, scheduler)
+    result = run_into(load_heliostat(folder), out, options, progress, force=force, report=not no_report)
+    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+
+
+@app.command("heliostat-export")
+def heliostat_export_command(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge calibrate heliostat`.")],
+    out: OutFolder,
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Also tables of corrections over this day.")
+    ] = None,
+    step_minutes: Annotated[float, typer.Option(help="Step of the tables of corrections.")] = 10.0,
+    target: Annotated[
+        str | None, typer.Option(help="Target whose centre the tables aim at; default: the first.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Calibrated heliostats -> parameters for controllers, tables of corrections, properties as of PAINT and ARTIST."""
+    from datetime import date as day
+
+    from calibration.heliostat.pipeline_export import ExportOptions, run
+    from heliogauge.errors import InputError
+
+    try:
+        chosen = None if date is None else day.fromisoformat(date)
+    except ValueError as error:
+        raise InputError(f"--date {date}: a day such as 2026-06-21 is needed ({error})") from error
+    for name in run(result, out, ExportOptions(chosen, step_minutes, target, force)):
+        typer.echo(out / name)

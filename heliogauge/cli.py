@@ -81,8 +81,8 @@ class LazyGroup(TyperGroup):
         """Run the command; Ctrl-C ends it with exit code 130 in every version of typer."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            print("heliogauge: interrupted; nothing was written", file=sys.stderr)
+        except KeyboardInterrupt as stopped:
+            print(f"heliogauge: interrupted; {stopped or 'nothing was written'}", file=sys.stderr)
             raise typer.Exit(130) from None
 
 

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from heliogauge.measurement_models import ImageFiles, Index, Number, Positive, Section, Text, Vector2, Vector3
 
 Preset = Literal["azimuth-elevation", "drone", "six-error", "two-axes", "linear-actuators"]
-Split = Literal["random", "chronological", "azimuth", "high-variance", "column"]
+Split = Literal["random", "chronological", "azimuth", "azimuth-reversed", "high-variance", "column"]
 Label = Literal["UTIS", "HeliOS"]
 #: Optional terms of each drive.
 DriveTerm = Literal["worm", "worm2", "sag", "backlash", "scale"]

@@ -19,6 +19,7 @@ PIPELINES = {
     "observer.pipeline": ("observer.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),
     "calibration.camera.pipeline": ("calibration.cli", "camera"),
+    "calibration.heliostat.pipeline": ("calibration.cli", "heliostat"),
 }
 
 #: Units of the command line, and what they are in the pipeline.

@@ -1,0 +1,133 @@
+"""A field of heliostats through the whole command: time of each, memory at n and 2 n, one process and two.
+
+Run: python benchmarks/heliostat_field.py [HELIOSTATS OBSERVATIONS]
+Asked: 10,000 heliostats x 100 observations within 10 minutes on 2 cores, memory flat. A smaller field is calibrated
+(200 by default) and the time of each heliostat is taken 10,000 times; what does not grow with their number is told
+apart by the field of twice the size. Each process has one thread.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from calibration.heliostat.aiming import aim
+from calibration.heliostat.design import PlaneTarget
+from calibration.heliostat.presets import azimuth_elevation
+from heliogauge.measurement_writer import dump_toml
+from heliogauge.store_tables import write_table_csv
+from heliogauge.sun import Site, sun_directions
+
+SITE = Site(37.0, -2.0, 500.0)
+TARGET = PlaneTarget.facing("tower", np.array([0.0, 0.0, 80.0]), 0.0, 12.0, 10.0)
+ASKED, MINUTES = 10_000, 10.0
+SIGMA_M = 0.03
+
+
+def write_field(folder: Path, heliostats: int, observations: int) -> None:
+    """Write tables of heliostats with tilts and offsets of some milliradians."""
+    rng = np.random.default_rng(0)
+    positions = np.column_stack(
+        [rng.uniform(-300, 300, heliostats), rng.uniform(80, 600, heliostats), np.full(heliostats, 3.0)]
+    )
+    days = np.datetime64("2026-01-03", "ms") + np.arange(observations) * 37 % 365 * np.timedelta64(1, "D")
+    times = np.sort(days + (np.arange(observations) * 53 % 300 + 570) * np.timedelta64(1, "m"))
+    suns = sun_directions(times, SITE)
+    rows: dict[str, list] = {name: [] for name in (
+        "heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", "y_m", "sigma_mm",
+    )}  # fmt: skip
+    for number, position in enumerate(positions):
+        errors = rng.normal(0, 3e-3, 5)
+        names = ("tilt_north", "tilt_east", "azimuth_offset", "elevation_offset", "non_orthogonality")
+        truth = azimuth_elevation("h", position).with_value(dict(zip(names, errors, strict=True)))
+        xy = rng.uniform(-2, 2, (observations, 2))
+        found = aim(truth, truth.parameters.values, suns, TARGET.points(xy))
+        seen = xy + rng.normal(0, SIGMA_M, xy.shape)
+        rows["heliostat"] += [f"H{number:05d}"] * observations
+        rows["time_utc"] += [f"{time}Z" for time in times]
+        rows["axis_1_rad"] += found.readings[:, 0].tolist()
+        rows["axis_2_rad"] += found.readings[:, 1].tolist()
+        rows["target"] += [TARGET.name] * observations
+        rows["x_m"] += seen[:, 0].tolist()
+        rows["y_m"] += seen[:, 1].tolist()
+        rows["sigma_mm"] += [1e3 * SIGMA_M] * observations
+    folder.mkdir(parents=True)
+    (folder / "measurement.toml").write_text(dump_toml({
+        "kind": "heliostat", "name": "field",
+        "site": {"latitude_deg": SITE.latitude_deg, "longitude_deg": SITE.longitude_deg, "altitude_m": SITE.altitude_m},
+        "target": [{"name": TARGET.name, "center_m": [0.0, 0.0, 80.0], "width_m": 12.0, "height_m": 10.0,
+                    "facing_azimuth_deg": 0.0}],
+    }), encoding="utf-8")  # fmt: skip
+    write_table_csv(folder / "heliostats.csv", {
+        "heliostat": [f"H{number:05d}" for number in range(heliostats)],
+        "e_m": positions[:, 0], "n_m": positions[:, 1], "u_m": positions[:, 2],
+    })  # fmt: skip
+    write_table_csv(folder / "observations.csv", rows)
+
+
+def resident_mib(group: int) -> float:
+    """Memory of all processes of a group [MiB]; pages that they share count in each."""
+    total = 0.0
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text(encoding="utf-8").rpartition(")")[2].split()
+            if int(fields[2]) == group:
+                total += int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        except (OSError, IndexError, ValueError):
+            continue
+    return total
+
+
+def calibrate(folder: Path, out: Path, jobs: int) -> tuple[float, float, float]:
+    """Run the command; return wall time [s], processor time [s] and the largest memory [MiB]."""
+    environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    before = os.times()
+    begin = time.perf_counter()
+    running = subprocess.Popen(
+        [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(folder), "-o", str(out), "--quick",
+         "--jobs", str(jobs), "--no-report", "-q"],
+        env=environment, start_new_session=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    most = 0.0
+    while running.poll() is None:
+        most = max(most, resident_mib(running.pid))
+        time.sleep(0.1)
+    wall = time.perf_counter() - begin
+    if running.returncode:
+        raise SystemExit(f"the command ended with {running.returncode}")
+    after = os.times()
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    return wall, cpu, most
+
+
+def main() -> None:
+    heliostats, observations = (int(one) for one in sys.argv[1:3]) if len(sys.argv) > 2 else (200, 100)
+    print(f"{heliostats} and {2 * heliostats} heliostats x {observations} observations, --quick")
+    print(f"{'':10}{'heliostats':>12}{'wall s':>10}{'CPU s':>10}{'MiB':>8}{'CPU ms each':>14}")
+    with tempfile.TemporaryDirectory() as place:
+        found = {}
+        for size in (heliostats, 2 * heliostats):
+            write_field(Path(place) / f"in{size}", size, observations)
+            for jobs in (1, 2):
+                out = Path(place) / f"out{size}_{jobs}"
+                wall, cpu, memory = calibrate(Path(place) / f"in{size}", out, jobs)
+                found[size, jobs] = wall, cpu
+                print(f"--jobs {jobs:<3}{size:>12}{wall:>10.1f}{cpu:>10.1f}{memory:>8.0f}{1e3 * cpu / size:>14.1f}")
+        for jobs in (1, 2):
+            (wall, cpu), (wall_2, cpu_2) = found[heliostats, jobs], found[2 * heliostats, jobs]
+            each, cpu_each = (wall_2 - wall) / heliostats, (cpu_2 - cpu) / heliostats
+            print(
+                f"--jobs {jobs}: {1e3 * each:.1f} ms wall and {1e3 * cpu_each:.1f} ms CPU for each more; {ASKED} take "
+                f"{(wall + each * (ASKED - heliostats)) / 60:.1f} min wall ({ASKED * cpu_each / 60 / jobs:.1f} min on "
+                f"{jobs} free cores), asked {MINUTES:.0f} on 2"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,325 @@
+"""One heliostat from its task to its result: design, observations, choice of the model, fit, splits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from calibration.heliostat.design import HeliostatDesign
+from calibration.heliostat.fit import fit
+from calibration.heliostat.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.model_choice import ModelChoice, choose_model, with_priors
+from calibration.heliostat.pipeline_design import nominal_design, told_free
+from calibration.heliostat.pipeline_observations import Observed, observed
+from calibration.heliostat.pipeline_rows import Rows, parse_rows
+from calibration.heliostat.pipeline_source import HeliostatTask, Plant
+from calibration.heliostat.prediction import predict_aim
+from calibration.heliostat.splits import SPLIT_NAMES, HeldOut, held_out, make_split
+from calibration.heliostat.store_paint import parse_calibrations, parse_properties
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.measurement_heliostat import HeliostatModel
+from heliogauge.sun import direction_from_angles
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+AUTO = "auto"
+#: More readings than this beyond the actuators' geometry are not slips of single rows.
+_FEW_BEYOND = 0.02
+#: A median farther from the best fit than this is no matter of which parameters are free [rad of the beam].
+_HOPELESS_RAD = 0.02
+#: Grid of suns for the map of predicted uncertainty [deg].
+SKY_AZIMUTHS_DEG = tuple(range(0, 360, 15))
+SKY_ELEVATIONS_DEG = tuple(range(10, 90, 10))
+#: The sun's largest declination, with its radius [deg].
+_LARGEST_DECLINATION_DEG = 23.7
+#: More refused rows than this make the rest doubtful too.
+_FEW_REFUSED = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """What all heliostats of a run share; sent to each worker once.
+
+    Parameters
+    ----------
+    plant : Plant
+        Targets and site.
+    model : HeliostatModel
+        What measurement.toml says.
+    split : str
+        The split that the residuals are told by.
+    free : str
+        Usual choice of free parameters, or "auto".
+    label : str
+        Method of the beams' centres in PAINT's records.
+    folder : Path
+        The measurement's folder; where work is done elsewhere, photos must be found there too.
+    thorough : bool
+        Try the model out on every split, and choose it again for each.
+    """
+
+    plant: Plant
+    model: HeliostatModel
+    split: str
+    free: str
+    label: str
+    folder: Path
+    thorough: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyMap:
+    """Predicted uncertainty of the beam on one target, over the sky.
+
+    Parameters
+    ----------
+    target : str
+        Whose centre is aimed at.
+    sigma_beam_rad : ndarray, shape (elevations, azimuths)
+        Expected error of the beam [rad]; NaN where the sun never stands or the drives cannot point.
+    extrapolated : ndarray of bool, shape (elevations, azimuths)
+        Whether the sun stands beyond those that were used.
+    """
+
+    target: str
+    sigma_beam_rad: FloatArray
+    extrapolated: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeliostatResult:
+    """A calibrated heliostat.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    nominal : HeliostatDesign
+        As it was known before.
+    seen : Observed
+        All rows with the verdict on each.
+    fit : HeliostatFit
+        To all usable observations.
+    free : str
+        Which parameters were free.
+    choice : ModelChoice or None
+        Why; None where the user said it.
+    split : str
+        The split that the residuals are told by.
+    held : mapping of str to HeldOut
+        What came of each split that could be made: fit to one part, prediction of the other.
+    not_split : mapping of str to str
+        Why the other splits could not be made.
+    sky : SkyMap or None
+        Predicted uncertainty over the sky; thorough runs only.
+    warnings : tuple of str
+        What makes the numbers doubtful.
+    notes : tuple of str
+        What is good to know besides.
+    properties : str
+        The properties file of PAINT it came from; empty with tables.
+    duration_s : float
+        Time it took [s].
+    """
+
+    name: str
+    nominal: HeliostatDesign
+    seen: Observed
+    fit: HeliostatFit
+    free: str
+    choice: ModelChoice | None
+    split: str
+    held: Mapping[str, HeldOut]
+    not_split: Mapping[str, str] = field(default_factory=dict)
+    sky: SkyMap | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    properties: str = ""
+    duration_s: float = 0.0
+
+    @property
+    def main(self) -> HeldOut | None:
+        """What came of the split that the residuals are told by; None where it could not be made."""
+        return self.held.get(self.split)
+
+
+def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
+    """Calibrate one heliostat.
+
+    Parameters
+    ----------
+    shared : Shared
+        What all heliostats share.
+    task : HeliostatTask
+        The heliostat.
+
+    Returns
+    -------
+    HeliostatResult
+        Fit, splits, and a verdict on every row.
+
+    Raises
+    ------
+    InputError
+        What is known of it or its observations cannot be meant.
+    EstimationError
+        No row can be used, or they do not determine the answer.
+    """
+    begin = perf_counter()
+    if task.fault:
+        raise InputError(f"{task.name}: {task.fault}")
+    nominal = nominal_design(task, shared.plant, shared.model.kinematics)
+    seen = observed(_rows(task, shared), nominal, shared.plant, shared.model)
+    if seen.observations is None:
+        raise EstimationError(f"{task.name}: {_all_refused(seen.rows)}")
+    options = FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
+    chosen, choice, free = _chosen(nominal, seen, shared, options)
+    result = fit(chosen, seen.observations, options)
+    held, not_split = _splits((nominal, chosen), choice, seen, shared, options)
+    main = held.get(shared.split)
+    sky = _sky(result, shared, None if main is None else main.prediction.inflation) if shared.thorough else None
+    doubts, notes = _said(task, seen, result, (held, not_split), shared)
+    return HeliostatResult(
+        name=task.name, nominal=nominal, seen=seen, fit=result, free=free, choice=choice, split=shared.split, held=held,
+        not_split=not_split, sky=sky, warnings=doubts, notes=notes, properties=task.properties,
+        duration_s=perf_counter() - begin,
+    )  # fmt: skip
+
+
+def _rows(task: HeliostatTask, shared: Shared) -> Rows:
+    if task.header:
+        rows = parse_rows(task.header, [(int(number), text) for number, text in task.records])
+        if not shared.model.images:
+            return rows
+        # OpenCV costs 0.1 s, which only photos are worth.
+        from calibration.heliostat.pipeline_beams import with_measured_beams
+
+        return with_measured_beams(rows, shared.folder, shared.plant, shared.model)
+    return parse_calibrations(task.records, task.times, label=shared.label, origin=shared.plant.origin)
+
+
+def _all_refused(rows: Rows) -> str:
+    if not len(rows):
+        return "no observations"
+    reasons = list(rows.reasons)
+    common = max(dict.fromkeys(reasons), key=reasons.count)
+    return f"none of {len(rows)} observations can be used; {rows.ids[reasons.index(common)]}: {common}"
+
+
+def _is_hopeless(found: HeliostatFit) -> bool:
+    """Whether something is wrong that no choice of parameters mends: trying them all would only take time."""
+    angles = found.residuals.beam_angle_rad[np.isfinite(found.residuals.beam_angle_rad)]
+    return bool(angles.size) and float(np.median(angles)) > _HOPELESS_RAD
+
+
+def _says_itself(shared: Shared) -> bool:
+    return shared.free == AUTO and told_free(shared.model.kinematics)
+
+
+def _sky(result: HeliostatFit, shared: Shared, inflation: float | None) -> SkyMap | None:
+    """Return the predicted uncertainty wherever the sun can stand."""
+    targets = shared.plant.targets
+    name = next((label for label in result.observations.label if label in targets), next(iter(targets), None))
+    if name is None:
+        return None
+    azimuth, elevation = np.meshgrid(np.deg2rad(SKY_AZIMUTHS_DEG), np.deg2rad(SKY_ELEVATIONS_DEG))
+    latitude = np.deg2rad(shared.plant.origin[0])
+    rise = np.sin(latitude) * np.sin(elevation) + np.cos(latitude) * np.cos(elevation) * np.cos(azimuth)
+    stands = np.abs(rise) <= np.sin(np.deg2rad(_LARGEST_DECLINATION_DEG))
+    sigma, beyond = np.full(azimuth.shape, np.nan), np.zeros(azimuth.shape, dtype=np.bool_)
+    if stands.any():
+        suns = direction_from_angles(azimuth[stands], elevation[stands])
+        predicted = predict_aim(result, suns, targets[name].center_m, inflation=inflation)
+        sigma[stands] = predicted.sigma_beam_rad
+        beyond[stands] = predicted.extrapolated & predicted.usable
+    return SkyMap(name, np.asarray(freeze(sigma)), np.asarray(freeze(beyond)))
+
+
+def _chosen(
+    nominal: HeliostatDesign, seen: Observed, shared: Shared, options: FitOptions
+) -> tuple[HeliostatDesign, ModelChoice | None, str]:
+    """Return the design with the parameters that shall be free, how that came about, and its name."""
+    if _says_itself(shared):
+        free = shared.model.kinematics.free
+        return nominal, None, free if isinstance(free, str) else "as the measurement says"
+    if shared.free != AUTO:
+        return nominal.with_free(shared.free), None, shared.free
+    known = with_priors(nominal), None, "all with priors"
+    if seen.observations is None or not shared.thorough:
+        return known
+    if _is_hopeless(fit(known[0], seen.observations, options)):
+        return known
+    choice = choose_model(nominal, seen.observations, options)
+    return choice.design, choice, choice.best
+
+
+def _splits(
+    designs: tuple[HeliostatDesign, HeliostatDesign],
+    choice: ModelChoice | None,
+    seen: Observed,
+    shared: Shared,
+    options: FitOptions,
+) -> tuple[dict[str, HeldOut], dict[str, str]]:
+    nominal, chosen = designs
+    held: dict[str, HeldOut] = {}
+    not_split: dict[str, str] = {}
+    if seen.observations is None:
+        return held, not_split
+    # The choice is part of what is tried out: it is made again from the training rows alone.
+    design, chooser = (chosen, None) if choice is None else (nominal, choose_model)
+    names = tuple(dict.fromkeys((shared.split, *(SPLIT_NAMES if shared.thorough else ()))))
+    for name in names:
+        column = None
+        if name == "column":
+            told = seen.rows.text("split", "train")
+            column = tuple(told[row] for row in seen.observations.row.tolist())
+        try:
+            split = make_split(seen.observations, name, seed=shared.model.evaluation.random_seed, column=column)
+            held[name] = held_out(design, seen.observations, split, options, chooser=chooser)
+        except (EstimationError, InputError) as error:
+            not_split[name] = str(error)
+    return held, not_split
+
+
+def _said(
+    task: HeliostatTask,
+    seen: Observed,
+    result: HeliostatFit,
+    splits: tuple[Mapping[str, HeldOut], Mapping[str, str]],
+    shared: Shared,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what makes the numbers doubtful, and what is only good to know."""
+    held, not_split = splits
+    doubts: list[str] = []
+    notes: list[str] = []
+    if task.properties:
+        doubts += list(parse_properties(task.properties, task.name).warnings)
+    beyond = ~result.residuals.computable
+    if np.count_nonzero(beyond) > _FEW_BEYOND * len(beyond):
+        doubts.append(
+            f"{np.count_nonzero(beyond)} of {len(beyond)} readings cannot be reached with the actuators as delivered: "
+            "their numbers (strokes, offsets, radii) are wrong for this heliostat"
+        )
+    rows = seen.rows
+    refused = [flag for flag in rows.flags if flag]
+    for flag in dict.fromkeys(refused):
+        first, count = rows.flags.index(flag), refused.count(flag)
+        text = f"{count} of {len(rows)} rows left out ({flag}), the first: {rows.ids[first]}: {rows.reasons[first]}"
+        (doubts if count > _FEW_REFUSED * len(rows) else notes).append(text)
+    if not seen.has_sigmas:
+        notes.append(
+            f"the observations come without sigmas: {shared.model.evaluation.spot_sigma_mm:g} mm is taken for beams, "
+            "and its scale estimated from the residuals"
+        )
+    for text in result.warnings:
+        # Where no sigma was told, that its scale is estimated is no doubt but the method.
+        is_method = not seen.has_sigmas and text.startswith("sigma of ")
+        (notes if is_method else doubts).append(text)
+    main = held.get(shared.split)
+    if main is not None:
+        # Extrapolation is told before any number; the rest are warnings of the fit to the train rows.
+        doubts = [text for text in main.warnings if text.startswith("split ")] + doubts
+    elif shared.split in not_split:
+        notes.append(f"nothing was held out: {not_split[shared.split]}")
+    return tuple(dict.fromkeys(doubts)), tuple(dict.fromkeys(notes))
