@@ -47,6 +47,10 @@ class Edges:
     rise_dn: FloatArray
     contrast: FloatArray
 
+    def chosen(self, which: IntArray) -> "Edges":
+        """Return some of them."""
+        return Edges(*(getattr(self, name)[which] for name in self.__slots__))
+
 
 def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
     """Find all edges across a strip.

@@ -126,4 +126,4 @@ def _spread(lattice: Float32Array, n_rows: int, n_columns: int) -> Float32Array:
     """Interpolate a lattice linearly to every line of the strip, as a picture that is enlarged."""
     height, width = lattice.shape[:2]
     whole = cv2.resize(lattice, (_LATTICE * width, _LATTICE * height), interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(whole[_LATTICE : _LATTICE + n_rows, _LATTICE : _LATTICE + n_columns], dtype=np.float32)
+    return np.asarray(whole[_LATTICE : _LATTICE + n_rows, _LATTICE : _LATTICE + n_columns], dtype=np.float32)

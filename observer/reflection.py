@@ -141,7 +141,7 @@ def reflection_edges(
         return _nothing()
     found = find_edges(strip)
     eye = view[1].inverse().translation_m
-    return _plausible(found, photo, eye, expected, (pixel_m, _unevenness(strip, found, pixel_m)))
+    return _plausible(found, photo, eye, expected, (pixel_m, strip))
 
 
 def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation) -> FloatArray:
@@ -167,8 +167,7 @@ def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected
     if strip is None:
         return np.zeros((0, place.size))
     found = find_edges(strip)
-    unevenness = _unevenness(strip, found, pixel_m)
-    edges = _plausible(found, 0, view[1].inverse().translation_m, expected, (pixel_m, unevenness))
+    edges = _plausible(found, 0, view[1].inverse().translation_m, expected, (pixel_m, strip))
     edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN))
     step = float(strip.x_m[1] - strip.x_m[0])
     at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
@@ -255,11 +254,11 @@ def _per_radius(points_m: FloatArray, absorber: AbsorberPath) -> FloatArray:
 
 
 def _plausible(
-    found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, beside: tuple[float, FloatArray]
+    found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, seen: tuple[float, Strip]
 ) -> ReflectionEdges:
     """Keep edges that can be the tube's, and say which of its two edges each is."""
     collector, absorber = expected.collector, expected.absorber
-    pixel_m, unevenness = beside
+    pixel_m, strip = seen
     spoilt_m = _SPOILT_PX * pixel_m
     points = np.stack([found.x_m, expected.y_m[found.row], found.x_m**2 / (4 * collector.focal_length_m)], axis=1)
     eyes = np.tile(eye_m, (len(points), 1))
@@ -267,17 +266,18 @@ def _plausible(
     middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(len(points))), slope, absorber, radius)
     side = np.where(np.abs(middle + half) < np.abs(middle - half), 1.0, -1.0)
     angle = middle + side * half
-    keep = np.abs(angle) < 2 * expected.slope_error_rad
-    keep &= is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
+    near = np.flatnonzero(np.abs(angle) < 2 * expected.slope_error_rad)
+    found, points, side = found.chosen(near), points[near], side[near]
+    keep = is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
     keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
     keep &= _is_tube_dark(found, side, keep)
-    keep &= sees_tube(passing, collector, spoilt_m + _END_MARGIN_M)
+    keep &= sees_tube(passing[near], collector, spoilt_m + _END_MARGIN_M)
     far_m = spoilt_m + _EVEN_PX[1] * pixel_m
     judged = is_on_panels(collector, points[:, 0], points[:, 1], far_m)
     judged &= ~_hidden(points, eye_m, collector, absorber, far_m)
     edges = ReflectionEdges(
         np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast,
-        np.where(judged, unevenness, 0.0),
+        np.where(judged, _unevenness(strip, found, pixel_m), 0.0),
     )  # fmt: skip
     return edges.chosen(keep)
 
@@ -336,8 +336,8 @@ def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_
     margin = margin_m + collector.panel_gap_m / 2
     inside = np.ones(x_m.shape, dtype=bool)
     for edges, place in ((collector.panel_edges_x_m, x_m), (collector.panel_edges_y_m, y_m)):
-        inside &= np.abs(place[:, None] - edges).min(axis=1) > margin
-        inside &= (place > edges[0]) & (place < edges[-1])
+        panel = np.clip(np.searchsorted(edges, place), 1, edges.size - 1)
+        inside &= (place - edges[panel - 1] > margin) & (edges[panel] - place > margin)
     return np.asarray(inside)
 
 
