@@ -30,7 +30,7 @@ _CORE_REACH = 5.4
 _SECOND = 0.3
 _ROUNDS = 8
 #: Share of the pixels that may still change between beam and background when the search ends.
-_SETTLED = 0.002
+_SETTLED = 0.006
 #: Edges of shadows and panels that are looked for.
 _EDGES = 2
 #: Rounds in which they are looked for: as the beam becomes known, so do the edges that run under it.
