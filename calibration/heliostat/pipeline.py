@@ -10,6 +10,7 @@ from typing import get_args
 from calibration.heliostat.pipeline_folder import check_names
 from calibration.heliostat.pipeline_one import AUTO, HeliostatResult, Shared, calibrate_one
 from calibration.heliostat.pipeline_source import Source, open_source
+from calibration.heliostat.splits import SPLIT_NAMES
 from calibration.heliostat.store_heliostat import (
     FIELD_KIND,
     failed_row,
@@ -300,8 +301,12 @@ def field_summary(
         "doubtful_count": sum(row["status"] == "doubtful" for row in rows),
     }
     missing = {}
-    for key in ("beam_test_rms_mrad", "beam_train_rms_mrad", "normal_test_rms_mrad", "predicted_sigma_beam_mrad"):
+    asked = ["beam_test_rms_mrad", "beam_train_rms_mrad", "normal_test_rms_mrad", "predicted_sigma_beam_mrad"]
+    asked += [f"beam_{split.replace('-', '_')}_test_rms_mrad" for split in SPLIT_NAMES if shared.thorough]
+    for key in asked:
         known = [float(str(row[key])) for row in good if row.get(key) is not None]
+        if not known and key not in asked[:4]:
+            continue
         numbers[f"median_{key}"] = float(np.median(known)) if known else None
         if not known:
             missing[f"median_{key}"] = "no heliostat has it"

@@ -17,6 +17,7 @@ from calibration.heliostat.store_heliostat import (
     failed_row,
     field_row,
     heliostat_summary,
+    split_lines,
     worst_first,
     write_field,
     write_heliostat,
@@ -40,11 +41,14 @@ class FieldResult:
         Counts and the middle of the field.
     resumed : int
         Heliostats that were finished before.
+    splits : tuple of str
+        For a single heliostat: what came of each split.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
     summary: Summary | None = None
     resumed: int = 0
+    splits: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,7 +117,7 @@ def run_into(
                 _report(working, KIND, progress)
         (one,) = result.heliostats
         summary = heliostat_summary(one, durations_s=result.durations_s, input_sha256=result.input_sha256)
-        return FieldResult([field_row(one)], summary)
+        return FieldResult([field_row(one)], summary, splits=split_lines(one))
     with FieldFolder(out, force=force) as folder:
         try:
             filled = _fill(folder, chosen, measurement, options, progress)
@@ -232,6 +236,7 @@ def headline_text(result: FieldResult) -> str:
             f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
             f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
         )
+    lines += result.splits if len(result.splits) > 1 else ()
     if len(result.rows) > len(shown):
         lines.append(f"... and {len(result.rows) - len(shown)} more, better ones: field.csv")
     return "\n".join(lines)

@@ -1,7 +1,7 @@
 """One heliostat from its task to its result: design, observations, choice of the model, fit, splits."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -176,7 +176,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     options = FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
     chosen, choice, free = _chosen(nominal, seen, shared, options)
     result = fit(chosen, seen.observations, options)
-    held, not_split = _splits((nominal, chosen), choice, seen, shared, options)
+    held, not_split = _splits((nominal, chosen), choice, seen, shared, options, hopeless=_is_hopeless(result))
     main = held.get(shared.split)
     sky = _sky(result, shared, None if main is None else main.prediction.inflation) if shared.thorough else None
     doubts, notes = _said(task, seen, result, (held, not_split), shared)
@@ -260,6 +260,8 @@ def _splits(
     seen: Observed,
     shared: Shared,
     options: FitOptions,
+    *,
+    hopeless: bool,
 ) -> tuple[dict[str, HeldOut], dict[str, str]]:
     nominal, chosen = designs
     held: dict[str, HeldOut] = {}
@@ -268,7 +270,9 @@ def _splits(
         return held, not_split
     # The choice is part of what is tried out: it is made again from the training rows alone.
     design, chooser = (chosen, None) if choice is None else (nominal, choose_model)
-    names = tuple(dict.fromkeys((shared.split, *(SPLIT_NAMES if shared.thorough else ()))))
+    others = SPLIT_NAMES if shared.thorough and not hopeless else ()
+    options = replace(options, restarts=0) if hopeless else options
+    names = tuple(dict.fromkeys((shared.split, *others)))
     for name in names:
         column = None
         if name == "column":

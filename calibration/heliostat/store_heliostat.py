@@ -214,14 +214,15 @@ def angles_content(summary: AngleSummary) -> dict[str, Any]:
 
 def _split_content(held: HeldOut) -> dict[str, Any]:
     prediction = held.prediction
+    # What must be known before the numbers are read stands before them.
     return {
+        "warnings": list(held.warnings),
+        "note": held.split.note,
+        "extrapolated_count": int(np.count_nonzero(prediction.extrapolated)),
+        "predicted_sigma_median_mrad": _plain(1e3 * _median(prediction.sigma_beam_rad)),
+        "model": list(held.fit.solution.names),
         "train": angles_content(held.train),
         "test": angles_content(held.test),
-        "model": list(held.fit.solution.names),
-        "predicted_sigma_median_mrad": _plain(1e3 * _median(prediction.sigma_beam_rad)),
-        "extrapolated_count": int(np.count_nonzero(prediction.extrapolated)),
-        "note": held.split.note,
-        "warnings": list(held.warnings),
     }
 
 
@@ -256,6 +257,11 @@ def headline(result: HeliostatResult) -> dict[str, float | int | None]:
     """
     main, counts = result.main, _counts(result)
     whole = _angles_of(result.fit)
+    others = {
+        f"beam_{name.replace('-', '_')}_test_rms_mrad": _plain(1e3 * held.test.beam_rms_rad)
+        for name, held in result.held.items()
+        if name != result.split
+    }
     test = {} if main is None else angles_content(main.test)
     train = {} if main is None else angles_content(main.train)
     return {
@@ -268,6 +274,7 @@ def headline(result: HeliostatResult) -> dict[str, float | int | None]:
         "normal_all_rows_rms_mrad": whole["normal_rms_mrad"],
         "predicted_sigma_beam_mrad": None if main is None else _split_content(main)["predicted_sigma_median_mrad"],
         "extrapolated_count": 0 if main is None else int(np.count_nonzero(main.prediction.extrapolated)),
+        **others,
         "observations_count": counts["n"],
         "used_count": counts["used"],
         "outlier_count": counts["left_out"].get("outlier", 0),
@@ -307,6 +314,27 @@ def heliostat_summary(
         durations_s=dict(durations_s), input_sha256=dict(input_sha256),
         not_determined={key: why for key, value in numbers.items() if value is None},
     )  # fmt: skip
+
+
+def split_lines(result: HeliostatResult) -> tuple[str, ...]:
+    """Say what came of each split in a line, what to expect before what was found.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+
+    Returns
+    -------
+    tuple of str
+        Lines for the terminal.
+    """
+    lines = []
+    for name, held in result.held.items():
+        asked = next((text for text in held.warnings if text.startswith("split ")), f"split {name}: {held.split.note}")
+        train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
+        lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
+    return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
 
 
 def field_row(result: HeliostatResult) -> dict[str, Any]:
