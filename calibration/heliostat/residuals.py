@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +102,7 @@ class ObservationModel:
     approach: FloatArray | None = field(init=False)
     owners: IndexArray = field(init=False)
     prepared: tuple[Prepared, ...] = field(init=False)
+    _last: dict[bytes, "_Evaluated"] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         seen = self.observations
@@ -121,9 +123,15 @@ class ObservationModel:
         beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*told, strict=True))
         return Residuals(whitened, jacobian, self.owners, beam, normal, sigma, distance, computable)
 
-    def _evaluated(
-        self, values: FloatArray
-    ) -> tuple[FloatArray, FloatArray, BoolArray, list[tuple[Equations, FloatArray]]]:
+    def _evaluated(self, values: FloatArray) -> "_Evaluated":
+        """Evaluate, or give the last answer again: a fit asks two or three times at the same numbers."""
+        key = values.tobytes()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self._evaluated_anew(values)
+        return self._last[key]
+
+    def _evaluated_anew(self, values: FloatArray) -> "_Evaluated":
         moved = pose_derivatives(self.design, values, self.readings, self.approach, columns=self.columns, outside="nan")
         poses = moved.poses
         sums = poses.rotation.sum(axis=(1, 2)) + poses.centre_m.sum(axis=1)
@@ -149,7 +157,10 @@ class ObservationModel:
         if not computable.all():
             lost = ~computable[self.owners]
             residuals[lost], derivatives[lost] = 0.0, 0.0
-        return residuals, derivatives, computable, parts
+        return freeze(residuals), freeze(derivatives), computable, parts
+
+
+_Evaluated: TypeAlias = tuple[FloatArray, FloatArray, BoolArray, list[tuple[Equations, FloatArray]]]
 
 
 def _in_radians(
