@@ -22,7 +22,7 @@ from heliogauge.rigid import RigidTransform
 from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
-from observer.pipeline_tone import some_of, tone_of
+from observer.pipeline_tone import sizes_of, some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
 from observer.tone import Tone, linear_light
 from photogrammetry.network import StartValues
@@ -321,14 +321,18 @@ def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
     """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does."""
     if finder.tone is not None or not finder.camera_of:
         return finder.tone
-    views = []
+    views, sizes = [], []
     for number in some_of(len(files)):
         run = _Run(finder, empty_slices(finder.expected.collector, finder.expected.y_m, len(files)))
         run.take(number, files[number])
         name = files[number].name
         if name in run.poses:
-            views.append((files[number], (finder.camera_of[name], run.poses[name])))
-    return tone_of(views, finder.expected) if views else None
+            view = (finder.camera_of[name], run.poses[name])
+            views.append((files[number], view))
+            image, stated = read_luma(files[number]), finder.section.diameter_mm
+            size_m = None if stated is None else 1e-3 * stated
+            sizes.append(sizes_of(image, run.targets[name], view, finder.known, finder.search, size_m))
+    return tone_of(views, finder.expected, sizes) if views else None
 
 
 def look_again(

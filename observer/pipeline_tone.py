@@ -5,11 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from heliogauge.images import read_luma
+from heliogauge.images import Image, read_luma
 from heliogauge.validate import FloatArray
 from observer.carried import View
 from observer.reflection import Expectation, edge_profiles
 from observer.tone import Tone, find_tone, linear_light
+from photogrammetry.ellipse import Ellipse
+from photogrammetry.photo_targets import TargetSearch, measure_at
+from photogrammetry.pipeline_photos import OnePhoto
+from photogrammetry.target_following import KnownTargets
 
 #: Photos that tell how all are encoded, in the inner part of a pass, where the reflection is on the mirror.
 _PHOTOS = 3
@@ -32,7 +36,57 @@ def some_of(count: int) -> list[int]:
     return sorted({round(share * (count - 1)) for share in np.linspace(*_INNER, _PHOTOS)})
 
 
-def tone_of(photos: Sequence[tuple[Path, View]], expected: Expectation) -> Tone:
+def sizes_of(
+    image: Image, found: OnePhoto, view: View, known: KnownTargets, search: TargetSearch, diameter_m: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return how large targets look over what their stated diameter lets expect, as stored and taken for sRGB.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo as stored [DN].
+    found : OnePhoto
+        Its targets.
+    view : (Camera, RigidTransform)
+        Its camera and pose.
+    known : KnownTargets
+        Listed coordinates.
+    search : TargetSearch
+        How targets are measured.
+    diameter_m : float or None
+        Their stated diameter [m].
+
+    Returns
+    -------
+    ndarray, ndarray
+        Ratios of listed targets; empty where no diameter is stated.
+    """
+    camera, pose = view
+    place = dict(zip(known.names, known.points_m, strict=True))
+    table = found.detections
+    rows = [k for k, name in enumerate(table.names) if name in place and np.isfinite(found.ellipses_px2[k]).all()]
+    if diameter_m is None or not rows:
+        return np.zeros(0), np.zeros(0)
+    starts = {table.names[k]: Ellipse(table.pixels_px[k], found.ellipses_px2[k]) for k in rows}
+    decoded = measure_at([linear_light(image, Tone.SRGB)], [table.photo], [starts], search)[0][0]
+    # Targets on the rims look along the optical axis; three points of each tell how large the lens shows it.
+    middle = np.array([place[name] for name in starts])
+    aside = [middle + 0.5 * diameter_m * np.eye(3)[axis] for axis in range(2)]
+    pixels = [camera.project(pose.apply(points)) for points in (middle, *aside)]
+    area = np.abs(np.linalg.det(np.stack([pixels[1] - pixels[0], pixels[2] - pixels[0]], axis=2)))
+    expected = dict(zip(starts, np.sqrt(area), strict=True))
+    ratios = [
+        np.array([size / expected[name] for name, size in zip(one.names, one.radius_px, strict=True)])
+        for one in (table.chosen(np.array(rows)), decoded)
+    ]
+    return ratios[0], ratios[1]
+
+
+def tone_of(
+    photos: Sequence[tuple[Path, View]],
+    expected: Expectation,
+    sizes: Sequence[tuple[FloatArray, FloatArray]] = (),
+) -> Tone:
     """Return how photos are encoded.
 
     Parameters
@@ -41,11 +95,14 @@ def tone_of(photos: Sequence[tuple[Path, View]], expected: Expectation) -> Tone:
         Some of them, with camera and pose.
     expected : Expectation
         Collector, absorber and rows.
+    sizes : sequence of (ndarray, ndarray), optional
+        Of their targets, from `sizes_of`.
 
     Returns
     -------
     Tone
-        The encoding under which edges of the reflection are even; linear where too few are seen.
+        The encoding under which targets are as large as stated and edges of the reflection are even; linear where too
+        few are seen.
 
     Raises
     ------
@@ -57,4 +114,7 @@ def tone_of(photos: Sequence[tuple[Path, View]], expected: Expectation) -> Tone:
         image = read_luma(file)
         for tone, found in zip((Tone.LINEAR, Tone.SRGB), profiles, strict=True):
             found.append(edge_profiles(linear_light(image, tone), view, expected))
-    return find_tone(*(np.concatenate(found) for found in profiles)).tone
+    ratios = None
+    if sizes:
+        ratios = (np.concatenate([one[0] for one in sizes]), np.concatenate([one[1] for one in sizes]))
+    return find_tone(np.concatenate(profiles[0]), np.concatenate(profiles[1]), ratios).tone

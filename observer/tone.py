@@ -22,9 +22,11 @@ _HALF_PX = 3
 _ROUNDS = 4
 #: Edges that are enough to tell.
 _ENOUGH = 100
-#: Photos that are lopsided by more than this towards the dark are no linear ones: those have -0.12 to 0.03, sRGB as
-#: it is stored 0.06 to 0.2, and linear photos taken for sRGB -0.2 to -0.4.
+#: Where no targets tell: photos that are lopsided by more than this towards the dark are no linear ones. Those have
+#: -0.12 to 0.03 (once 0.055, under clouds), sRGB as it is stored 0.05 to 0.2, linear ones taken for sRGB -0.4 to 0.02.
 _CLEARLY = 0.045
+#: Targets that tell, how well one encoding must fit their stated diameter, and by how much better than the other.
+_ENOUGH_TARGETS, _FITS, _BETTER = 6, 0.025, 0.015
 
 
 class Tone(StrEnum):
@@ -46,11 +48,14 @@ class ToneFound:
         What it leaves; 0 is even. NaN where too few edges tell.
     as_stored : float
         Lopsidedness of the numbers as they are.
+    by_targets : bool
+        Whether the size of the targets decided.
     """
 
     tone: Tone
     lopsided: float
     as_stored: float
+    by_targets: bool = False
 
 
 def full_scale(image: AnyImage) -> float:
@@ -104,8 +109,10 @@ def _decoded(share: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return np.asarray(np.where(share <= np.float32(0.04045), low, high), dtype=np.float32)
 
 
-def find_tone(as_stored: FloatArray, decoded: FloatArray) -> ToneFound:
-    """Tell from edges of the tube's reflection how photos are encoded.
+def find_tone(
+    as_stored: FloatArray, decoded: FloatArray, sizes: tuple[FloatArray, FloatArray] | None = None
+) -> ToneFound:
+    """Tell from targets, and from edges of the tube's reflection, how photos are encoded.
 
     Parameters
     ----------
@@ -113,16 +120,22 @@ def find_tone(as_stored: FloatArray, decoded: FloatArray) -> ToneFound:
         Brightness across edges from dark to bright, one pixel apart, in photos as they are stored [DN].
     decoded : ndarray, shape (m, 2 k + 1)
         The same in the photos taken for sRGB.
+    sizes : (ndarray, ndarray), shapes (i,) and (j,), optional
+        Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
 
     Returns
     -------
     ToneFound
-        The encoding that leaves edges most even.
+        The encoding under which targets are as large as stated; where that does not tell, the one that leaves edges
+        most even.
     """
-    if min(len(as_stored), len(decoded)) < _ENOUGH:
-        return ToneFound(Tone.LINEAR, float("nan"), float("nan"))
-    stored, as_srgb = _lopsidedness(as_stored), _lopsidedness(decoded)
-    if stored > max(_CLEARLY, abs(as_srgb)):
+    stored, as_srgb = (_lopsidedness(part) if len(part) >= _ENOUGH else float("nan") for part in (as_stored, decoded))
+    if sizes is not None and min(part.size for part in sizes) >= _ENOUGH_TARGETS:
+        misfit = [abs(float(np.median(part)) - 1) for part in sizes]
+        if min(misfit) < _FITS and abs(misfit[0] - misfit[1]) > _BETTER:
+            linear = misfit[0] < misfit[1]
+            return ToneFound(Tone.LINEAR if linear else Tone.SRGB, stored if linear else as_srgb, stored, True)
+    if stored > _CLEARLY and stored > abs(as_srgb):
         return ToneFound(Tone.SRGB, as_srgb, stored)
     return ToneFound(Tone.LINEAR, stored, stored)
 

@@ -53,3 +53,18 @@ def test_srgb_numbers_become_light_in_every_depth() -> None:
         assert found.dtype == np.float32
         np.testing.assert_allclose(found / full_scale(image), light, atol=5e-3 if image.dtype == np.uint8 else 2e-5)
         assert linear_light(image, Tone.LINEAR) is image
+
+
+def test_targets_of_known_size_decide_before_edges() -> None:
+    light = edges(np.random.default_rng(2))
+    stored = encoded(light)
+    rng = np.random.default_rng(3)
+    small, right, large = (rng.normal(mean, 0.005, 20) for mean in (0.93, 1.0, 1.08))
+    # Clouds beside the tube make linear edges lopsided too.
+    found = find_tone(stored, decoded(stored), (right, large))
+    assert found.tone is Tone.LINEAR
+    assert found.by_targets
+    assert find_tone(light, decoded(light), (small, right)).tone is Tone.SRGB
+    # A diameter that fits neither way was stated wrongly, few targets tell nothing.
+    assert find_tone(stored, decoded(stored), (small + 0.2, large + 0.2)).tone is Tone.SRGB
+    assert find_tone(stored, decoded(stored), (right[:3], large[:3])).tone is Tone.SRGB
