@@ -33,8 +33,9 @@ ERROR_SIZES: Mapping[str, Mapping[str, float]] = {
         "arm_normal": 5e-3, "arm_up": 0.02, "position_e": 0.02, "position_n": 0.02, "position_u": 0.02,
     },
     "linear-actuators": {
-        "tilt_1_n": 5e-3, "tilt_1_u": 5e-3, "tilt_2_e": 5e-3, "tilt_2_n": 5e-3, "initial_stroke_1": 1e-4,
-        "initial_stroke_2": 1e-4, "offset_1": 1e-4, "offset_2": 1e-4, "pivot_radius_1": 1e-4, "pivot_radius_2": 1e-4,
+        "tilt_1_n": 5e-3, "tilt_1_u": 5e-3, "tilt_2_e": 5e-3, "tilt_2_n": 5e-3, "initial_angle_1": 2e-3,
+        "initial_angle_2": 2e-3, "initial_stroke_1": 1e-4, "initial_stroke_2": 1e-4, "offset_1": 1e-4,
+        "offset_2": 1e-4, "pivot_radius_1": 1e-4, "pivot_radius_2": 1e-4,
         "position_e": 0.02, "position_n": 0.02, "position_u": 0.02,
     },
 }  # fmt: skip
@@ -388,7 +389,7 @@ def _position(place: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> dict[
 
 
 def _zero_angles(kind: str) -> dict[str, float]:
-    lengths = ("position", "initial", "offset_", "pivot", "arm")
+    lengths = ("position", "initial", "offset_", "pivot_", "arm")
     return {name: 0.0 for name in ERROR_SIZES[kind] if not name.startswith(lengths)}
 
 
