@@ -7,20 +7,20 @@ import numpy as np
 
 from calibration.heliostat.design import POSITION, HeliostatDesign
 from calibration.heliostat.fit import fit
+from calibration.heliostat.fit_model import FitModel, descend
 from calibration.heliostat.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.observations import Observations
+from calibration.heliostat.prediction import sky_blocks
 from calibration.heliostat.priors import PARTS, prior_sigma, with_bending, with_priors
-from calibration.heliostat.residuals import evaluate
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray
 
 __all__ = ["Candidate", "CandidateScore", "ModelChoice", "choose_model", "usual_candidates", "with_priors"]
 
-# Blocks of neighbouring sun positions that are left aside in turn: each a quarter of the way the sun was followed.
-_BLOCKS = 4
 # Another choice must beat the usual one by more than the blocks could by chance.
 _BETTER_BY = 0.1
-_FEWEST_PER_BLOCK = 2
+# Two rows in each block.
+_FEWEST = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,8 @@ def choose_model(
     tried = usual_candidates(bending) if candidates is None else tuple(candidates)
     if not tried:
         raise InputError("candidates: at least one choice of parameters is needed")
-    blocks = _blocks(observations)
+    everything = np.ones(len(observations), dtype=np.bool_)
+    blocks = sky_blocks(observations, everything) if len(observations) >= _FEWEST else ()
     scores, designs = [], []
     for candidate in tried:
         held = bending.parameters.with_only_free(()).with_sigmas(candidate.sigmas)
@@ -186,21 +187,6 @@ def choose_model(
     return ModelChoice(designs[best], scores[best].name, tuple(scores), _reason(scores, best, len(blocks)))
 
 
-def _blocks(observations: Observations) -> tuple[BoolArray, ...]:
-    """Cut rows into runs of neighbouring sun azimuth; none if there are too few rows."""
-    sun = observations.sun
-    azimuth = np.mod(np.arctan2(sun[:, 0], sun[:, 1]), 2 * np.pi)
-    order = np.argsort(np.where(np.isfinite(azimuth), azimuth, observations.readings[:, 0]), kind="stable")
-    if len(order) < _BLOCKS * _FEWEST_PER_BLOCK:
-        return ()
-    blocks = []
-    for part in np.array_split(order, _BLOCKS):
-        mask = np.zeros(len(order), dtype=np.bool_)
-        mask[part] = True
-        blocks.append(mask)
-    return tuple(blocks)
-
-
 def _score(
     name: str,
     design: HeliostatDesign,
@@ -209,11 +195,13 @@ def _score(
     options: FitOptions | None,
 ) -> CandidateScore:
     whole = fit(design, observations, options)
+    # Near the answer already: one descent for each block, at the sigmas and with the rows of the whole fit.
+    model = FitModel(whole.nominal, observations, options or FitOptions(), frozenset(whole.names))
     misses = []
     for block in blocks:
-        part = fit(design, observations.select(~block), options)
-        seen = evaluate(part.design, part.values, observations.select(block & whole.used))
-        misses.append(_angles(seen.beam_angle_rad, seen.normal_angle_rad))
+        part = descend(model, whole.solution.parameters, whole.sigma_factors, whole.used & ~block, 0.01)
+        seen = model.evaluate(part.values)
+        misses.append(_angles(seen.beam_angle_rad, seen.normal_angle_rad)[block & whole.used])
     own = _angles(whole.residuals.beam_angle_rad, whole.residuals.normal_angle_rad)[whole.used]
     blocked = _rms(np.concatenate(misses)) if misses else float("nan")
     return CandidateScore(name, whole.n_free, blocked, _rms(own), _aicc(whole))

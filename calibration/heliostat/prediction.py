@@ -8,14 +8,13 @@ import numpy.typing as npt
 
 from calibration.heliostat.aiming import aim
 from calibration.heliostat.design import HeliostatDesign
-from calibration.heliostat.fit import fit
+from calibration.heliostat.fit_model import FitModel, descend
 from calibration.heliostat.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.kinematics import mirror_poses
 from calibration.heliostat.observability import plausible_scales
 from calibration.heliostat.observations import BeamSpots, Observations, Pointings
 from calibration.heliostat.priors import PRIORS
 from calibration.heliostat.residuals import ObservationModel, evaluate
-from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -197,24 +196,32 @@ def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) ->
     """
     if not found.sigma_estimated or found.n_free == 0 or found.used.sum() < 4 * _BLOCKS:
         return 1.0
-    used = np.flatnonzero(found.used)
     seen = found.observations
-    key = np.mod(np.arctan2(seen.sun[:, 0], seen.sun[:, 1]), 2 * np.pi) if _by_sun(found) else seen.readings[:, 0]
+    # Near the answer already: one descent for each block, at the sigmas and with the rows of the whole fit.
+    model = FitModel(found.nominal, seen, options or FitOptions(), frozenset(found.names))
     excess, expected = 0.0, 0.0
-    for block in np.array_split(used[np.argsort(key[used], kind="stable")], _BLOCKS):
-        rest, aside = np.zeros(len(seen), dtype=np.bool_), np.zeros(len(seen), dtype=np.bool_)
-        rest[np.setdiff1d(used, block)] = True
-        aside[block] = True
-        try:
-            part = fit(found.nominal, seen.select(rest), options)
-        except EstimationError:
-            continue
-        rows = evaluate(part.design, part.values, seen.select(aside), columns=_columns(part))
-        spread = np.einsum("ij,jk,ik->i", rows.jacobian, part.solution.covariance, rows.jacobian)
-        noise = np.repeat([found.sigma_factors[kind] ** 2 for kind in seen.select(aside).kind], _counts(rows.owner))
-        excess += float(np.sum(rows.whitened**2 - noise))
+    for block in sky_blocks(seen, found.used):
+        part = descend(model, found.solution.parameters, found.sigma_factors, found.used & ~block, 0.01)
+        covariance = part.with_own_covariance().solution.covariance
+        whitened, jacobian, _ = model.seen.whitened(model.full(part.values))
+        rows = block[model.owners]
+        spread = np.einsum("ij,jk,ik->i", jacobian[rows], covariance, jacobian[rows])
+        excess += float(np.sum(whitened[rows] ** 2 - found.factor[model.owners[rows]] ** 2))
         expected += float(np.sum(spread))
     return float(np.clip(np.sqrt(max(excess, 0.0) / expected), 1.0, 10.0)) if expected > 0 else 1.0
+
+
+def sky_blocks(seen: Observations, among: BoolArray) -> tuple[BoolArray, ...]:
+    """Cut some rows, (n,), into four runs of neighbouring sun azimuth (of the first reading where there is no sun)."""
+    azimuth = np.mod(np.arctan2(seen.sun[:, 0], seen.sun[:, 1]), 2 * np.pi)
+    key = azimuth if np.isfinite(azimuth).all() else seen.readings[:, 0]
+    rows = np.flatnonzero(among)
+    blocks = []
+    for part in np.array_split(rows[np.argsort(key[rows], kind="stable")], _BLOCKS):
+        mask = np.zeros(len(seen), dtype=np.bool_)
+        mask[part] = True
+        blocks.append(mask)
+    return tuple(blocks)
 
 
 def tracking_error(
@@ -387,10 +394,6 @@ def _columns(found: HeliostatFit) -> npt.NDArray[np.intp]:
 
 def _by_sun(found: HeliostatFit) -> bool:
     return bool(np.isfinite(found.observations.sun).all())
-
-
-def _counts(owner: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
-    return np.unique(owner, return_counts=True)[1]
 
 
 def _two_components(jacobian: FloatArray, owner: npt.NDArray[np.intp], count: int) -> FloatArray:
