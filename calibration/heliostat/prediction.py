@@ -25,6 +25,9 @@ FAR_RAD = float(np.radians(10.0))
 #: Leverage from which a position rests on the model rather than on observations near it.
 HIGH_LEVERAGE = 1.0
 _BLOCKS = 4
+# A refuted model does not know how it goes on, and blocks among what was seen do not ask: beyond, errors of six real
+# heliostats were 1.4 times (median of the azimuth splits) what parameters within their priors explain.
+_BEYOND = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -451,14 +454,16 @@ def _prediction(
 ) -> Prediction:
     """Assemble; sigmas come per axis and leave as the root of both axes' variances."""
     covariance, inflation = spread
-    parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     sigma = (found.factor * found.residuals.sigma_beam_rad)[found.used]
     one = 2 * float(np.mean(sigma**2)) if sigma.size else float("nan")
-    leverage = parameters**2 / one
+    leverage = np.trace(covariance, axis1=1, axis2=2) / one
     distance = _nearest(positions, _used_positions(found))
-    total = covariance + (misfit**2)[:, None, None] * np.eye(2)
     reasons = tuple(_why(*pair) for pair in zip(distance, leverage, strict=True))
     extrapolated = np.array([bool(reason) for reason in reasons], dtype=np.bool_)
+    if found.sigma_estimated:
+        covariance = covariance * np.where(extrapolated, _BEYOND**2, 1.0)[:, None, None]
+    parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    total = covariance + (misfit**2)[:, None, None] * np.eye(2)
     root = np.sqrt(2.0)
     return Prediction(
         drives[0], drives[1], total, parameters, root * misfit, root * noise, leverage, distance, extrapolated, reasons,
