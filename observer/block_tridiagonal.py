@@ -28,20 +28,22 @@ class BlockFactor:
     gains: FloatArray
     log_determinant: FloatArray
 
-    def solve(self, right: FloatArray) -> FloatArray:
+    def solve(self, right: FloatArray, *, overwrite: bool = False) -> FloatArray:
         """Solve the systems.
 
         Parameters
         ----------
         right : ndarray, shape (b, r, k, n)
             Right sides, n of them.
+        overwrite : bool, optional
+            Whether the solutions may take their place.
 
         Returns
         -------
         ndarray, shape (b, r, k, n)
             Solutions.
         """
-        reduced = np.array(right)
+        reduced = right if overwrite else np.array(right)
         for i in range(1, len(reduced)):
             reduced[i] -= np.swapaxes(self.gains[i - 1], 1, 2) @ reduced[i - 1]
         for i in range(len(reduced)):

@@ -1,7 +1,8 @@
 """Slopes of all rows together with what they have in common: camera positions, absorber and its radius."""
 
+import weakref
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _PHOTOS_FOR_ROUGHNESS = 70
 #: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
 _MODES = 10
 _MODES_SHARE = 0.99
+_SINGLE: np.dtype[Any] = np.dtype(np.float32)
 #: Decimal exponents of the roughness [rad^2 / m^3] that are searched: from a mirror that bends by 0.1 mrad within a
 #: metre to a crumpled one.
 _EXPONENTS = (-8.0, 1.0)
@@ -269,15 +271,19 @@ class _Eliminated:
         n_blocks, n_rows, _, count = self.carried.shape
         if count == 0:
             return np.zeros((n_rows, 2 * n_blocks, 2)), np.zeros((0, n_rows, 2 * n_blocks))
-        flat = self.carried.reshape(-1, count) @ np.linalg.cholesky(self.covariance)
-        variance = from_blocks(np.einsum("kc,kc->k", flat, flat).reshape(n_blocks, n_rows, 4))
+        # In single precision, which is a millionth of a variance; the products are the most expensive of all.
+        root = np.asarray(np.linalg.cholesky(self.covariance), dtype=_SINGLE)
+        flat = self.carried.reshape(-1, count).astype(_SINGLE) @ root
+        variance = from_blocks(np.einsum("kc,kc->k", flat, flat).astype(np.float64).reshape(n_blocks, n_rows, 4))
         across = np.ascontiguousarray(flat.reshape(-1, 4, count)[:, 0::2]).reshape(-1, count)
-        products = across.T @ across
+        products = np.asarray(across.T @ across, dtype=np.float64)
         some = min(_MODES, count)
         values, vectors = eigh(products, subset_by_index=(count - some, count - 1), check_finite=False)
         enough = np.cumsum(values[::-1]) < _MODES_SHARE * np.trace(products)
         kept = min(some, int(np.count_nonzero(enough)) + 1)
-        strongest = (across @ vectors[:, ::-1][:, :kept]).reshape(n_blocks, n_rows, 2, kept)
+        strongest = (
+            (across @ vectors[:, ::-1][:, :kept].astype(_SINGLE)).astype(np.float64).reshape(n_blocks, n_rows, 2, kept)
+        )
         return variance, np.asarray(strongest.transpose(3, 1, 0, 2).reshape(kept, n_rows, 2 * n_blocks))
 
 
@@ -294,12 +300,12 @@ def _eliminate(
     if count == 0:
         nothing = np.zeros((grid.x_m.size // 2, grid.n_rows, 4, 0))
         return _Eliminated(value, covariance, nothing, evidence)
-    coupling = coupling_of(system, lines, grid, count)
-    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count))
-    normal, spread = _inverted(covariance)
-    gradient = normal @ value
-    derivatives = _sparse_derivatives(lines, count)
     weighted = lines.sigma_rad**-2
+    derivatives = derivatives_of(lines, count)
+    coupling = (slope_derivatives(system, lines, grid).T @ derivatives.multiply(weighted[:, None]).tocsr()).tocsr()
+    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count), overwrite=True)
+    precision, spread = _precision(covariance)
+    normal, gradient = precision.copy(), precision @ value
     gradient += derivatives.T @ (weighted * lines.misfit_rad)
     normal += (derivatives.T @ derivatives.multiply(weighted[:, None]).tocsr()).toarray()
     flat = (-1, count)
@@ -312,6 +318,21 @@ def _eliminate(
     return _Eliminated(step, posterior, carried, evidence)
 
 
+def _precision(covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a prior covariance and the logarithm of its determinant; the last one is remembered.
+
+    All rounds of a solution have the same prior, and inverting a thousand unknowns takes as long as half the rest.
+    """
+    known = _last_prior[0] if _last_prior else None
+    if known is None or known[0]() is not covariance:
+        known = (weakref.ref(covariance), _inverted(covariance))
+        _last_prior[:] = [known]
+    return known[1]
+
+
+_last_prior: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = []
+
+
 def _inverted(matrix: FloatArray) -> tuple[FloatArray, float]:
     """Return the inverse of a positive definite matrix and the logarithm of its determinant."""
     from scipy.linalg import lapack
@@ -319,14 +340,29 @@ def _inverted(matrix: FloatArray) -> tuple[FloatArray, float]:
     root, info = lapack.dpotrf(0.5 * (matrix + matrix.T), lower=1)
     if info != 0:
         raise np.linalg.LinAlgError("the common unknowns are not determined")
-    inverse, _ = lapack.dpotri(root, lower=1)
-    whole = np.tril(inverse)
-    whole += np.tril(inverse, -1).T
-    return np.asarray(whole), 2 * float(np.log(np.diagonal(root)).sum())
+    determinant = 2 * float(np.log(np.diagonal(root)).sum())
+    # Above the diagonal both are zero.
+    inverse, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
+    whole = inverse + inverse.T
+    whole.flat[:: len(whole) + 1] *= 0.5
+    return np.asarray(whole), determinant
 
 
-def _sparse_derivatives(lines: TouchingLines, count: int) -> "csr_array":
-    """Return the derivatives of all lines with respect to the common unknowns, shape (m, c)."""
+def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":
+    """Return the derivatives of all lines with respect to the common unknowns.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations.
+    count : int
+        Number of common unknowns.
+
+    Returns
+    -------
+    csr_array, shape (m, c)
+        Derivatives.
+    """
     from scipy.sparse import csr_array
 
     width = lines.common_index.shape[1]
@@ -335,8 +371,8 @@ def _sparse_derivatives(lines: TouchingLines, count: int) -> "csr_array":
     return csr_array(table, shape=(lines.row.size, count))
 
 
-def coupling_of(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: int) -> "csr_array":
-    """Return the coupling of slopes and common unknowns.
+def slope_derivatives(system: RowSystem, lines: TouchingLines, grid: RowGrid) -> "csr_array":
+    """Return the derivatives of all lines with respect to the slopes.
 
     Parameters
     ----------
@@ -346,24 +382,19 @@ def coupling_of(system: RowSystem, lines: TouchingLines, grid: RowGrid, count: i
         Observations.
     grid : RowGrid
         Nodes.
-    count : int
-        Number of common unknowns.
 
     Returns
     -------
-    csr_array, shape (b r 4, c)
-        Sums of weighted products of derivatives, rows in the order of the blocks.
+    csr_array, shape (m, b r 4)
+        Derivatives, columns in the order of the blocks.
     """
     from scipy.sparse import csr_array
 
     # Node before and node after, each with two slopes.
     node = system.before[:, None] + np.array([0, 0, 1, 1])
     place = ((node // 2) * grid.n_rows + lines.row[:, None]) * 4 + 2 * (node % 2) + np.array([0, 1, 0, 1])
-    values = (lines.sigma_rad[:, None] ** -2 * system.weights)[:, :, None] * lines.d_common[:, None, :]
-    places = np.broadcast_to(place[:, :, None], values.shape)
-    columns = np.broadcast_to(lines.common_index[:, None, :], values.shape)
-    shape = (2 * grid.x_m.size * grid.n_rows, count)
-    return csr_array((values.ravel(), (places.ravel(), columns.ravel())), shape=shape)
+    table = (system.weights.ravel(), place.ravel(), np.arange(lines.row.size + 1) * place.shape[1])
+    return csr_array(table, shape=(lines.row.size, 2 * grid.x_m.size * grid.n_rows))
 
 
 def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:

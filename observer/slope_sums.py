@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from heliogauge.validate import FloatArray
-from observer.joint_solution import coupling_of
+from observer.joint_solution import derivatives_of, slope_derivatives
 from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, to_blocks
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
@@ -39,7 +39,8 @@ def sum_covariance(
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
     """
     system = assemble(lines, grid, prior)
-    coupling = coupling_of(system, lines, grid, len(covariance_common))
+    by_slopes, by_common = slope_derivatives(system, lines, grid), derivatives_of(lines, len(covariance_common))
+    weight = lines.sigma_rad[:, None] ** -2
 
     def covariance(weights: FloatArray) -> FloatArray:
         count = len(weights)
@@ -51,7 +52,8 @@ def sum_covariance(
             # (b, r, 4, k) to (k, r, nx, 2)
             slopes = np.moveaxis(solved, 3, 0).swapaxes(1, 2).reshape(-1, grid.n_rows, grid.x_m.size, 2)
             own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
-            shared[some] = (coupling.T @ solved.reshape(coupling.shape[0], -1)).T
+            seen = by_slopes @ solved.reshape(by_slopes.shape[1], -1)
+            shared[some] = (by_common.T @ (weight * seen)).T
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
 
     return covariance

@@ -59,8 +59,9 @@ def test_joint_solution_is_that_of_dense_algebra() -> None:
     np.testing.assert_allclose(found.slopes.reshape(-1), solution[:-3], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(found.common, solution[-3:], rtol=1e-8)
     np.testing.assert_allclose(found.covariance_common, inverse[-3:, -3:], rtol=1e-8)
+    # The common share is computed in single precision.
     variance = found.random[..., [0, 1], [0, 1]] + found.shared
-    np.testing.assert_allclose(variance.reshape(-1), np.diag(inverse)[:-3], rtol=1e-8)
+    np.testing.assert_allclose(variance.reshape(-1), np.diag(inverse)[:-3], rtol=1e-6)
 
 
 def test_a_second_step_from_the_solution_stays() -> None:
