@@ -1,6 +1,6 @@
 """Figures that were published of heliostats calibrated by a drone (Gouws 2018) beside ours.
 
-Run ``python benchmarks/heliostat_published.py [closed zero_noise sweep improved hundred radii]``; all: some minutes.
+Run ``python benchmarks/heliostat_published.py [closed zero_noise sweep improved hundred radii changed]``; all: minutes.
 Fits are those of the product but for lines that say "published cost": those minimise squared misses on the target
 within the published bounds. Heliostats calibrated by their beams: ``heliostat_published_beams.py``.
 """
@@ -371,7 +371,27 @@ def radii(heliostats=20):
         last = means
 
 
-STUDIES = (closed, zero_noise, sweep, improved, hundred, radii)
+def changed(trials=6):
+    title("Spec 000, study (i), table 6.3: heliostat 1 with one number changed, and all; 32 m, mean of the year [mrad]")
+    degrees = {"azimuth_offset": 1.0, "elevation_offset": -0.5, "tilt_about_north": -1.0, "tilt_about_east": 1.5}
+    sizes = {name: np.radians(value) for name, value in degrees.items()} | {"arm_normal": 0.3, "arm_up": 0.3}
+    cases = {name: ({name: value}, TOWER) for name, value in sizes.items()}
+    near = np.array([-1.0, 7.0, 3.0])
+    cases |= {f"target {axis}": ({}, np.where(np.arange(3) == k, near, TOWER)) for k, axis in enumerate("enu")}
+    for name, (values, tower) in {**cases, "all": (sizes, near)}.items():
+        truth = number_one().with_value(values)
+        means = []
+        for count in (2, 10, 50, 240):
+            found = monte_carlo(
+                truth, known_before(truth), flights(truth, tower, (32, 32), count), trials, (9, count),
+                evaluate=tracker(truth, tower),
+            )  # fmt: skip
+            means.append(found.figures.mean())
+        text = " / ".join(f"{one:.3f}" for one in means)
+        line(f"(i) {name} changed, 2 / 10 / 50 / 240 points", "falls", text, bool(means[-1] < means[0]))
+
+
+STUDIES = (closed, zero_noise, sweep, improved, hundred, radii, changed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Measurement folders of heliostats with known truth: measurement.toml, tables, photos, truth.json, truth.npz."""
 
-from collections.abc import Iterator, Mapping
+import csv
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -117,16 +119,16 @@ def write_heliostat_dataset(
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
         photographer = None if scene.photos is None else _Photographer(working, scene, scene.photos, rngs[-1])
         campaign = scene.campaign
-        tables, arrays, records = [], [], []
-        with told.stage("measure heliostats", len(scene.units)) as stage:
+        arrays, records = [], []
+        # Rows go out as they come: ten thousand heliostats of a hundred beams would fill a gigabyte.
+        with _table(working / OBSERVATIONS_FILE) as add, told.stage("measure heliostats", len(scene.units)) as stage:
             for index, (unit, rng) in enumerate(zip(scene.units, rngs, strict=False)):
                 columns, truth, record = _measured(scene, unit, rng, campaign, photographer)
-                tables.append(columns)
+                add(columns)
                 arrays.append({**truth, "heliostat": np.full(len(truth["normal"]), index)})
                 records.append(record)
                 stage.advance()
         with told.stage("write tables"):
-            write_table_csv(working / OBSERVATIONS_FILE, _joined(tables))
             write_table_csv(working / HELIOSTATS_FILE, _heliostats(scene))
             if scene.photos is not None and scene.photos.is_distorted:
                 write_camera_json(working / CAMERA_FILE, _camera(scene.photos))
@@ -304,14 +306,22 @@ def _sun_columns(beams: Beams) -> Columns:
     }
 
 
-def _joined(tables: list[Columns]) -> Columns:
-    names = list(dict.fromkeys(name for table in tables for name in table))
-    joined: Columns = {name: [] for name in names}
-    for table in tables:
-        count = len(table["heliostat"])
-        for name in names:
-            joined[name] += table.get(name, [np.nan] * count)
-    return joined
+@contextmanager
+def _table(path: Path) -> Iterator[Callable[[Columns], None]]:
+    """Open a table to which columns of further rows are added; the first ones name all of them."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        header: list[str] = []
+
+        def add(columns: Columns) -> None:
+            if not header:
+                header.extend(columns)
+                writer.writerow(header)
+            cells = zip(*(columns[name] for name in header), strict=True)
+            # NaN is the one float that differs from itself.
+            writer.writerows(["" if cell != cell else cell for cell in row] for row in cells)
+
+        yield add
 
 
 def _heliostats(scene: HeliostatScene) -> Columns:
