@@ -39,10 +39,15 @@ class TroughSection(Section):
 
 
 class PassSection(Section):
-    """Photos of one or several passes, or a video; a text with ``*`` stands for all files that match."""
+    """Photos of one or several passes, or a video; a text with ``*`` stands for all files that match.
+
+    ``encoding`` says whether their numbers are proportional to light (linear) or drawn apart for the eye (srgb); by
+    default the edges of the reflection tell.
+    """
 
     photos: ImageFiles | None = None
     video: Text | None = None
+    encoding: Literal["auto", "linear", "srgb"] = "auto"
     every_nth: Annotated[int, Field(strict=True, ge=1)] = 1
 
     @model_validator(mode="after")
@@ -107,15 +112,16 @@ class OpticsSection(Section):
 class ObserverEvaluationSection(Section):
     """How the map is made.
 
-    ``shape_from_slopes`` integrates the slopes to the mirror's shape and looks again at the lines of sight with it; to
-    be switched off for images of mirrors whose normals are turned on the design's surface.
+    ``shape_from_slopes`` integrates the slopes to the mirror's shape and looks again at the lines of sight with it, as
+    is right for real mirrors; false is for images of mirrors whose normals are turned on the design's surface. Without
+    it the reflection itself tells.
     """
 
     row_step_mm: Positive = 20.0
     column_step_mm: Positive = 20.0
     largest_slope_error_mrad: Positive = 12.0
     longitudinal_slope_mrad: Positive = 2.0
-    shape_from_slopes: bool = True
+    shape_from_slopes: bool | None = None
 
 
 class ObserverModel(Section):

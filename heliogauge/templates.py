@@ -424,7 +424,8 @@ file = "targets.csv"
 #: column_step_mm = 20.0
 #: largest_slope_error_mrad = 12.0
 #: longitudinal_slope_mrad = 2.0   # standard deviation of slopes along the trough, where one pass cannot measure them
-#: shape_from_slopes = true        # lines of sight meet the mirror as measured; false for normals turned on the design
+#: shape_from_slopes = true        # lines of sight meet the mirror as measured; false for normals turned on the design;
+#:                                 # without it the reflection itself tells
 """
 
 _TEMPLATES: dict[str, str] = {

@@ -38,7 +38,12 @@ class CameraModes:
 
 
 def pose_derivatives(
-    sights: Sights, found: Misfit, poses: Sequence[RigidTransform], photo: IntArray, focal_length_m: float
+    sights: Sights,
+    found: Misfit,
+    poses: Sequence[RigidTransform],
+    photo: IntArray,
+    focal_length_m: float,
+    bend_per_m: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Differentiate the misfit of lines of sight with respect to their photo's pose, the pixel held.
 
@@ -54,6 +59,8 @@ def pose_derivatives(
         Photo of each line.
     focal_length_m : float
         Focal length of the mirror, whose curvature turns the normal where the line moves along it [m].
+    bend_per_m : float or ndarray, shape (m,), optional
+        Curvature across that the mirror has beside that: change of the slope's error [1/m].
 
     Returns
     -------
@@ -63,7 +70,7 @@ def pose_derivatives(
     rotations = np.array([pose.rotation for pose in poses])[photo]
     shifts = np.array([pose.translation_m for pose in poses])[photo]
     points, sight = sights.points_m, sights.eyes_m - sights.points_m
-    gradient = gradient_on_mirror(sights, found, focal_length_m)
+    gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
     # A ray that moves by r moves the point where it meets the mirror by r - s (n.r) / (n.s), s the line of sight.
     across = (np.einsum("mi,mi->m", gradient, sight)) / (
         sight[:, 2] - points[:, 0] / (2 * focal_length_m) * sight[:, 0]

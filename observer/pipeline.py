@@ -18,9 +18,17 @@ from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
 from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.edge_fates import FATE_TEXTS, EdgeFate
 from observer.longitudinal import incidence_warning
 from observer.pipeline_checks import design_doubts
-from observer.pipeline_headline import absorber_numbers, edge_numbers, panel_columns, slope_numbers
+from observer.pipeline_headline import (
+    absorber_numbers,
+    edge_numbers,
+    panel_columns,
+    slope_numbers,
+    surface_numbers,
+    surface_text,
+)
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
 from observer.pipeline_intercept import (
     InterceptResult,
@@ -32,7 +40,8 @@ from observer.pipeline_intercept import (
 from observer.pipeline_photos import SeenInPhotos, build_finder, look_again, look_first
 from observer.pipeline_slices import Overlay, overlay
 from observer.reflection import Expectation
-from observer.reflector import FATE_TEXTS, EdgeFate, Photos, Reflector, solve_reflector
+from observer.reflector import Photos, Reflector, solve_reflector
+from observer.shape_share import shape_doubt
 from observer.slope_field import Roughness
 from observer.slope_product import AngleMaps, angle_maps, known_theta_r, slope_map_of
 from observer.store_report import (
@@ -44,6 +53,7 @@ from observer.store_report import (
     write_overlay,
     write_slices,
 )
+from observer.tone import Tone
 from observer.visibility import Visibility, coverage_warning, shares, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.pipeline_photos import gathered
@@ -163,6 +173,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     expected = Expectation(collector, start, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
     survey = as_photogrammetry(measurement)
     finder = build_finder(survey, known_targets(survey), expected)
+    if model.images.encoding != "auto":
+        finder = replace(finder, tone=Tone(model.images.encoding))
     first = look_first(survey.photo_files, finder, jobs=options.jobs, progress=progress)
     network = photogrammetry_pipeline.run(
         survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
@@ -200,7 +212,9 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             *design_doubts((files, views), reflector, slope_map, absorber, collector),
         )
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
-    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting)
+    usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
+    shape = shape_doubt(reflector.shape, model.evaluation.shape_from_slopes, usual_sigma)
+    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting, shape)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
@@ -319,6 +333,7 @@ def summarise(result: Result) -> Summary:
         **shape_numbers(result.absorber, result.absorber_solution, result.collector, result.orientation_rad),
         "orientation_rad": result.orientation_rad,
         **edge_numbers(result.reflector),
+        **surface_numbers(result.reflector),
         **collected,
         "photos_count": len(bundle.problem.observations.photos),
         "image_residual_rms_px": float(np.sqrt((bundle.residuals_px**2).sum(axis=1).mean())),
@@ -327,6 +342,8 @@ def summarise(result: Result) -> Summary:
         "design": result.slope_map.design,
         "removed": result.slope_map.removed,
         "frame": result.slope_map.frame,
+        "surface": surface_text(result.reflector),
+        "encoding": f"photos are {result.seen.tone.value}",
         "light": result.intercept.light,
         "intercept": result.intercept.assumption,
         "datum": bundle.datum,

@@ -14,9 +14,10 @@ from heliogauge.validate import FloatArray
 from observer.absorber import AbsorberSolution
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
+from observer.edge_fates import EdgeFate
 from observer.panel_alignment import panel_tilts
 from observer.panel_shapes import panel_shapes
-from observer.reflector import EdgeFate, Reflector
+from observer.reflector import Reflector
 from observer.slope_product import AngleMaps
 from observer.visibility import Visibility, shares
 
@@ -122,6 +123,46 @@ def edge_numbers(reflector: Reflector) -> Numbers:
         "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
         "edge_noise_factor": reflector.noise_factor,
     }
+
+
+def surface_numbers(reflector: Reflector) -> Numbers:
+    """Return what the reflection says of the mirror's heights and of its slopes along the trough.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    dict
+        Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large slopes along
+        the trough were taken to be.
+    """
+    shape = reflector.shape
+    known = np.isfinite(shape.sigma)
+    return {
+        "height_factor_ratio": shape.share if known else None,
+        "sigma_height_factor_ratio": shape.sigma if known else None,
+        "height_effect_rms_rad": shape.effect_rad,
+        "slope_along_assumed_rad": reflector.roughness.along_rad,
+    }
+
+
+def surface_text(reflector: Reflector) -> str:
+    """Say which surface the lines of sight met.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    str
+        A few words for summary.json.
+    """
+    return "heights from the slopes found" if reflector.height_m.any() else "the design's, with normals as found"
 
 
 def panel_columns(slope_map: SlopeMap, angles: AngleMaps, collector: Collector) -> dict[str, Any]:

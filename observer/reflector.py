@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 import numpy as np
 
@@ -13,10 +12,12 @@ from observer.absorber_path import AbsorberPath
 from observer.along_variance import find_along
 from observer.camera_modes import pose_derivatives, reduce_to_modes
 from observer.design import Collector
+from observer.edge_fates import EdgeFate, first_fate, has_shadows, is_alone
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.mirror_shape import at_points, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.shadows import borne_out, pulled_curves
+from observer.shape_share import ShapeShare, find_shape_share
 from observer.sight import Sights, change_across, misfit
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slope_sums import sum_covariance
@@ -27,20 +28,6 @@ from observer.tube_unknowns import CommonUnknowns, common_unknowns
 _ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
 #: Times the standard deviation beyond which an edge is not the tube's.
 _REJECT_TIMES = 4.0
-#: An edge of the tube has at least this share of the usual contrast.
-_LEAST_CONTRAST = 0.5
-#: The tube's edge goes on from row to row; a curve of fewer edges is a cloud's, a glint or a seam.
-_LEAST_CURVE = 6
-#: Rows further apart do not show how an edge goes on [m].
-_CONTINUED_STEP_M = 0.05
-#: From one row to the next an edge moves by at most so many distances of the rows.
-_STEEPEST_CURVE = 4.0
-#: With more than this share of edges that step the wrong way there are shadows in the reflection: 0.2 % under a clear
-#: or cloudy sky, 4 % with the collector's own shadow on the ground.
-_SHADOWS_SHARE = 0.01
-#: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
-#: usually does: where a shadow or a thing on the ground ends beside it the edge is up to 4 mrad off.
-_MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
 #: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
 _STEEPEST_RAD = 0.04
 #: Where the slope along the trough is measured better than this, and better than this share of what it usually is, it
@@ -54,27 +41,10 @@ _REACH_M = 0.12
 _MOST_LEVERAGE = 0.98
 
 
-class EdgeFate(IntEnum):
-    """What became of an edge."""
-
-    USED = 0
-    WRONG_STEP = 1
-    FAINT = 2
-    BESIDE = 3
-    ALONE = 4
-    UNEVEN = 5
-    ONE_SIDED = 6
-
-
-FATE_TEXTS = {
-    EdgeFate.USED: "used",
-    EdgeFate.WRONG_STEP: "brightness steps the other way than at the tube's edge",
-    EdgeFate.FAINT: "much less contrast than the tube's edges have",
-    EdgeFate.BESIDE: "does not agree with the edges around it",
-    EdgeFate.ALONE: "not continued in the neighbouring rows",
-    EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
-    EdgeFate.ONE_SIDED: "not borne out by the tube's other edge, where shadows are about",
-}
+#: No mirror bends more than this beside its design; what does is noise [1/m].
+_MOST_BEND_PER_M = 0.05
+#: Way aside by which derivatives across the mirror are taken, with its own slopes [m].
+_ASIDE_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +102,8 @@ class Reflector:
         RMS change of the height in the last round [m].
     has_shadows : bool
         Whether shadows as dark as the tube are in the reflection: what few edges say is then not believed.
+    shape : ShapeShare
+        Whether the mirror deviates as its slopes say, as the reflection tells it.
     """
 
     grid: RowGrid
@@ -148,6 +120,7 @@ class Reflector:
     height_m: FloatArray
     last_change_m: float
     has_shadows: bool
+    shape: ShapeShare
 
     def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
         """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
@@ -194,7 +167,7 @@ def solve_reflector(
     step_m: float,
     prior: Roughness,
     *,
-    shaped: bool = False,
+    shaped: bool | None = False,
 ) -> Reflector:
     """Estimate the slope errors of the mirror.
 
@@ -210,8 +183,9 @@ def solve_reflector(
         Wanted distance of the nodes across the trough [m].
     prior : Roughness
         What is known of the slope along the trough.
-    shaped : bool, optional
-        Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that.
+    shaped : bool or None, optional
+        Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that; None: as
+        the reflection itself tells (`observer.shape_share`).
 
     Returns
     -------
@@ -226,8 +200,8 @@ def solve_reflector(
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
     nominal = _nominal(edges, photos, expected)
     unknowns = nominal.unknowns
-    fate = _first_fate(edges)
-    fate[_is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
+    fate = first_fate(edges)
+    fate[is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
         raise EstimationError(
             f"reflection: only {np.count_nonzero(fate == EdgeFate.USED)} edges of the absorber's reflection were found "
@@ -237,9 +211,15 @@ def solve_reflector(
     is_bold = fate == EdgeFate.USED
     nothing = (np.zeros(len(unknowns.covariance)), unknowns.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
-    present = _Surface(none, none[..., 0])
+    present = whole = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
     for allowance in _ALLOWANCES_RAD:
+        if allowance == 0.0:
+            # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
+            # its place moves an edge by 0.1 mrad more.
+            nominal = _nominal(edges, photos, expected, _bends(edges, present, grid))
+            unknowns = nominal.unknowns
+            nothing = (nothing[0], unknowns.covariance)
         lines = _lines(nominal, expected, present, grid)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         sigma = np.hypot(noise * lines.sigma_rad, allowance)
@@ -251,14 +231,17 @@ def solve_reflector(
             noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
         limit = _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
         fate[is_bold] = np.where(np.abs(residuals) < limit, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
-        present, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
-        if not shaped:
-            present = replace(present, height_m=none[..., 0])
+        whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
+        present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
+    usable = fate == EdgeFate.USED
+    share = _shape_told(nominal, expected, whole, (usable, noise), grid, roughness)
+    if shaped is None and not share.has_shape:
+        present = replace(whole, height_m=none[..., 0])
     lines = _lines(nominal, expected, present, grid)
     lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
-    shadows = _has_shadows(fate)
+    shadows = has_shadows(fate)
     for last in (False, True) if shadows else ():
         borne, agreed = borne_out(_apart(lines.chosen(keep), errors), edges.side[keep], grid, roughness)
         fate[np.nonzero(keep)[0][~borne]] = EdgeFate.ONE_SIDED
@@ -273,8 +256,39 @@ def solve_reflector(
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
-        roughness, noise, absorber, unknowns, used, present.height_m, change, shadows,
+        roughness, noise, absorber, unknowns, used, present.height_m, change, shadows, share,
     )  # fmt: skip
+
+
+def _shape_told(
+    nominal: "_Nominal",
+    expected: Expectation,
+    whole: "_Surface",
+    usable: tuple[BoolArray, float],
+    grid: RowGrid,
+    roughness: Roughness,
+) -> ShapeShare:
+    """Compare the edges on the mirror with the heights of its slopes and without."""
+    keep, noise = usable
+    flat = replace(whole, height_m=np.zeros_like(whole.height_m))
+    both = [_lines(nominal, expected, surface, grid) for surface in (whole, flat)]
+    # Where all edges are a little too far to one side, the mirror point moves across.
+    edges, step = nominal.edges, np.array([_ASIDE_M, 0.0, 0.0])
+    aside = [
+        _lines(replace(nominal, edges=replace(edges, points_m=edges.points_m + way * step)), expected, flat, grid)
+        for way in (1.0, -1.0)
+    ]
+    moved = [_with_slopes(one, flat, grid) for one in aside]
+    by_edge = edges.side * (moved[0] - moved[1]) / (2 * _ASIDE_M)
+    keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
+    shaped, plain = (replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in both)
+    return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
+
+
+def _with_slopes(lines: TouchingLines, present: "_Surface", grid: RowGrid) -> FloatArray:
+    """Return the misfits with the present slopes."""
+    slopes = at_points(present.slopes, lines.row, lines.x_m, grid)
+    return np.asarray(lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1])
 
 
 def _is_pulled(
@@ -314,15 +328,30 @@ class _Nominal:
     unknowns: CommonUnknowns
 
 
-def _nominal(edges: ReflectionEdges, photos: Photos, expected: Expectation) -> _Nominal:
+def _nominal(
+    edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
+) -> _Nominal:
     eyes = photos.eyes_m[edges.photo]
     found = design_misfit(edges.points_m, eyes, edges.side, expected.collector, expected.absorber)
     sights = Sights(edges.points_m, eyes, edges.side)
     focal = expected.collector.focal_length_m
-    sigma = np.abs(change_across(sights, found, focal)) * edges.sigma_x_m
-    derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal)
+    sigma = np.abs(change_across(sights, found, focal, bend_per_m)) * edges.sigma_x_m
+    derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal, bend_per_m)
     modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
     return _Nominal(edges, eyes, sigma, common_unknowns(edges, sights, found, modes, expected))
+
+
+def _bends(edges: ReflectionEdges, present: _Surface, grid: RowGrid) -> FloatArray:
+    """Return by how much the slope error across changes at each edge, within its panel [1/m]."""
+    across = present.slopes[..., 0]
+    change = np.where(grid.joined, np.diff(across, axis=1), 0.0) / grid.step_m
+    sides = np.zeros(across.shape)
+    count = np.zeros(grid.x_m.size)
+    for part in (slice(None, -1), slice(1, None)):
+        sides[:, part] += change
+        count[part] += grid.joined
+    bend = at_points(sides / np.maximum(count, 1.0), edges.row, edges.points_m[:, 0], grid)
+    return np.asarray(np.clip(bend, -_MOST_BEND_PER_M, _MOST_BEND_PER_M))
 
 
 def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: RowGrid) -> TouchingLines:
@@ -352,62 +381,6 @@ def _next_surface(
     along = errors.random[..., 1, 1] < min(_ALONG_KNOWN_RAD, _ALONG_GAIN * roughness.along_rad) ** 2
     height = heights(slopes, measured, along & measured, expected.collector, grid, expected.y_m)
     return _Surface(slopes, height), float(np.sqrt(np.mean(np.square(height - present.height_m)[measured])))
-
-
-def _first_fate(edges: ReflectionEdges) -> IntArray:
-    """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
-
-    Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
-    """
-    darker = edges.contrast * edges.side < 0
-    size = np.abs(edges.contrast)
-    is_dark = float(size[darker].sum()) > float(size[~darker].sum())
-    right = darker == is_dark
-    usual = float(np.median(size[right])) if right.any() else 0.0
-    fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
-    fate[size < _LEAST_CONTRAST * usual] = int(EdgeFate.FAINT)
-    limit = _MOST_UNEVEN
-    if right.any():
-        limit = max(limit, _UNEVEN_TIMES_USUAL * float(np.median(edges.unevenness[right])))
-    fate[right & (edges.unevenness > limit)] = int(EdgeFate.UNEVEN)
-    return np.asarray(fate, dtype=np.intp)
-
-
-def _is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolArray:
-    """Return which edges do not belong to a curve through several rows, shape (m,)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    alone = np.zeros(which.size, dtype=bool)
-    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
-    if step > _CONTINUED_STEP_M:
-        return alone
-    chosen = np.nonzero(which)[0]
-    # One group for each photo, side and row; x is less than 40 m, so groups stay apart on one axis.
-    group = (2 * edges.photo[chosen] + (edges.side[chosen] > 0)) * (y_m.size + 1) + edges.row[chosen]
-    place = 100.0 * group + edges.points_m[chosen, 0]
-    order = np.argsort(place, kind="stable")
-    place, chosen = place[order], chosen[order]
-    after = np.searchsorted(place, place + 100.0)
-    links = []
-    for offset in (-1, 0):
-        other = np.clip(after + offset, 0, place.size - 1)
-        near = np.abs(place[other] - place - 100.0) < _STEEPEST_CURVE * step
-        links.append(np.stack([np.nonzero(near)[0], other[near]]))
-    first, second = np.concatenate(links, axis=1)
-    graph = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(place.size, place.size))
-    _, curve = connected_components(graph, directed=False)
-    alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
-    return alone
-
-
-def _has_shadows(fate: IntArray) -> bool:
-    """Return whether shadows as dark as the tube are in the reflection.
-
-    Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such edges
-    as they have right ones, which nothing in their brightness tells from the tube's.
-    """
-    return bool(np.mean(fate == EdgeFate.WRONG_STEP) > _SHADOWS_SHARE)
 
 
 def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tuple[FloatArray, FloatArray]:

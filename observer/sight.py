@@ -178,8 +178,10 @@ def _passing_y(points_m: FloatArray, ray: FloatArray, absorber: AbsorberPath) ->
     return np.asarray(points_m[:, 1] + (absorber.at(passing)[1] - points_m[:, 2]) * ray[:, 1] / upward)
 
 
-def gradient_on_mirror(sights: Sights, found: Misfit, focal_length_m: float) -> FloatArray:
-    """Differentiate the misfit with respect to the mirror point, the camera held and the slopes following the design.
+def gradient_on_mirror(
+    sights: Sights, found: Misfit, focal_length_m: float, bend_per_m: FloatArray | float = 0.0
+) -> FloatArray:
+    """Differentiate the misfit with respect to the mirror point, the camera held and the slopes following the mirror.
 
     Parameters
     ----------
@@ -189,6 +191,8 @@ def gradient_on_mirror(sights: Sights, found: Misfit, focal_length_m: float) -> 
         Their misfits and derivatives.
     focal_length_m : float
         Focal length of the mirror, whose curvature turns the normal along the way [m].
+    bend_per_m : float or ndarray, shape (m,), optional
+        Curvature across that the mirror has beside that: change of the slope's error [1/m].
 
     Returns
     -------
@@ -196,12 +200,14 @@ def gradient_on_mirror(sights: Sights, found: Misfit, focal_length_m: float) -> 
         Derivatives [rad/m]; movements must stay on the mirror.
     """
     gradient = -found.d_angle_d_eye
-    gradient[:, 0] += found.d_angle_d_slope_x / (2 * focal_length_m) - found.d_angle_d_absorber[:, 0]
+    gradient[:, 0] += found.d_angle_d_slope_x * (1 / (2 * focal_length_m) + bend_per_m) - found.d_angle_d_absorber[:, 0]
     gradient[:, 2] -= found.d_angle_d_absorber[:, 1]
     return gradient
 
 
-def change_across(sights: Sights, found: Misfit, focal_length_m: float) -> FloatArray:
+def change_across(
+    sights: Sights, found: Misfit, focal_length_m: float, bend_per_m: FloatArray | float = 0.0
+) -> FloatArray:
     """Return by how much the misfit changes where the mirror point moves across the trough, shape (m,) [rad/m].
 
     Parameters
@@ -212,11 +218,13 @@ def change_across(sights: Sights, found: Misfit, focal_length_m: float) -> Float
         Their misfits and derivatives.
     focal_length_m : float
         Focal length of the mirror [m].
+    bend_per_m : float or ndarray, shape (m,), optional
+        Curvature across that the mirror has beside that [1/m].
 
     Returns
     -------
     ndarray, shape (m,)
-        Total derivative along the design parabola [rad/m].
+        Total derivative along the parabola [rad/m].
     """
-    gradient = gradient_on_mirror(sights, found, focal_length_m)
+    gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
     return np.asarray(gradient[:, 0] + gradient[:, 2] * sights.points_m[:, 0] / (2 * focal_length_m))

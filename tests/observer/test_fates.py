@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from observer.edge_fates import EdgeFate, first_fate, is_alone
 from observer.edges import Edges
 from observer.rectify import Strip
 from observer.reflection import ReflectionEdges, _is_tube_dark, _unevenness
-from observer.reflector import EdgeFate, _first_fate, _is_alone
 
 Y = np.arange(50) * 0.02
 
@@ -29,10 +29,10 @@ def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() ->
             for name in ReflectionEdges.__slots__
         )
     )
-    alone = _is_alone(edges, np.ones(edges.row.size, dtype=bool), Y)
+    alone = is_alone(edges, np.ones(edges.row.size, dtype=bool), Y)
     np.testing.assert_array_equal(alone, np.repeat([False, True, False, True], [40, 4, 26, 3]))
     # Rows 0.4 m apart do not show how an edge goes on.
-    assert not _is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
+    assert not is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
 
 
 def edges_between(dark: np.ndarray, bright: np.ndarray) -> Edges:
@@ -66,4 +66,4 @@ def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> Non
     assert uneven > 0.5
     both = curve(0, np.arange(40), np.full(40, 0.1))
     both = replace(both, unevenness=np.where(np.arange(40) < 5, uneven, even))
-    np.testing.assert_array_equal(_first_fate(both) == EdgeFate.UNEVEN, np.arange(40) < 5)
+    np.testing.assert_array_equal(first_fate(both) == EdgeFate.UNEVEN, np.arange(40) < 5)
