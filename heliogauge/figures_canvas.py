@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 
 from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
@@ -328,7 +328,7 @@ def cover_outside(axes: Axes, slope_map: SlopeMap) -> None:
 
 def add_color_bar(
     figure: Figure,
-    image: AxesImage,
+    image: ScalarMappable,
     box: tuple[float, float, float, float],
     style: MapStyle,
     shown: npt.NDArray[np.floating[Any]],
@@ -339,7 +339,7 @@ def add_color_bar(
     ----------
     figure : Figure
         The figure.
-    image : AxesImage
+    image : ScalarMappable
         The coloured values.
     box : tuple of float
         Box of the map [inch].

@@ -36,10 +36,13 @@ REPORT_NOTEBOOK = "report.ipynb"
 #: Package that holds the report notebook of each kind of measurement.
 NOTEBOOK_PACKAGES: dict[str, str] = {
     "deflectometry": "deflectometry", "photogrammetry": "photogrammetry", "camera": "calibration.camera",
-    "photogrammetry-plan": "photogrammetry", "observer": "observer",
+    "photogrammetry-plan": "photogrammetry", "observer": "observer", "heliostat": "calibration.heliostat",
+    "heliostat-field": "calibration.heliostat",
 }  # fmt: skip
 #: Notebooks that are called otherwise, where a package has several.
-OTHER_NOTEBOOKS: dict[str, str] = {"photogrammetry-plan": "report_plan.ipynb"}
+OTHER_NOTEBOOKS: dict[str, str] = {
+    "photogrammetry-plan": "report_plan.ipynb", "heliostat-field": "report_field.ipynb",
+}  # fmt: skip
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.
 _START_S = 120
