@@ -261,6 +261,8 @@ class Beams:
             "time_utc": [f"{text}Z" for text in np.datetime_as_string(self.noted, unit="ms")],
             f"axis_1_{unit}": [round(value, digits) for value in self.logged[:, 0].tolist()],
             f"axis_2_{unit}": [round(value, digits) for value in self.logged[:, 1].tolist()],
+            "approach_1": self.approach[:, 0].astype(int).tolist(),
+            "approach_2": self.approach[:, 1].astype(int).tolist(),
             "target": [targets[index].name for index in self.target.tolist()],
             "x_m": [round(value, 5) for value in self.measured_m[:, 0].tolist()],
             "y_m": [round(value, 5) for value in self.measured_m[:, 1].tolist()],

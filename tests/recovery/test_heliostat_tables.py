@@ -18,9 +18,11 @@ from heliogauge.measurement import load_heliostat
 from heliogauge.sun import Site, sun_directions
 
 
-def measured(folder, scene, options=None):
+def measured(folder, scene, options=None, terms=""):
     """Write a scene, read it, fit each heliostat; yield name, rows, fit and truth."""
     write_heliostat_dataset(folder, scene)
+    file = folder / "measurement.toml"
+    file.write_text(file.read_text().replace('free = "8"', f'free = "8"\n{terms}') + _PLAY * bool(terms))
     measurement, truth = load_heliostat(folder), read_heliostat_truth(folder)
     source = open_source(measurement)
     for task in source.tasks(source.names):
@@ -29,6 +31,14 @@ def measured(folder, scene, options=None):
         rows = with_measured_beams(rows, folder, source.plant, measurement.model)
         seen = observed(rows, design, source.plant, measurement.model)
         yield task.name, seen, fit(design, seen.observations, options), truth
+
+
+_PLAY = """
+[kinematics.parameters.backlash_1]
+sigma = 0.01
+[kinematics.parameters.backlash_2]
+sigma = 0.01
+"""
 
 
 def chi_square(found, values):
@@ -82,6 +92,17 @@ def test_outliers_are_named_and_healthy_rows_are_not(tmp_path):
     # An error of 1 m (1 sigma) is below three of 20 mm once in 500.
     assert named >= 0.9 * spoiled_rows > 5
     assert accused <= 0.02 * healthy
+
+
+def test_play_is_found_from_the_side_of_approach(tmp_path):
+    """4 mrad in both drives; a drive is approached from both sides when the campaign passes noon and the seasons."""
+    scene = heliostat_scene("small", HeliostatChoice(6, 1, 80)).with_disturbances(wind_rad=0.0)
+    scene = scene.with_faults(("backlash",))
+    ((_, _, found, _),) = measured(tmp_path / "set", scene, terms='terms = ["backlash"]')
+    for name in ("backlash_1", "backlash_2"):
+        index = found.design.parameters.index(name)
+        assert found.sigma[index] < 5e-4
+        assert abs(found.values[index] - 4e-3) < 4 * found.sigma[index]
 
 
 def test_photos_become_spots_and_a_model_that_tracks(tmp_path):
