@@ -73,8 +73,13 @@ def _from(model: FitModel, start: FloatArray) -> Descended:
     first = _first(model, start)
     weak = _held_by_nothing(first)
     end = _settled(_again(first, replace(model, fallback=weak)))
-    late = _held_by_nothing(end) - weak
-    return _settled(_again(end, replace(model, fallback=weak | late))) if late else end
+    # At the scale of a start that may be degrees off nothing looks observed: decide anew at the settled one.
+    now = _held_by_nothing(end)
+    if now == weak:
+        return end
+    end = _settled(_again(end, replace(model, fallback=now)))
+    late = _held_by_nothing(end) - now
+    return _settled(_again(end, replace(model, fallback=now | late))) if late else end
 
 
 def _first(model: FitModel, start: FloatArray) -> Descended:

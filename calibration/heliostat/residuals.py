@@ -11,7 +11,7 @@ from calibration.heliostat.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.directions import Sights, unit_with_length
 from calibration.heliostat.kinematics import mirror_poses, pose_derivatives
 from calibration.heliostat.observations import BeamSpots, Observations
-from calibration.heliostat.residual_kinds import Equations, Place, Prepared, equations, prepare
+from calibration.heliostat.residual_kinds import Equations, Place, Prepared, equations, in_metres, prepare
 from heliogauge.errors import InputError
 from heliogauge.rays import intersect_plane, reflect
 from heliogauge.validate import BoolArray, FloatArray, freeze
@@ -144,13 +144,13 @@ class ObservationModel:
             first += len(group)
             here = Place(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
             part = equations(here, group, prepared)
-            root = prepared.root
-            jacobian = (root @ part.by_turn) @ moved.omega[rows] + (root @ part.by_shift) @ moved.shift[rows]
-            for names, own, derivative in part.extra:
+            weighed, root = in_metres(part, prepared), prepared.root
+            jacobian = (root @ weighed.by_turn) @ moved.omega[rows] + (root @ weighed.by_shift) @ moved.shift[rows]
+            for names, own, derivative in weighed.extra:
                 for k, name in enumerate(names):
                     if name in place:
                         jacobian[own, :, place[name]] += (root[own] @ derivative[:, :, k, None])[..., 0]
-            whitened.append((root @ part.residual[..., None]).ravel())
+            whitened.append((root @ weighed.residual[..., None]).ravel())
             jacobians.append(jacobian.reshape(root.shape[0] * root.shape[1], len(place)))
             parts.append((part, normals[rows]))
         residuals, derivatives = np.concatenate(whitened), np.concatenate(jacobians)
@@ -249,10 +249,11 @@ def predicted_spots(
         raise InputError(f"target {', '.join(missing)}: no such target; there are {', '.join(targets)}")
     poses = mirror_poses(design, values, spots.pointings.readings, spots.pointings.approach, outside="nan")
     beams = reflect(-spots.sun, poses.normals(design))
-    found = np.full((len(spots), 2), np.nan)
-    for i, name in enumerate(spots.target):
-        target = targets[name]
-        along = float(intersect_plane(poses.centre_m[i], beams[i], target.center_m, target.normal))
-        if along > 0:
-            found[i] = target.coordinates(poses.centre_m[i] + along * beams[i])
+    found, names = np.full((len(spots), 2), np.nan), np.array(spots.target, dtype=np.str_)
+    for name in dict.fromkeys(spots.target):
+        target, rows = targets[name], np.flatnonzero(names == name)
+        along = intersect_plane(poses.centre_m[rows], beams[rows], target.center_m, target.normal)
+        ahead = along > 0
+        hits = poses.centre_m[rows] + along[:, None] * beams[rows]
+        found[rows[ahead]] = target.coordinates(hits[ahead])
     return found

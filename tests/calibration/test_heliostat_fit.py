@@ -171,6 +171,20 @@ def test_place_along_the_line_of_sight_is_not_observed_and_said():
     assert held.rank < 8
 
 
+def test_many_beams_do_not_push_the_heliostat_away_from_its_target():
+    """Weights of angles frozen at the start would be rewarded for distance: chi-square falls as it grows."""
+    rng = np.random.default_rng(11)
+    design = azimuth_elevation("h", [19.2, -30.8, 1.2]).with_free("8")
+    design = design.with_parameters(design.parameters.with_sigmas(dict.fromkeys(POSITION, 0.6)))
+    truth = design.with_value({"position_e": 19.8, "position_n": -31.4, "tilt_north": 4e-3})
+    found = fit(design, Observations((beams(design, truth.parameters.values, year(501), 0.0076, rng),)))
+    assert not found.sigma_estimated
+    free = [found.names.index(name) for name in POSITION]
+    pulls = (found.values - truth.parameters.values)[free] / found.sigma[free]
+    assert np.abs(pulls).max() < 3
+    assert found.sigma0["beam"] == pytest.approx(1.0, abs=0.06)
+
+
 def test_random_starts_end_in_one_basin():
     rng = np.random.default_rng(6)
     design = heliostat("8")
