@@ -1,0 +1,171 @@
+"""What a diagnosis says: findings with evidence, the rows they concern, and what to do."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+#: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
+#: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), or the
+#: observations are too few to tell ("doubt").
+Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt"]
+
+#: What to do about each kind.
+REMEDIES: Mapping[str, str] = {
+    "actuator_numbers": "Compare the actuators' numbers with the type plate and with other units of the same type.",
+    "position": "Survey the heliostat's place again, and check that the row of the table is this heliostat's.",
+    "nominal_angles": "Check offsets and tilts in the table of heliostats; if they are right, widen their prior sigma.",
+    "sun_convention": "Convert the sun's azimuth to 0 = north, clockwise (degrees) before the calibration.",
+    "time_offset": "Correct the times, or state their zone; check the clock of the camera or of the controller.",
+    "refraction": "Give apparent (refracted) elevations of the sun, refracted once.",
+    "swapped_axes": "Exchange the columns of axis 1 and axis 2.",
+    "inverted_axis": "Turn the sign of this axis' readings (of a linear actuator: its sense of rotation).",
+    "mirrored_spots": "Turn the sign of x: x runs to the right as seen from the field.",
+    "wrong_target": "Correct the target's name in these rows.",
+    "target_names_exchanged": "Exchange the names of these targets.",
+    "target_place": "Survey this target's centre again.",
+    "target_scale": "Check the target's width and height (the scale of the photos).",
+    "change_point": "Calibrate with the rows after the change only, and ask what was done on that date.",
+    "drift": "Calibrate more often, use the latest rows only, and look at foundation, drives and references.",
+    "backlash": "Free the backlash of this axis and record the direction of the last move, or approach from one side.",
+    "worm_gear": "Free the periodic error of this axis with this period.",
+    "sag": "Free the sag of this axis.",
+    "scale": "Free the scale of this axis' readings, or check its gear ratio.",
+    "outliers": "Look at the photos and logs of these rows; they are left out of the fit.",
+    "units": "Convert these rows to the column's unit.",
+    "duplicates": "Record each measurement once; repeats are left out.",
+    "constant_column": "Check that the column is recorded.",
+    "too_few": "Measure more, at other positions of the sun; until then the answer is what was known beforehand.",
+    "unexplained": "Check what was handed in: readings, sun, targets and numbers do not fit together in any known way.",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """One thing that is, or may be, wrong with a heliostat or its records.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `REMEDIES`.
+    severity : {"fault", "rows", "hint", "doubt"}
+        How it stands to the heliostat.
+    text : str
+        The finding in one sentence, with its numbers.
+    evidence : mapping of str to float
+        Numbers with their unit in the name.
+    chance : float
+        Probability of as much by chance, all looks counted; NaN where it is no matter of chance.
+    rows : tuple of int
+        Rows of the observations' table concerned; empty where it is all of them.
+    dates : tuple of str
+        Their dates, each once.
+    images : tuple of str
+        Their photos, as far as known.
+    """
+
+    kind: str
+    severity: Severity
+    text: str
+    evidence: Mapping[str, float]
+    chance: float = float("nan")
+    rows: tuple[int, ...] = ()
+    dates: tuple[str, ...] = ()
+    images: tuple[str, ...] = ()
+
+    @property
+    def remedy(self) -> str:
+        """What to do, in one sentence."""
+        return REMEDIES[self.kind]
+
+    def content(self) -> dict[str, Any]:
+        """Return the finding as JSON has it."""
+        return {
+            "kind": self.kind, "severity": self.severity, "text": self.text,
+            "evidence": {name: _plain(value) for name, value in self.evidence.items()}, "chance": _plain(self.chance),
+            "rows": list(self.rows), "dates": list(self.dates), "images": list(self.images), "remedy": self.remedy,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One look at the residuals.
+
+    Parameters
+    ----------
+    name : str
+        What was looked for.
+    chance : float
+        Probability of as much by chance in this look alone.
+    explained : float
+        Share of the residuals' variance that it explains; NaN where it was not significant.
+    """
+
+    name: str
+    chance: float
+    explained: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """What is wrong with a heliostat, and what was looked at.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        Faults first.
+    checks : tuple of Check
+        All looks at the residuals, significant or not.
+    significance : float
+        Chance that a healthy heliostat gets any finding that is a matter of chance.
+    """
+
+    findings: tuple[Finding, ...]
+    checks: tuple[Check, ...]
+    significance: float
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """Findings that accuse the heliostat or its records."""
+        return tuple(one for one in self.findings if one.severity == "fault")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of the faults."""
+        return tuple(one.kind for one in self.faults)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Faults, wrong rows and doubts as sentences with their remedy."""
+        return tuple(f"{one.text} {one.remedy}" for one in self.findings if one.severity != "hint")
+
+    def content(self) -> dict[str, Any]:
+        """Return the diagnosis as JSON has it."""
+        return {
+            "findings": [one.content() for one in self.findings],
+            "checks": [
+                {"name": one.name, "chance": _plain(one.chance), "explained_share": _plain(one.explained)}
+                for one in self.checks
+            ],
+            "significance": self.significance,
+        }  # fmt: skip
+
+
+_ORDER = {"fault": 0, "rows": 1, "doubt": 2, "hint": 3}
+
+
+def ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings with the gravest first."""
+    return tuple(sorted(findings, key=lambda one: _ORDER[one.severity]))
+
+
+def dates_of(times: npt.NDArray[np.datetime64]) -> tuple[str, ...]:
+    """Return the dates of times, each once; unknown times are passed over."""
+    known = np.unique(times[~np.isnat(times)].astype("datetime64[D]"))
+    return tuple(str(day) for day in known)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
