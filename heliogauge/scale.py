@@ -60,10 +60,13 @@ class Failure:
         What the person who reads it can do something about.
     trace : str
         Where it happened, if it was not foreseen; empty for impossible data and for undetermined answers.
+    kind : str
+        What the error itself calls its kind (its attribute ``kind``); empty where it does not.
     """
 
     reason: str
     trace: str = ""
+    kind: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +138,7 @@ def _attempt(function: Callable[[_ContextT, _TaskT], _ResultT], context: _Contex
     try:
         return function(context, task)
     except MetrologyError as error:
-        return Failure(str(error))
+        return Failure(str(error), kind=str(getattr(error, "kind", "")))
     except Exception as error:  # a bug on one of ten thousand must not cost the others
         return Failure(f"unexpected {type(error).__name__}: {error}", traceback.format_exc())
 

@@ -81,7 +81,7 @@ class Result:
         What all share.
     heliostats : tuple of HeliostatResult
         Those that could be calibrated, in the order of the measurement.
-    failures : dict of str to str
+    failures : dict of str to Failure
         Why the others could not.
     durations_s : dict of str to float
         Time of each stage [s].
@@ -92,7 +92,7 @@ class Result:
     name: str
     shared: Shared
     heliostats: tuple[HeliostatResult, ...]
-    failures: dict[str, str]
+    failures: dict[str, Failure]
     durations_s: dict[str, float] = field(default_factory=dict)
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -152,9 +152,8 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     failures = {name: one for name in chosen.names if isinstance(one := found[name], Failure)}
     if not heliostats:
         refuse_all(failures)
-    reasons = {name: failure.reason for name, failure in failures.items()}
     durations = dict(progress.durations_s)
-    return Result(measurement.model.name, chosen.shared, heliostats, reasons, durations, hashes)
+    return Result(measurement.model.name, chosen.shared, heliostats, failures, durations, hashes)
 
 
 def choose(measurement: HeliostatMeasurement, options: Options) -> Chosen:
@@ -254,7 +253,7 @@ def write(result: Result, folder: Path) -> None:
         write_heliostat(one, result.shared, folder, heliostat_summary(one, durations_s=durations, input_sha256=hashes))
         return
     rows = [field_row(one) for one in result.heliostats]
-    rows += [failed_row(name, reason) for name, reason in result.failures.items()]
+    rows += [failed_row(name, failure.reason, failure.kind) for name, failure in result.failures.items()]
     for one in result.heliostats:
         (folder / one.name).mkdir()
         write_heliostat(one, result.shared, folder / one.name, heliostat_summary(one, durations_s={}, input_sha256={}))
@@ -298,6 +297,7 @@ def field_summary(
         "heliostats_count": len(rows),
         "calibrated_count": len(good),
         "failed_count": len(rows) - len(good),
+        "faulty_count": sum(row["status"] == "faulty" for row in rows),
         "doubtful_count": sum(row["status"] == "doubtful" for row in rows),
     }
     missing = {}
@@ -312,6 +312,9 @@ def field_summary(
             missing[f"median_{key}"] = "no heliostat has it"
     worst = [row for row in good if row.get("beam_test_rms_mrad") is not None]
     warnings = [f"{row['heliostat']} failed: {row['reason']}" for row in rows if row["status"] == "failed"]
+    warnings += [
+        f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}" for row in rows if row["status"] == "faulty"
+    ]
     texts = {"split": shared.split, "model": shared.free, "every split made": "yes" if shared.thorough else "no"}
     if worst:
         first = max(worst, key=lambda row: float(str(row["beam_test_rms_mrad"])))

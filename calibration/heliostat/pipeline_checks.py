@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.design import HeliostatDesign, LinearActuator
-from calibration.heliostat.pipeline_rows import Rows, Verdicts
+from calibration.heliostat.pipeline_rows import ColumnError, Rows, Verdicts
 from heliogauge.errors import InputError
 from heliogauge.sun import Site, direction_from_angles, sun_directions
 from heliogauge.validate import BoolArray, FloatArray
@@ -87,9 +87,10 @@ def _check_angles(values: FloatArray, names: list[str], unit: str, verdicts: Ver
         )
         return
     if (np.abs(known) < 1.05 * _TURN).all() and np.ptp(known, axis=0).max() < _TURN:
-        raise InputError(
+        raise ColumnError(
+            "units",
             f"{names[0]}, {names[1]}: all values lie within {np.abs(known).max():.2f}: they look like radians; name "
-            "the columns axis_1_rad, axis_2_rad"
+            "the columns axis_1_rad, axis_2_rad",
         )
     # Both axes of one row within a radian's range, where others are far beyond it: taken over in another unit.
     small = (np.abs(values) < 1.6).all(axis=1) & (values != 0).all(axis=1)
@@ -144,7 +145,7 @@ def suns_of(rows: Rows, site: Site, verdicts: Verdicts, needed: BoolArray) -> tu
     apart = _angle(suns, computed)
     median = float(np.median(apart[both])) if both.any() else float("nan")
     if np.count_nonzero(both) >= _ENOUGH and median > _CONVENTION_LIMIT_RAD:
-        raise InputError(_convention_text(told[both], rows.times[both], site, median))
+        raise _convention(told[both], rows.times[both], site, median)
 
     def aside(row: int) -> str:
         return f"the sun as told is {1e3 * apart[row]:.0f} mrad from where {rows.times[row]}Z puts it"
@@ -167,13 +168,14 @@ def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
 def _refuse_radians(angles_deg: FloatArray) -> None:
     azimuth, elevation = angles_deg.T
     if len(angles_deg) >= _ENOUGH and elevation.max() < 1.6 and np.abs(azimuth).max() < 1.05 * _TURN:
-        raise InputError(
+        raise ColumnError(
+            "units",
             f"sun_elevation_deg: no value is above {elevation.max():.2f}, and azimuths lie within "
-            f"{np.abs(azimuth).max():.2f}: they look like radians"
+            f"{np.abs(azimuth).max():.2f}: they look like radians",
         )
 
 
-def _convention_text(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> str:
+def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> ColumnError:
     """Find the convention by which the suns as told would be those of their times."""
     truth = sun_directions(times, site)
     azimuth, elevation = told.T
@@ -185,19 +187,21 @@ def _convention_text(told: FloatArray, times: npt.NDArray[np.datetime64], site: 
     }
     for text, form in forms.items():
         if np.median(_angle(direction_from_angles(form(), elevation), truth)) < _CONVENTION_LIMIT_RAD:
-            return f"sun_azimuth_deg: {text}"
+            return ColumnError("sun_convention", f"sun_azimuth_deg: {text}")
     if np.median(_angle(direction_from_angles(azimuth, np.pi / 2 - elevation), truth)) < _CONVENTION_LIMIT_RAD:
-        return "sun_elevation_deg: it is the zenith angle; write 90 - angle"
+        return ColumnError("sun_convention", "sun_elevation_deg: it is the zenith angle; write 90 - angle")
     suns = direction_from_angles(azimuth, elevation)
     for minutes in range(-14 * 60, 14 * 60 + 1, 15):
         shifted = sun_directions(times - np.timedelta64(minutes, "m"), site)
         if np.median(_angle(suns, shifted)) < _CONVENTION_LIMIT_RAD:
-            return (
-                f"time_utc: the sun as told is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times"
+            return ColumnError(
+                "time_offset",
+                f"time_utc: the sun as told is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times",
             )
-    return (
+    return ColumnError(
+        "sun_convention",
         f"the sun as told is {1e3 * median:.0f} mrad (median) from where its times put it, by no known convention; "
-        "azimuth must be 0 in the north and clockwise, elevation from the horizon; is the site's place right?"
+        "azimuth must be 0 in the north and clockwise, elevation from the horizon; is the site's place right?",
     )
 
 
@@ -249,10 +253,14 @@ def refuse_constants(readings: FloatArray, suns: FloatArray, where: BoolArray, n
     if count < _ENOUGH:
         return
     if np.ptp(suns[where], axis=0).max() == 0:
-        raise InputError(f"{name}: the sun stands at the same place in all {count} rows; are its columns recorded?")
+        raise ColumnError(
+            "constant_column",
+            f"{name}: the sun stands at the same place in all {count} rows; are its columns recorded?",
+        )
     for axis in (0, 1):
         if np.ptp(readings[where, axis]) == 0:
-            raise InputError(
+            raise ColumnError(
+                "constant_column",
                 f"{name}: axis {axis + 1} reads {readings[where, axis][0]:g} in all {count} rows, although the sun "
-                "moved; is its column recorded?"
+                "moved; is its column recorded?",
             )

@@ -158,7 +158,7 @@ def _fill(
             if isinstance(outcome, Failure):
                 failures[name] = outcome
                 files = {"error.txt": outcome.trace.encode()} if outcome.trace else {}
-                folder.keep(name, digests.pop(name), failed_row(name, outcome.reason), files)
+                folder.keep(name, digests.pop(name), failed_row(name, outcome.reason, outcome.kind), files)
             else:
                 folder.keep(name, digests.pop(name), outcome.row, outcome.files)
             stage.advance()
@@ -232,7 +232,7 @@ def headline_text(result: FieldResult) -> str:
             lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
             continue
         lines.append(
-            f"{row['heliostat']}: {row['used_count']} of {row['observations_count']} observations, model "
+            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
             f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
             f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
         )
@@ -240,6 +240,11 @@ def headline_text(result: FieldResult) -> str:
     if len(result.rows) > len(shown):
         lines.append(f"... and {len(result.rows) - len(shown)} more, better ones: field.csv")
     return "\n".join(lines)
+
+
+def _found(row: dict[str, Any]) -> str:
+    kinds = str(row.get("diagnosis") or "").replace("_", " ")
+    return f" ({kinds})" if kinds else ""
 
 
 def _mrad(value: float | None) -> str:

@@ -8,11 +8,12 @@ from time import perf_counter
 import numpy as np
 
 from calibration.heliostat.design import HeliostatDesign
+from calibration.heliostat.diagnose import Diagnosis, Records, diagnose
 from calibration.heliostat.fit import fit
 from calibration.heliostat.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.model_choice import ModelChoice, choose_model, with_priors
 from calibration.heliostat.pipeline_design import nominal_design, told_free
-from calibration.heliostat.pipeline_observations import Observed, observed
+from calibration.heliostat.pipeline_observations import Observed, observed, site_of
 from calibration.heliostat.pipeline_rows import Rows, parse_rows
 from calibration.heliostat.pipeline_source import HeliostatTask, Plant
 from calibration.heliostat.prediction import predict_aim
@@ -109,6 +110,8 @@ class HeliostatResult:
         The split that the residuals are told by.
     held : mapping of str to HeldOut
         What came of each split that could be made: fit to one part, prediction of the other.
+    diagnosis : Diagnosis
+        What is wrong with the heliostat or its records.
     not_split : mapping of str to str
         Why the other splits could not be made.
     sky : SkyMap or None
@@ -131,6 +134,7 @@ class HeliostatResult:
     choice: ModelChoice | None
     split: str
     held: Mapping[str, HeldOut]
+    diagnosis: Diagnosis
     not_split: Mapping[str, str] = field(default_factory=dict)
     sky: SkyMap | None = None
     warnings: tuple[str, ...] = ()
@@ -178,11 +182,14 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     result = fit(chosen, seen.observations, options)
     held, not_split = _splits((nominal, chosen), choice, seen, shared, options, hopeless=_is_hopeless(result))
     main = held.get(shared.split)
+    records = Records(seen.rows.flags, seen.rows.text("image"), seen.rows.times)
+    diagnosis = diagnose(result, targets=shared.plant.targets, site=site_of(shared.plant.site), records=records)
     sky = _sky(result, shared, None if main is None else main.prediction.inflation) if shared.thorough else None
     doubts, notes = _said(task, seen, result, (held, not_split), shared)
+    doubts = tuple(dict.fromkeys((*diagnosis.warnings, *doubts)))
     return HeliostatResult(
         name=task.name, nominal=nominal, seen=seen, fit=result, free=free, choice=choice, split=shared.split, held=held,
-        not_split=not_split, sky=sky, warnings=doubts, notes=notes, properties=task.properties,
+        not_split=not_split, diagnosis=diagnosis, sky=sky, warnings=doubts, notes=notes, properties=task.properties,
         duration_s=perf_counter() - begin,
     )  # fmt: skip
 
@@ -317,9 +324,8 @@ def _said(
             "and its scale estimated from the residuals"
         )
     for text in result.warnings:
-        # Where no sigma was told, that its scale is estimated is no doubt but the method.
-        is_method = not seen.has_sigmas and text.startswith("sigma of ")
-        (notes if is_method else doubts).append(text)
+        # That the scale of the sigmas is estimated is no fault of the heliostat.
+        (notes if text.startswith("sigma of ") else doubts).append(text)
     main = held.get(shared.split)
     if main is not None:
         # Extrapolation is told before any number; the rest are warnings of the fit to the train rows.

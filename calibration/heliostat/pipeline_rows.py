@@ -48,6 +48,22 @@ NUMBER_COLUMNS = (
 NO_TIME = np.datetime64("NaT", "ms")
 
 
+class ColumnError(InputError):
+    """A whole column is wrong in one way, so that no number that comes of it would be true.
+
+    Parameters
+    ----------
+    kind : str
+        Which way, by the names of a diagnosis: "units", "sun_convention", "time_offset", "constant_column".
+    text : str
+        What, where, and the remedy.
+    """
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """Observations of one heliostat as they were read.

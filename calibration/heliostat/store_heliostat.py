@@ -104,6 +104,7 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
                    "width_m": one.width_m, "height_m": one.height_m, "flatness_mm": 1e3 * one.flatness_m}
             for name, one in plant.targets.items()
         },
+        "diagnosis": result.diagnosis.content(),
         "warnings": list(result.warnings),
         "notes": list(result.notes),
         "paint_properties": _properties(result),
@@ -337,6 +338,14 @@ def split_lines(result: HeliostatResult) -> tuple[str, ...]:
     return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
 
 
+def _status(result: HeliostatResult, doubts: Sequence[str]) -> str:
+    if result.diagnosis.kinds:
+        return "faulty"
+    # Single rows that were wrong and left out make a heliostat no worse.
+    too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
+    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.warnings) else "ok"
+
+
 def field_row(result: HeliostatResult) -> dict[str, Any]:
     """Return a heliostat's row of ``field.csv``.
 
@@ -354,16 +363,17 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
     doubts = [text for text in result.warnings if not text.startswith("split ")]
     return {
-        "heliostat": result.name, "status": "doubtful" if doubts else "ok",
+        "heliostat": result.name, "status": _status(result, doubts),
+        "diagnosis": ", ".join(dict.fromkeys(result.diagnosis.kinds)),
         "e_m": east, "n_m": north, "u_m": up, "model": result.free, **headline(result),
         "duration_s": round(result.duration_s, 4), "warnings_count": len(result.warnings),
         "reason": "; ".join(doubts),
     }  # fmt: skip
 
 
-def failed_row(name: str, reason: str) -> dict[str, Any]:
+def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
     """Return the row of a heliostat that could not be calibrated."""
-    return {"heliostat": name, "status": "failed", "reason": reason}
+    return {"heliostat": name, "status": "failed", "diagnosis": kind, "reason": reason}
 
 
 def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
