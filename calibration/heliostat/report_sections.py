@@ -129,12 +129,14 @@ def model_section(report: HeliostatReport) -> Html:
 
 def finding_section(report: HeliostatReport) -> Html:
     """Return what the diagnosis found."""
-    findings = report.content.get("diagnosis")
-    if findings is None:
+    diagnosis = report.content.get("diagnosis")
+    if diagnosis is None:
         return Html("<p>Not made.</p>")
+    findings, looks = diagnosis["findings"], len(diagnosis["checks"])
     if not findings:
-        return Html('<div class="fine">Nothing found: the heliostat behaves as its model.</div>')
-    rows = [(str(one.get("kind", "")), str(one.get("text", "")), str(one.get("remedy", ""))) for one in findings]
+        text = f"Nothing found in {looks} kinds of check: the heliostat behaves as its model."
+        return Html(f'<div class="fine">{text}</div>')
+    rows = [(f"{one['kind'].replace('_', ' ')} ({one['severity']})", one["text"], one["remedy"]) for one in findings]
     return table(("kind", "evidence", "what to do"), rows)
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,19 @@ def test_parameters_are_given_in_milliradians_with_what_was_known(one):
     shown = re.search(r"tilt north</td><td[^>]*>([-\d.]+) ± ([\d.]+) mrad", text)
     assert float(shown.group(2)) == pytest.approx(1e3 * tilt["sigma"], rel=0.1)
     assert float(shown.group(1)) == pytest.approx(1e3 * tilt["value"], abs=0.1 * float(shown.group(2)))
+
+
+def test_findings_are_told_with_what_to_do(one):
+    finding = {"kind": "wrong_target", "severity": "fault", "text": "as if on <upper>", "remedy": "Check the name."}
+
+    def told(diagnosis):
+        return sections.finding_section(replace(one, content=one.content | {"diagnosis": diagnosis})).text
+
+    text = told({"findings": [finding], "checks": [{}]})
+    assert "wrong target (fault)" in text
+    assert "as if on &lt;upper&gt;" in text
+    assert "Check the name." in text
+    assert "Nothing found in 7 " in told({"findings": [], "checks": [{}] * 7})
 
 
 def test_sky_map_is_hatched_where_the_model_is_extrapolated(one):
