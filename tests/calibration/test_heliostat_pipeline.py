@@ -375,6 +375,7 @@ class TestRealHeliostats:
         """Four tilts, chronological: 1.4 to 2.3 mrad train and 1.4 to 2.6 test were reached elsewhere."""
         result = run(load_heliostat(csp / "BE36"), Options(model="4", thorough=False))
         (one,) = result.heliostats
+        assert len(result.input_sha256) == 180
         assert one.main is not None
         assert one.main.train.beam_rms_rad < 2.3e-3
         assert one.main.test.beam_rms_rad < 2.7e-3
