@@ -77,6 +77,9 @@ class AbsorberSolution:
         What remains of the bearings used [rad].
     diameter_m : float
         How thick the tube looks: to be held against the collector's data [m].
+    with_poses : ndarray, shape (2 n, 6 p), optional
+        Covariance of the axis (x of all stations, then z) with the steps of all poses: both err together with the
+        coordinates of the targets [m rad, m^2].
     """
 
     path: AbsorberPath
@@ -85,6 +88,7 @@ class AbsorberSolution:
     used: BoolArray
     residual_rms_rad: float
     diameter_m: float
+    with_poses: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,13 +143,13 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     # The second round averages around the tube as found, so that its slope does not count as scatter.
     for _ in range(2):
         directions = _averaged(bearings, photos, path)
-        path, used, residuals = _adjusted(directions, photos, path)
+        path, used, residuals, with_poses = _adjusted(directions, photos, path)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
     if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
         raise EstimationError(_why_nothing(path, n_photos, bearings))
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
-    return AbsorberSolution(path, n_photos, fate, used, rms, float(np.median(bearings.diameter_m)))
+    return AbsorberSolution(path, n_photos, fate, used, rms, float(np.median(bearings.diameter_m)), with_poses)
 
 
 def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Directions:
@@ -198,13 +202,14 @@ def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> FloatArray:
 
 def _adjusted(
     directions: _Directions, photos: Photos, start: AbsorberPath
-) -> tuple[AbsorberPath, BoolArray, FloatArray]:
-    """Return the path adjusted to averaged bearings, which of them were used, and what remains of each."""
+) -> tuple[AbsorberPath, BoolArray, FloatArray, FloatArray]:
+    """Return the path adjusted to averaged bearings, which of them were used, what remains, and it with the poses."""
     place, derivatives = _bearing_derivatives(directions, photos, start)
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
     index, value, size = _sparse_rows(directions, place, modes, start)
     prior = np.zeros((size, size))
-    prior[2 * start.n : -1, 2 * start.n : -1] = np.linalg.inv(modes.covariance)
+    poses_known = np.linalg.inv(modes.covariance)
+    prior[2 * start.n : -1, 2 * start.n : -1] = poses_known
     prior[-1, -1] = 1.0
     for first in (0, start.n):
         prior[first : first + start.n, first : first + start.n] = _smoothness(start.y_m)
@@ -225,9 +230,12 @@ def _adjusted(
             break
         used = kept
     n = start.n
-    covariance = scatter**2 * np.linalg.solve(normal + prior, np.eye(size)[:, : 2 * n])[: 2 * n]
+    solved = np.linalg.solve(normal + prior, np.eye(size)[:, : 2 * n])
+    covariance = scatter**2 * solved[: 2 * n]
+    # The poses as the bundle left them; that the tube told a little of them too is not carried on.
+    with_poses = solved[2 * n : -1].T @ poses_known @ modes.with_steps(photos.covariance)
     path = AbsorberPath(start.y_m, start.x_m + step[:n], start.z_m + step[n : 2 * n], 0.5 * (covariance + covariance.T))
-    return path, used, residuals
+    return path, used, residuals, with_poses
 
 
 def _out_of_place(modes: FloatArray, photo: IntArray, used: BoolArray) -> BoolArray:

@@ -29,12 +29,48 @@ class CameraModes:
         Prior covariance of the unknowns; 1 on its diagonal.
     steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
         Step of each photo's pose (`RigidTransform.moved`) for one unit of its unknowns [rad, m].
+    reading : ndarray, shape (n, MODES_PER_PHOTO, 6)
+        The unknowns of each photo from a step of its pose.
     """
 
     index: IntArray
     derivative: FloatArray
     covariance: FloatArray
     steps: FloatArray
+    reading: FloatArray
+
+    def with_steps(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of the unknowns with the steps of all poses.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (6 n, 6 n)
+            Joint covariance of the steps, as these modes were made of.
+
+        Returns
+        -------
+        ndarray, shape (c, 6 n)
+            Covariance [rad, m].
+        """
+        blocks = covariance.reshape(len(self.reading), 6, -1)
+        return np.asarray((self.reading @ blocks).reshape(len(self.covariance), -1))
+
+    def read(self, with_steps: FloatArray) -> FloatArray:
+        """Return the covariance of something with the unknowns.
+
+        Parameters
+        ----------
+        with_steps : ndarray, shape (k, 6 n)
+            Its covariance with the steps of all poses.
+
+        Returns
+        -------
+        ndarray, shape (k, c)
+            Covariance.
+        """
+        blocks = np.swapaxes(with_steps.reshape(len(with_steps), len(self.reading), 6), 0, 1)
+        parts = blocks @ np.swapaxes(self.reading, 1, 2)
+        return np.asarray(np.swapaxes(parts, 0, 1).reshape(len(with_steps), -1))
 
 
 def pose_derivatives(
@@ -128,4 +164,4 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
     half = reading @ covariance.reshape(count, 6, 6 * count)
     joint = reading @ np.swapaxes(half.reshape(-1, 6 * count), 0, 1).reshape(count, 6, -1)
     joint = joint.reshape(MODES_PER_PHOTO * count, -1)
-    return CameraModes(index, derivative, 0.5 * (joint + joint.T), steps)
+    return CameraModes(index, derivative, 0.5 * (joint + joint.T), steps, reading)

@@ -62,6 +62,9 @@ class SlopeErrors:
     modes : ndarray, shape (k, s, nx)
         Change of dz/dx for one standard deviation of each of the strongest independent combinations of the common
         unknowns [rad].
+    modes_apart : ndarray, shape (l, s, nx)
+        The same of those unknowns that are shown apart, with what the others do along with them; `modes` are then what
+        the others do besides.
     """
 
     slopes: FloatArray
@@ -71,6 +74,7 @@ class SlopeErrors:
     covariance_common: FloatArray
     mode_rows: IntArray
     modes: FloatArray
+    modes_apart: FloatArray
 
 
 def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray) -> Roughness:
@@ -192,8 +196,8 @@ def solve_jointly(
     common : (ndarray, ndarray), shapes (c,) and (c, c)
         Values of the common unknowns where the lines were linearised, and their prior covariance about zero.
     with_shares : bool or ndarray of bool, shape (c,), optional
-        Whether the share of the common unknowns in the slopes' variance is wanted, or of which of them; without it that
-        share is zero and there are no modes, which takes half the time.
+        Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
+        there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
 
     Returns
     -------
@@ -213,17 +217,16 @@ def solve_jointly(
     random = np.empty((n_rows, 2 * n_blocks, 2, 2))
     random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
+    nothing = np.zeros((0, rows.size, grid.x_m.size))
+    found = (common[0] + step, shared.covariance, rows)
     if with_shares is False:
-        nothing = np.zeros((0, rows.size, grid.x_m.size))
-        return SlopeErrors(slopes, random, np.zeros_like(slopes), common[0] + step, shared.covariance, rows, nothing)
-    posterior = shared.covariance
-    if with_shares is not True:
-        # A little variance keeps the matrix positive definite.
-        kept = np.outer(with_shares, with_shares)
-        shared = replace(shared, covariance=np.where(kept, posterior, 1e-30 * np.eye(len(posterior))))
+        return SlopeErrors(slopes, random, np.zeros_like(slopes), *found, nothing, nothing)
     variance, modes = shared.shares()
+    apart = nothing
+    if with_shares is not True and not with_shares.all():
+        modes, apart = (part.shares()[1] for part in shared.split(np.asarray(with_shares)))
     between = _between_rows(variance, rows, grid.n_rows)
-    return SlopeErrors(slopes, random, between, common[0] + step, posterior, rows, modes)
+    return SlopeErrors(slopes, random, between, *found, modes, apart)
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -260,6 +263,18 @@ class _Eliminated:
     covariance: FloatArray
     carried: FloatArray
     evidence: float
+
+    def split(self, first: BoolArray) -> tuple["_Eliminated", "_Eliminated"]:
+        """Return what some unknowns do with the others held, and what the others do, the first following along."""
+        own, both = self.covariance[np.ix_(~first, ~first)], self.covariance[np.ix_(first, ~first)]
+        following = np.linalg.solve(own, both.T).T
+        rest = self.covariance[np.ix_(first, first)] - following @ both.T
+        # A little variance keeps the matrix positive definite where rounding took it.
+        rest += 1e-12 * np.diag(np.diagonal(self.covariance)[first])
+        carried = self.carried[..., ~first] + self.carried[..., first] @ following
+        return replace(self, covariance=rest, carried=self.carried[..., first]), replace(
+            self, covariance=own, carried=carried
+        )
 
     def shares(self) -> tuple[FloatArray, FloatArray]:
         """Return what the slopes have from the common unknowns: variance, shape (r, nx, 2), and modes, (k, r, nx).

@@ -188,15 +188,16 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
     with progress.stage("slopes"):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
+        together = photos if solution is None else replace(photos, with_tube=solution.with_poses)
         reflector = solve_reflector(
-            seen.edges, photos, expected, 1e-3 * model.evaluation.column_step_mm, prior,
+            seen.edges, together, expected, 1e-3 * model.evaluation.column_step_mm, prior,
             shaped=model.evaluation.shape_from_slopes,
         )  # fmt: skip
         absorber = reflector.absorber
         solution = None if solution is None else replace(solution, path=absorber)
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
-        slope_map = slope_map_of(reflector, collector, absorber, visible)
+        slope_map = slope_map_of(reflector, collector, visible)
         angles = angle_maps(slope_map, absorber, collector)
     with progress.stage("intercept factor"):
         intercept = evaluate_intercept(sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance())

@@ -57,10 +57,13 @@ class Photos:
         ``cam_from_frame`` of each.
     covariance : ndarray, shape (6 n, 6 n)
         Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
+    with_tube : ndarray, shape (2 k, 6 n), optional
+        Covariance of the absorber's k stations (all x, then all z) with those steps; none without [m rad, m^2].
     """
 
     poses: tuple[RigidTransform, ...]
     covariance: FloatArray
+    with_tube: FloatArray | None = None
 
     @property
     def eyes_m(self) -> FloatArray:
@@ -338,7 +341,7 @@ def _nominal(
     sigma = np.abs(change_across(sights, found, focal, bend_per_m)) * edges.sigma_x_m
     derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal, bend_per_m)
     modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
-    return _Nominal(edges, eyes, sigma, common_unknowns(edges, sights, found, modes, expected))
+    return _Nominal(edges, eyes, sigma, common_unknowns(edges, sights, found, modes, expected, photos.with_tube))
 
 
 def _bends(edges: ReflectionEdges, present: _Surface, grid: RowGrid) -> FloatArray:

@@ -1,6 +1,6 @@
 """One whole measurement by numbers alone: edges and bearings as photos would give them, then the evaluation itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -161,21 +161,22 @@ def simulate(
     """
     truth = scene.truth
     collector, y = truth.collector, truth.y_m
-    absorber = truth.absorber
+    absorber, photos = truth.absorber, believed.photos
     if evaluation.measures_absorber:
         bearings = measured_bearings(scene, believed.views, noise, rng)
         count = max(2, round(collector.length_m / evaluation.station_step_m))
         stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
         start = AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
-        absorber = solve_absorber(bearings, believed.photos, start, stations).path
+        solution = solve_absorber(bearings, photos, start, stations)
+        absorber, photos = solution.path, replace(photos, with_tube=solution.with_poses)
     edges = measured_edges(scene, true_edges(scene, noise), believed.views, rng)
     expected = Expectation(collector, absorber, y, truth.slope_error_rad)
     prior = Roughness(1e-3, evaluation.along_rad)
-    reflector = solve_reflector(edges, believed.photos, expected, evaluation.column_step_m, prior)
+    reflector = solve_reflector(edges, photos, expected, evaluation.column_step_m, prior)
     absorber = reflector.absorber
     nodes = (reflector.grid.x_m, y)
     visible = visibility(nodes, believed.photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
-    slope_map = slope_map_of(reflector, collector, absorber, visible)
+    slope_map = slope_map_of(reflector, collector, visible)
     grid_x, grid_y = np.meshgrid(*nodes)
     true_error, _ = scene.mirror.errors(grid_x.reshape(-1), grid_y.reshape(-1))
     true_x, true_z = truth.absorber.at(absorber.y_m)

@@ -78,7 +78,7 @@ def known_theta_r(reflector: Reflector, collector: Collector) -> FloatArray:
     return np.where(reflector.measured, turned, np.nan)
 
 
-def slope_map_of(reflector: Reflector, collector: Collector, absorber: AbsorberPath, visible: Visibility) -> SlopeMap:
+def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility) -> SlopeMap:
     """Return the mirror's slopes in the common form.
 
     Parameters
@@ -87,8 +87,6 @@ def slope_map_of(reflector: Reflector, collector: Collector, absorber: AbsorberP
         The solution.
     collector : Collector
         The design.
-    absorber : AbsorberPath
-        The tube's axis; its covariance becomes a common share of the slopes' uncertainty.
     visible : Visibility
         What the cameras can see of the tube by way of each node.
 
@@ -103,7 +101,7 @@ def slope_map_of(reflector: Reflector, collector: Collector, absorber: AbsorberP
     design_y = np.zeros_like(design_x)
     panel = collector.panel_index(x_nodes, y_nodes)
     nodes = _judged(reflector, panel, visible)
-    common, rest = common_share(reflector.errors, (grid.x_m, y), absorber, collector)
+    common, rest = common_share(reflector.errors, (grid.x_m, y))
     sigma_x = np.sqrt(nodes.variance + rest)
     sigma_y = np.sqrt(reflector.errors.random[..., 1, 1] + reflector.errors.shared[..., 1])
     valid = np.isfinite(nodes.error)

@@ -107,7 +107,12 @@ class CommonUnknowns:
 
 
 def common_unknowns(
-    edges: ReflectionEdges, sights: Sights, found: Misfit, modes: CameraModes, expected: Expectation
+    edges: ReflectionEdges,
+    sights: Sights,
+    found: Misfit,
+    modes: CameraModes,
+    expected: Expectation,
+    with_poses: FloatArray | None = None,
 ) -> CommonUnknowns:
     """Collect what touching lines of sight have in common.
 
@@ -123,6 +128,8 @@ def common_unknowns(
         The unknowns that stand for the poses.
     expected : Expectation
         Collector and the tube's place; it is held where it has no variance.
+    with_poses : ndarray, shape (2 k, 6 n), optional
+        Covariance of the tube's place with the steps of the poses: wrong targets displace both.
 
     Returns
     -------
@@ -146,7 +153,11 @@ def common_unknowns(
     covariance = np.eye(first_tube + _TUBE_UNKNOWNS)
     covariance[:n_modes, :n_modes] = modes.covariance
     if n_stations:
-        covariance[n_photo:first_tube, n_photo:first_tube] = path.covariance_m2
+        # A micrometre keeps the matrix positive definite.
+        covariance[n_photo:first_tube, n_photo:first_tube] = path.covariance_m2 + 1e-12 * np.eye(2 * path.n)
+        if with_poses is not None:
+            covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
+            covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
     return CommonUnknowns(index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units)
 
 

@@ -13,6 +13,7 @@ from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.reflector import Photos, Reflector, solve_reflector
 from observer.sight import Misfit, Sights
 from observer.simulated_edges import EdgeNoise, measured_edges, true_edges
+from observer.simulated_flight import Believed, Evaluation, simulate
 from observer.slope_field import Roughness
 from observer.tube_unknowns import CommonUnknowns, common_unknowns
 from observer.typical_mirror import TypicalMirror
@@ -43,7 +44,11 @@ def some_edges(rng: np.random.Generator) -> tuple[ReflectionEdges, Sights]:
 
 def unknowns_of(edges: ReflectionEdges, sights: Sights, where: Expectation) -> tuple[CommonUnknowns, Misfit]:
     modes = CameraModes(
-        2 * edges.photo[:, None] + np.arange(2), np.zeros((edges.photo.size, 2)), np.eye(6), np.zeros((3, 6, 2))
+        2 * edges.photo[:, None] + np.arange(2),
+        np.zeros((edges.photo.size, 2)),
+        np.eye(6),
+        np.zeros((3, 6, 2)),
+        np.zeros((3, 2, 6)),
     )
     found = design_misfit(sights.points_m, sights.eyes_m, sights.side, where.collector, where.absorber)
     return common_unknowns(edges, sights, found, modes, where), found
@@ -148,6 +153,36 @@ def test_the_width_of_the_reflection_adds_to_where_the_tube_is_and_the_sigma_is_
     # 32 squares of unit variance: 99 % lie between 0.47 and 1.7 times 4.
     assert 0.47 * 4 < np.mean(normalised) < 1.7 * 4
     assert np.mean(gains) < 0.9
+
+
+@pytest.mark.parametrize("is_coupled", [True, False])
+def test_a_frame_that_leans_turns_all_slopes_by_as_much(is_coupled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses and tube err together where the targets lean; as independent errors they would add up to 0.7 of it."""
+    rng = np.random.default_rng(6)
+    scene = short_scene(TypicalMirror.drawn(short_trough(), rng, 0.2e-3, 0.0), photos=40, rows=10)
+    leaning = 1e-4
+    # p' = R (P + a x P) + t: the step of each pose is a turn by R a.
+    steps = np.array([[*pose.rotation[:, 1], 0.0, 0.0, 0.0] for _, pose in scene.views]).reshape(-1)
+    covariance = leaning**2 * np.outer(steps, steps) + np.diag(np.tile([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6], 40) ** 2)
+    if not is_coupled:
+        monkeypatch.setattr(
+            CameraModes, "read", lambda self, with_steps: np.zeros((len(with_steps), len(self.covariance)))
+        )
+    evaluation = Evaluation(column_step_m=0.1, station_step_m=0.5, along_rad=1e-4)
+    means = []
+    for share in (0.0, 1.0):
+        views = [
+            (camera, pose.moved(share * leaning * step))
+            for (camera, pose), step in zip(scene.views, steps.reshape(-1, 6), strict=True)
+        ]
+        one = simulate(
+            scene, Believed(tuple(views), covariance), EdgeNoise(0.05, 0.1), evaluation, np.random.default_rng(7)
+        )
+        means.append(float(np.nanmean(one.slope_map.slope_error_x)))
+    slopes = one.slope_map
+    modes = slopes.common.evaluate(*np.meshgrid(slopes.x_m, slopes.y_m))[:, 0]
+    sigma = float(np.sqrt((modes[:, slopes.valid].mean(axis=1) ** 2).sum()))
+    assert (sigma == pytest.approx(abs(means[1] - means[0]), rel=0.15)) is is_coupled
 
 
 def test_a_tube_that_is_thicker_than_stated_is_found_so() -> None:
