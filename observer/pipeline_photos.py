@@ -25,6 +25,7 @@ from observer.pipeline_slices import Slices, empty_slices
 from observer.pipeline_tone import sizes_of, some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
 from observer.tone import Tone, linear_light
+from photogrammetry.ellipse import Ellipse
 from photogrammetry.network import StartValues
 from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.pipeline_cameras import build_cameras
@@ -193,6 +194,7 @@ class _Run:
     def finish(self) -> None:
         """Centre the targets of the photos that wait, and find what these show."""
         waiting, self.waiting = self.waiting, []
+        as_shown: dict[str, Ellipse] = {}
         measured = measure_at(
             [one.image for one in waiting], [one.name for one in waiting], [one.track.ellipses for one in waiting],
             self.finder.search,
@@ -202,12 +204,15 @@ class _Run:
             if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(one.track.ellipses)):
                 pose = self._searched(one.image, one.name, one.camera)
             else:
-                none, size = (
-                    found.chosen(np.zeros(0, dtype=np.intp)),
-                    (int(one.image.shape[1]), int(one.image.shape[0])),
-                )
+                shown = zip(found.names, found.pixels_px, shapes, strict=True)
+                as_shown = {name: Ellipse(pixel, shape) for name, pixel, shape in shown}
+                none, (height, width) = found.chosen(np.zeros(0, dtype=np.intp)), one.image.shape
+                size = int(width), int(height)
                 self.targets[one.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
             self._look(one.number, one.name, one.image, one.camera, pose)
+        if self.track is not None and waiting and self.track is waiting[-1].track:
+            # Ellipses as they look now: the perspective changes along the path.
+            self.track = replace(self.track, ellipses={**self.track.ellipses, **as_shown})
 
     def _look(self, number: int, name: str, image: Image, camera: Camera | None, pose: RigidTransform | None) -> None:
         if pose is None or camera is None:

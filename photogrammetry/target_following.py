@@ -198,7 +198,8 @@ def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pos
     for name, pixel in zip(found.names, found.pixels_px, strict=True):
         # The dot's centre lies in the middle of the pattern, to round-off.
         size = (2 * half + 1, 2 * half + 1)
-        part, first = _as_float(image, pixel, half + 2)
+        part, first = _around(image, pixel, half + 2)
+        part = np.ascontiguousarray(part, dtype=np.float32)
         sharp = cv2.getRectSubPix(part, size, (float(pixel[0] - first[0]), float(pixel[1] - first[1])))
         factors = (max(1, round(radius / wanted)) for wanted in (_COARSE_RADIUS_PX, _REDUCED_RADIUS_PX))
         coarse, fine = (Pattern(_reduced(np.asarray(sharp, dtype=np.float32), factor), factor) for factor in factors)
@@ -324,18 +325,18 @@ def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolAr
         return np.asarray(((pixels > margin_px) & (pixels < limits)).all(axis=1))
 
 
-def _as_float(image: Image, pixel: FloatArray, half: int) -> tuple[Float32Array, tuple[int, int]]:
-    """Return the pixels around a place as float32, and the column and row of the first."""
+def _around(image: Image, pixel: FloatArray, half: int) -> tuple[Image, tuple[int, int]]:
+    """Return the pixels around a place, and the column and row of the first."""
     column, row = (max(round(float(value)) - half, 0) for value in pixel)
     part = image[row : row + 2 * half + 1, column : column + 2 * half + 1]
-    return np.ascontiguousarray(part, dtype=np.float32), (column, row)
+    return part, (column, row)
 
 
-def _reduced(part: Float32Array, factor: int) -> Float32Array:
+def _reduced(part: Image, factor: int) -> Float32Array:
     """Average blocks, from the middle outwards: the middle pixel stays the middle of the middle block."""
     if factor == 1:
-        return part
-    smoothed = cv2.blur(part, (factor | 1, factor | 1))
+        return np.ascontiguousarray(part, dtype=np.float32)
+    smoothed = cv2.boxFilter(part, cv2.CV_32F, (factor | 1, factor | 1))
     middle = [size // 2 for size in part.shape]
     return np.ascontiguousarray(smoothed[middle[0] % factor :: factor, middle[1] % factor :: factor])
 
@@ -344,7 +345,7 @@ def _match(image: Image, pixel: FloatArray, pattern: Pattern, radius_px: float, 
     """Return where near a place the pattern is, to some tenths of a pixel; NaN where it is not."""
     factor, (rows, columns) = pattern.factor, pattern.image.shape
     half = search_px + int(np.ceil(_PATTERN_RADII * radius_px))
-    part, first = _as_float(image, pixel, half)
+    part, first = _around(image, pixel, half)
     reduced = _reduced(part, factor)
     if reduced.shape[0] <= rows or reduced.shape[1] <= columns:
         return np.full(2, np.nan)

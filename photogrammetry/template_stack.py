@@ -37,7 +37,7 @@ _MOST_STEPS = 8
 #: it is off by 0.0007 px, a tenth of its sigma [px].
 _MOVED_PX = 0.3
 #: Pixels that are fitted together: some sixty arrays of this length pass through the second-level cache.
-_STACK_PIXELS = 24_000
+_STACK_PIXELS = 40_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
