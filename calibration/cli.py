@@ -172,3 +172,40 @@ def heliostat_export_command(
         raise InputError(f"--date {date}: a day such as 2026-06-21 is needed ({error})") from error
     for name in run(result, out, ExportOptions(chosen, step_minutes, target, force)):
         typer.echo(out / name)
+
+
+@app.command("heliostat-plan")
+def heliostat_plan_command(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge calibrate heliostat`.")],
+    out: OutFolder,
+    first_day: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="First day of the measurements; default: today.")
+    ] = None,
+    days: Annotated[int, typer.Option(help="How many days there are.")] = 30,
+    goal_mrad: Annotated[float, typer.Option(help="Sigma of the beam over a year that shall be reached.")] = 1.0,
+    sigma_mm: Annotated[float, typer.Option(help="Of a measured centre of a beam, each axis.")] = 20.0,
+    most: Annotated[int, typer.Option(help="Measurements of one heliostat at most.")] = 12,
+    per_day: Annotated[int, typer.Option(help="Heliostats a day at most; 0: as many as there is room for.")] = 0,
+    slot_minutes: Annotated[float, typer.Option(help="How long a beam keeps a target busy.")] = 3.0,
+    target: Annotated[
+        str | None, typer.Option(help="Target whose centre stands for where the beam shall go; default: the first.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Calibrated heliostats -> what to measure next, at which suns, and a schedule, the worst first."""
+    from datetime import date as day
+
+    from calibration.heliostat.pipeline_plan import NextOptions, run
+    from heliogauge.errors import InputError
+
+    try:
+        first = None if first_day is None else day.fromisoformat(first_day)
+    except ValueError as error:
+        raise InputError(f"--first-day {first_day}: a day such as 2026-06-21 is needed ({error})") from error
+    goal_rad, sigma_m = 1e-3 * goal_mrad, 1e-3 * sigma_mm
+    options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)
+    sentences = run(result, out, options)
+    # Of thousands the worst are enough to read; heliostats.csv has all.
+    for text in [*sentences[:-1][:20], sentences[-1]]:
+        typer.echo(text)
+    typer.echo(f"results: {out}")

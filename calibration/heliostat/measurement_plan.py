@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.aiming import aim
+from calibration.heliostat.aiming import Aim, aim
 from calibration.heliostat.beam_observations import BeamSpots, DroneSightings
 from calibration.heliostat.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.fit_result import HeliostatFit
@@ -164,7 +164,7 @@ def beam_candidates(
     instants, suns = instants[up], suns[up]
     groups = []
     for name, target in targets.items():
-        aimed = aim(knowledge.design, knowledge.design.parameters.values, suns, target.center_m)
+        aimed = _aimed(knowledge.design, suns, target.center_m)
         served = _served(aimed.converged & aimed.within_limits, aimed.normals, suns)
         if not served.any():
             continue
@@ -222,7 +222,7 @@ def drone_candidates(
     turn, flat = np.pi * (1 + np.sqrt(5)) * count, np.sqrt(1 - height**2)
     sphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
     places = knowledge.design.position_m + (ranges[:, None, None] * sphere).reshape(-1, 3)
-    aimed = aim(knowledge.design, knowledge.design.parameters.values, places, target.center_m, finite=True)
+    aimed = _aimed(knowledge.design, places, target.center_m, finite=True)
     served = _served(aimed.converged & aimed.within_limits, aimed.normals, places - aimed.centre_m)
     if not served.any():
         raise EstimationError(f"{knowledge.design.name}: a drone at {ranges.tolist()} m never sees {target.name} in it")
@@ -231,6 +231,12 @@ def drone_candidates(
     return Observations(
         (DroneSightings(Pointings(aimed.readings[served]), places[served], covariance, names, (target,)),)
     )
+
+
+def _aimed(design: HeliostatDesign, sources: FloatArray, point: FloatArray, *, finite: bool = False) -> Aim:
+    # Many positions of a year cannot be reached; their NaN are asked for.
+    with np.errstate(invalid="ignore"):
+        return aim(design, design.parameters.values, sources, point, finite=finite)
 
 
 def _served(possible: BoolArray, normals: FloatArray, sources: FloatArray) -> BoolArray:
@@ -358,6 +364,9 @@ def plan_measurements(
         chosen.append(best)
         sigmas.append(float(np.sqrt(np.einsum("ij,ji->", covariance, worth) + floor)))
         left[best] = False
+        # Beneath a floor that is too high, measurements that bring less than a percent are wasted.
+        if np.sqrt(floor) >= goal_rad and sigmas[-1] > 0.99 * sigmas[-2]:
+            break
         same = (days == days[best]) & ~np.isnat(days)
         if options.per_day and int(same[chosen].sum()) >= options.per_day:
             left &= ~same
@@ -448,7 +457,7 @@ def _year(knowledge: Knowledge, suns: FloatArray, aim_point_m: npt.ArrayLike) ->
     """Return derivatives of the beam's direction at the suns that can be served, (y, 2, k) [rad]."""
     design, values = knowledge.design, knowledge.design.parameters.values
     point = float_array("aim_point_m", aim_point_m, (3,))
-    aimed = aim(design, values, suns, point)
+    aimed = _aimed(design, suns, point)
     served = _served(aimed.converged & aimed.within_limits, aimed.normals, suns)
     if not served.any():
         raise EstimationError(f"{design.name}: cannot send the sun to the aim point at any of {len(suns)} positions")

@@ -86,7 +86,7 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
         raise InputError(f"--step-minutes {options.step_minutes:g}: between 0.1 and 240 minutes are needed")
     with WholeFolder(out, EXPORT, force=options.force) as folder:
         controllers: list[dict[str, Any]] = []
-        for content in _results(result):
+        for content in results_of(result):
             design = design_from(content["design"], content["parameters"], key="value")
             if isinstance(design.drives[0], LinearActuator):
                 write_json(folder / f"{design.name}_properties.json", exported_properties(content, design))
@@ -102,7 +102,24 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
         return sorted(file.name for file in folder.iterdir())
 
 
-def _results(folder: Path) -> Iterator[dict[str, Any]]:
+def results_of(folder: Path) -> Iterator[dict[str, Any]]:
+    """Read what each calibrated heliostat of a folder of results says.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with ``heliostat.json``, or one with a folder for each heliostat.
+
+    Yields
+    ------
+    dict
+        Content of one ``heliostat.json``.
+
+    Raises
+    ------
+    InputError
+        No results there, or results of another version.
+    """
     files = (
         [folder / HELIOSTAT_FILE] if (folder / HELIOSTAT_FILE).is_file() else sorted(folder.glob(f"*/{HELIOSTAT_FILE}"))
     )
