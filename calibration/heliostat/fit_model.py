@@ -20,6 +20,9 @@ from heliogauge.validate import BoolArray, FloatArray
 _HUBER = {1: 1.345, 2: 1.5, 3: 1.65}
 # The largest share of a residual that the fit may have taken: below 0.05 left, no row is tested any more sharply.
 _LEAST_LEFT = 0.05
+# Factor on the stated sigma from which residuals are the model's, and how much farther rows may then lie.
+_REFUTED_FROM, _SLACK = 1.2, 1.5
+_ON_THE_WAY, _FEW_STEPS = 0.05, 12
 # Residuals of data without noise [stated sigma].
 _ZERO = 1e-6
 # There a sigma below a millionth of the stated one is rounding.
@@ -222,7 +225,9 @@ class Descended:
             if freedom > 2:
                 # The scatter rests on few rows: F(2, v), whose tail is (1 + 2 F / v)^(-v / 2), instead of chi-square.
                 square *= freedom * (probability ** (-2 / freedom) - 1) / (-2 * np.log(probability))
-            limit[own] = np.sqrt(square)
+            # What a model lacks is no normal error: rows that follow it are not outliers for that.
+            refuted = self.factors[kind] > _REFUTED_FROM
+            limit[own] = np.sqrt(square) * (_SLACK if refuted else 1.0)
         return limit
 
     def _own_variance(self, residuals: Residuals, scale: FloatArray) -> FloatArray:
@@ -281,7 +286,9 @@ def descend(
     extra = tuple(Prior(name, float(value), float(sigma)) for name, value, sigma in known if np.isfinite(sigma))
     problem = Problem(model.names, residuals_at, VECTOR, extra=extra)
     block = model.block(used)
-    options = Options(max_iterations=model.options.max_iterations, tolerance=tolerance, rank_tolerance=1e-10)
+    # On the way, while scale and rows still move, a long valley is not worth following to its end.
+    most = model.options.max_iterations if tolerance < _ON_THE_WAY else min(model.options.max_iterations, _FEW_STEPS)
+    options = Options(max_iterations=most, tolerance=tolerance, rank_tolerance=1e-10)
     solution = solve(problem, start, loss=model.loss(block), block_size=block, options=options)
     stated = np.abs(solution.residuals[: per_component.size] / per_component)
     if not solution.converged and stated.max(initial=0.0) < _ZERO:

@@ -49,7 +49,7 @@ class FitOptions:
     significance: float = 0.01
     refuted_below: float = 0.001
     restarts: int = 8
-    max_iterations: int = 60
+    max_iterations: int = 100
 
     def __post_init__(self) -> None:
         if self.loss not in ("huber", "squares", "tukey"):
