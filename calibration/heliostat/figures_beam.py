@@ -28,7 +28,13 @@ _LOW, _HIGH = 0.01, 0.999
 
 
 def beam_image_figure(
-    image: TargetImage, beam: Beam, *, aim_m: FloatArray | None = None, title: str = "", methods: bool = True
+    image: TargetImage,
+    beam: Beam,
+    *,
+    aim_m: FloatArray | None = None,
+    aim_name: str = "aim point",
+    title: str = "",
+    methods: bool = True,
 ) -> "Figure":
     """Draw a beam on its target as seen from the field: x to the right, y up.
 
@@ -40,6 +46,8 @@ def beam_image_figure(
         What was measured in it.
     aim_m : array_like, shape (2,), optional
         Where the beam should have been [m].
+    aim_name : str, optional
+        What that place is called.
     title : str, optional
         First line above the picture.
     methods : bool, optional
@@ -70,14 +78,14 @@ def beam_image_figure(
         _draw_shape(axes, beam)
         _draw_places(axes, beam, methods=methods)
     if aim_m is not None:
-        axes.plot(*np.asarray(aim_m), marker="x", color=_AIM, markersize=8, linestyle="none", label="aim point")
+        axes.plot(*np.asarray(aim_m), marker="x", color=_AIM, markersize=8, linestyle="none", label=aim_name)
     axes.set_xlim(left, right)
     axes.set_ylim(low, high)
     if axes.get_legend_handles_labels()[0]:
         add_legend(axes, loc="upper left", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
     add_title(figure, title or "Beam on the target", beam.reason)
     size_x, size_y = figure.get_size_inches()
-    texts = "\n".join(_numbers(beam, aim_m))
+    texts = "\n".join(_numbers(beam, aim_m, aim_name))
     figure.text((0.75 + width) / size_x, 0.55 / size_y, texts, fontsize=7, color=INK, va="bottom", linespacing=1.35)
     return figure
 
@@ -108,7 +116,7 @@ def _draw_places(axes: "Axes", beam: Beam, *, methods: bool) -> None:
             )  # fmt: skip
 
 
-def _numbers(beam: Beam, aim_m: FloatArray | None) -> list[str]:
+def _numbers(beam: Beam, aim_m: FloatArray | None, aim_name: str) -> list[str]:
     if not np.isfinite(beam.spot.position_m).all():
         return []
     (x, y), (sigma_x, sigma_y) = beam.spot.position_m, beam.spot.sigma_m
@@ -116,6 +124,6 @@ def _numbers(beam: Beam, aim_m: FloatArray | None) -> list[str]:
     lines = [f"x {x:+.3f} ± {sigma_x:.3f} m", f"y {y:+.3f} ± {sigma_y:.3f} m"]
     if aim_m is not None:
         offset = beam.spot.position_m - np.asarray(aim_m)
-        lines += [f"from aim point {offset[0]:+.3f} m, {offset[1]:+.3f} m"]
+        lines += [f"from {aim_name}", f"{offset[0]:+.3f} m, {offset[1]:+.3f} m"]
     lines += [f"widths (sigma) {major:.2f} m, {minor:.2f} m"]
     return [*lines, f"peak {beam.peak_dn:.0f} DN above {beam.background_dn:.0f} DN"]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.pipeline_images import measure_beams
+from calibration.heliostat.pipeline_images import BeamMeasurements, measure_beams
 from calibration.heliostat.pipeline_rows import Rows, Verdicts
 from calibration.heliostat.pipeline_source import Plant
 from calibration.heliostat.pipeline_target_frames import (
@@ -26,7 +26,9 @@ from heliogauge.validate import BoolArray, FloatArray, freeze
 _FILLED = ("x_m", "y_m", "sigma_x_mm", "sigma_y_mm")
 
 
-def with_measured_beams(rows: Rows, folder: Path, plant: Plant, model: HeliostatModel) -> Rows:
+def with_measured_beams(
+    rows: Rows, folder: Path, plant: Plant, model: HeliostatModel
+) -> tuple[Rows, BeamMeasurements | None]:
     """Measure the beams in the photos that rows name.
 
     Parameters
@@ -44,6 +46,8 @@ def with_measured_beams(rows: Rows, folder: Path, plant: Plant, model: Heliostat
     -------
     Rows
         With places and sigmas [m, mm], or the reason why a photo gave none.
+    BeamMeasurements or None
+        What was measured in the photos; None where no row names one that could be looked at.
 
     Raises
     ------
@@ -58,7 +62,7 @@ def with_measured_beams(rows: Rows, folder: Path, plant: Plant, model: Heliostat
         dtype=np.bool_,
     )
     if not wanted.any():
-        return rows
+        return rows, None
     verdicts = Verdicts(rows)
     frames = beam_frames(folder, plant, model)
     known = np.array([name in frames for name in targets], dtype=np.bool_)
@@ -70,6 +74,7 @@ def with_measured_beams(rows: Rows, folder: Path, plant: Plant, model: Heliostat
     verdicts.refuse(wanted & ~there, "image", lambda row: f"there is no photo {images[row]!r} in {folder}")
     chosen = np.nonzero(wanted & known & there & verdicts.usable)[0].tolist()
     columns = {name: np.array(rows.number(name)) for name in _FILLED}
+    beams: BeamMeasurements | None = None
     if chosen:
         beams = measure_beams([files[row] for row in chosen], [targets[row] for row in chosen], frames, jobs=1)
         values = np.column_stack([beams.x_m, beams.y_m, 1e3 * beams.sigma_m])
@@ -80,7 +85,7 @@ def with_measured_beams(rows: Rows, folder: Path, plant: Plant, model: Heliostat
                 mask = np.arange(len(rows)) == row
                 verdicts.refuse(mask, "image", f"{images[row]}: {beams.reasons[place] or 'no beam found'}")
     numbers = {**rows.numbers, **{name: _frozen(column) for name, column in columns.items()}}
-    return Rows(rows.ids, numbers, rows.texts, rows.times, tuple(verdicts.flags), tuple(verdicts.reasons))
+    return Rows(rows.ids, numbers, rows.texts, rows.times, tuple(verdicts.flags), tuple(verdicts.reasons)), beams
 
 
 def _frozen(column: FloatArray) -> FloatArray:

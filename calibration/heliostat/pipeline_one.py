@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement_heliostat import HeliostatModel
 from heliogauge.sun import direction_from_angles
 from heliogauge.validate import BoolArray, FloatArray, freeze
+
+if TYPE_CHECKING:
+    from calibration.heliostat.pipeline_images import BeamMeasurements
 
 AUTO = "auto"
 #: More readings than this beyond the actuators' geometry are not slips of single rows.
@@ -116,6 +120,8 @@ class HeliostatResult:
         Why the other splits could not be made.
     sky : SkyMap or None
         Predicted uncertainty over the sky; thorough runs only.
+    beams : BeamMeasurements or None
+        What was measured in photos; None where no row names one.
     warnings : tuple of str
         What makes the numbers doubtful.
     notes : tuple of str
@@ -137,6 +143,7 @@ class HeliostatResult:
     diagnosis: Diagnosis
     not_split: Mapping[str, str] = field(default_factory=dict)
     sky: SkyMap | None = None
+    beams: "BeamMeasurements | None" = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     properties: str = ""
@@ -174,7 +181,8 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     if task.fault:
         raise InputError(f"{task.name}: {task.fault}")
     nominal = nominal_design(task, shared.plant, shared.model.kinematics)
-    seen = observed(_rows(task, shared), nominal, shared.plant, shared.model)
+    rows, beams = _rows(task, shared)
+    seen = observed(rows, nominal, shared.plant, shared.model)
     if seen.observations is None:
         raise EstimationError(f"{task.name}: {_all_refused(seen.rows)}")
     options = FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
@@ -189,21 +197,21 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     doubts = tuple(dict.fromkeys((*diagnosis.warnings, *doubts)))
     return HeliostatResult(
         name=task.name, nominal=nominal, seen=seen, fit=result, free=free, choice=choice, split=shared.split, held=held,
-        not_split=not_split, diagnosis=diagnosis, sky=sky, warnings=doubts, notes=notes, properties=task.properties,
-        duration_s=perf_counter() - begin,
+        not_split=not_split, diagnosis=diagnosis, sky=sky, beams=beams, warnings=doubts, notes=notes,
+        properties=task.properties, duration_s=perf_counter() - begin,
     )  # fmt: skip
 
 
-def _rows(task: HeliostatTask, shared: Shared) -> Rows:
+def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements | None"]:
     if task.header:
         rows = parse_rows(task.header, [(int(number), text) for number, text in task.records])
         if not shared.model.images:
-            return rows
+            return rows, None
         # OpenCV costs 0.1 s, which only photos are worth.
         from calibration.heliostat.pipeline_beams import with_measured_beams
 
         return with_measured_beams(rows, shared.folder, shared.plant, shared.model)
-    return parse_calibrations(task.records, task.times, label=shared.label, origin=shared.plant.origin)
+    return parse_calibrations(task.records, task.times, label=shared.label, origin=shared.plant.origin), None
 
 
 def _all_refused(rows: Rows) -> str:

@@ -1,5 +1,6 @@
 """Parts of the reports on one heliostat and on a field, from the files of their results."""
 
+import base64
 import html
 from collections.abc import Mapping
 from typing import Any
@@ -80,6 +81,19 @@ def residual_figures(report: HeliostatReport) -> Html:
     return show(*on_targets, *figures.series_figures(report).values())
 
 
+def beam_section(report: HeliostatReport) -> Html:
+    """Return the pictures of those beams in photos that tell most; nothing where there are none."""
+    files = sorted(report.folder.glob("beam_*.png"))
+    if not files:
+        return Html("")
+    data = [base64.b64encode(file.read_bytes()).decode("ascii") for file in files]
+    images = [f'<figure><img alt="{file.stem}" src="data:image/png;base64,{text}"></figure>'
+              for file, text in zip(files, data, strict=True)]  # fmt: skip
+    order = "Photos that were left out come first, then the largest residuals, then those around the median; "
+    note = _caption(f"{order}beams.csv has all.")
+    return join(Html(f'<h3>Beams in the photos</h3><div class="figures">{"".join(images)}</div>'), note)
+
+
 def sky_section(report: HeliostatReport) -> Html:
     """Return the map of the predicted uncertainty."""
     if not report.content.get("sky"):
@@ -98,7 +112,8 @@ def parameter_table(report: HeliostatReport) -> Html:
         sigma = one["sigma"]
         moved = "" if not one["prior_sigma"] else f"{(one['value'] - one['nominal']) / one['prior_sigma']:+.1f}"
         prior = "free" if one["prior_sigma"] is None else f"± {factor * one['prior_sigma']:.3g}"
-        value = number_text(factor * one["value"], None if sigma is None else factor * sigma, unit)
+        # Without its unit, so that all of a row are in the same one (number_text goes to mm where a value is small).
+        value = f"{number_text(factor * one['value'], None if sigma is None else factor * sigma, '')} {unit}".rstrip()
         rows.append((name.replace("_", " "), value, f"{factor * one['nominal']:.6g}", prior, moved))
     if not rows:
         return Html("<p>All parameters are held.</p>")

@@ -28,6 +28,8 @@ SCHEMA = 1
 def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summary: Summary) -> None:
     """Write ``heliostat.json``, ``residuals.csv`` and ``summary.json`` of one heliostat into an existing folder.
 
+    Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
+
     Parameters
     ----------
     result : HeliostatResult
@@ -46,6 +48,11 @@ def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summa
     """
     write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
     write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
+    if result.beams is not None:
+        # OpenCV and matplotlib cost 0.5 s, which only photos are worth.
+        from calibration.heliostat.pipeline_pictures import write_beam_files
+
+        write_beam_files(result, shared, folder, pictures=shared.thorough)
     write_summary(folder / "summary.json", summary)
 
 

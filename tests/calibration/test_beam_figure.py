@@ -19,7 +19,7 @@ def test_axes_in_metres() -> None:
     assert "aim point" in texts
     centroid = next(line for line in axes.lines if line.get_label() == "centroid of the light")
     assert np.allclose(np.ravel(centroid.get_xydata()), [1.0, 0.5], atol=0.01)
-    assert any("from aim point +0." in text.get_text() for text in figure.texts)
+    assert any("from aim point\n+0." in text.get_text() for text in figure.texts)
     assert png_of(figure).startswith(b"\x89PNG")
 
 

@@ -28,7 +28,7 @@ def measured(folder, scene, options=None, terms=""):
     for task in source.tasks(source.names):
         design = nominal_design(task, source.plant, measurement.model.kinematics)
         rows = parse_rows(task.header, task.records)
-        rows = with_measured_beams(rows, folder, source.plant, measurement.model)
+        rows, _ = with_measured_beams(rows, folder, source.plant, measurement.model)
         seen = observed(rows, design, source.plant, measurement.model)
         yield task.name, seen, fit(design, seen.observations, options), truth
 
