@@ -24,6 +24,10 @@ _SHADOWS_SHARE = 0.01
 _MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
 
 
+#: With more edges than this that the other side does not bear out a word is said.
+_MOST_ONE_SIDED = 0.2
+
+
 class EdgeFate(IntEnum):
     """What became of an edge."""
 
@@ -140,3 +144,28 @@ def has_shadows(fate: IntArray) -> bool:
     as they have right ones, which nothing in their brightness tells from the tube's.
     """
     return bool(np.mean(fate == EdgeFate.WRONG_STEP) > _SHADOWS_SHARE)
+
+
+def unchecked_doubt(fate: IntArray) -> str | None:
+    """Say that most edges were refused because photos are too far apart to tell them from those of shadows.
+
+    Parameters
+    ----------
+    fate : ndarray of int, shape (m,)
+        Of all edges.
+
+    Returns
+    -------
+    str or None
+        A sentence.
+    """
+    lonely = float(np.mean(fate == EdgeFate.ONE_SIDED))
+    if lonely < _MOST_ONE_SIDED:
+        return None
+    wrong = float(np.mean(fate == EdgeFate.WRONG_STEP))
+    return (
+        f"{100 * wrong:.0f} % of the edges in the reflection step the other way than the tube's, as those of shadows, "
+        f"glass and things on the ground do; {100 * lonely:.0f} % are not borne out by the tube's other edge and were "
+        "refused. Photos nearer to each other bear them out; or turn the trough so that a bright, clear sky is around "
+        "the tube"
+    )

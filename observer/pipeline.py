@@ -18,7 +18,7 @@ from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
 from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
-from observer.edge_fates import FATE_TEXTS, EdgeFate
+from observer.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
 from observer.longitudinal import incidence_warning
 from observer.pipeline_checks import design_doubts
 from observer.pipeline_headline import (
@@ -213,9 +213,10 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             *design_doubts((files, views), reflector, slope_map, absorber, collector),
         )
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
+    shadows = unchecked_doubt(reflector.fate)
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
     shape = shape_doubt(reflector.shape, model.evaluation.shape_from_slopes, usual_sigma)
-    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting, shape)
+    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting, shape, shadows)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(

@@ -104,7 +104,8 @@ class Reflector:
     last_change_m : float
         RMS change of the height in the last round [m].
     has_shadows : bool
-        Whether shadows as dark as the tube are in the reflection: what few edges say is then not believed.
+        Whether shadows as dark as the tube are in the reflection, and edges were checked against those of the other
+        side: what few edges say is then not believed.
     shape : ShapeShare
         Whether the mirror deviates as its slopes say, as the reflection tells it.
     """
@@ -245,14 +246,9 @@ def solve_reflector(
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
     shadows = has_shadows(fate)
-    for last in (False, True) if shadows else ():
-        borne, agreed = borne_out(_apart(lines.chosen(keep), errors), edges.side[keep], grid, roughness)
-        fate[np.nonzero(keep)[0][~borne]] = EdgeFate.ONE_SIDED
+    if shadows:
+        fate, errors, roughness, agreed = _without_shadows(lines, edges, (fate, errors, roughness), nothing, grid)
         keep &= fate == EdgeFate.USED
-        if not last:
-            errors = solve_jointly(lines.chosen(keep), grid, roughness, none, nothing, with_shares=False)
-            fate[keep & _is_pulled(lines, keep, edges, errors, grid)] = EdgeFate.BESIDE
-            keep &= fate == EdgeFate.USED
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
     errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=~unknowns.is_place)
@@ -292,6 +288,33 @@ def _with_slopes(lines: TouchingLines, present: "_Surface", grid: RowGrid) -> Fl
     """Return the misfits with the present slopes."""
     slopes = at_points(present.slopes, lines.row, lines.x_m, grid)
     return np.asarray(lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1])
+
+
+def _without_shadows(
+    lines: TouchingLines,
+    edges: ReflectionEdges,
+    present: tuple[IntArray, SlopeErrors, Roughness],
+    nothing: tuple[FloatArray, FloatArray],
+    grid: RowGrid,
+) -> tuple[IntArray, SlopeErrors, Roughness, BoolArray]:
+    """Refuse edges that shadows may have made; return fates, solution, roughness and the nodes that are borne out."""
+    fate, errors, roughness = present
+    fate = fate.copy()
+    some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+    still = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    keep = some.copy()
+    keep[some] = borne
+    # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
+    roughness = find_roughness(lines.chosen(keep), grid, roughness, nothing[1])
+    errors = solve_jointly(lines.chosen(keep), grid, roughness, still, nothing, with_shares=False)
+    pulled = _is_pulled(lines, keep, edges, errors, grid)
+    fate[pulled] = EdgeFate.BESIDE
+    some &= ~pulled
+    errors = solve_jointly(lines.chosen(keep & some), grid, roughness, still, nothing, with_shares=False)
+    borne, agreed = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
+    return fate, errors, roughness, agreed
 
 
 def _is_pulled(

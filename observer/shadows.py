@@ -14,9 +14,9 @@ from observer.joint_solution import solve_jointly
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 
 #: An edge counts where those of the other side know the slope at its place better than this [rad].
-_SUPPORT_RAD = 1e-3
+_SUPPORT_RAD = 0.5e-3
 #: Both sides contradict each other beyond so many standard deviations of their difference, and beyond this [rad].
-_CONTRADICT_TIMES, _SMALLEST_RAD = 4.0, 2e-4
+_CONTRADICT_TIMES, _SMALLEST_RAD = 4.0, 5e-4
 #: Edges of one curve are taken together with this many before and after.
 _CURVE_ROWS = 5
 #: Where all of them are off by more standard deviations than this on the mean, they are not the tube's: 2 to 4 % of the
