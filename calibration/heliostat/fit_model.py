@@ -20,8 +20,8 @@ from heliogauge.validate import BoolArray, FloatArray
 _HUBER = {1: 1.345, 2: 1.5, 3: 1.65}
 # The largest share of a residual that the fit may have taken: below 0.05 left, no row is tested any more sharply.
 _LEAST_LEFT = 0.05
-# Factor on the stated sigma from which residuals are the model's, and how much farther rows may then lie.
-_REFUTED_FROM, _SLACK = 1.2, 1.5
+#: Factor on the stated sigma from which residuals are the model's, and how much farther rows may then lie.
+REFUTED_FROM, _SLACK = 1.2, 1.5
 _ON_THE_WAY, _FEW_STEPS = 0.05, 12
 # Residuals of data without noise [stated sigma].
 _ZERO = 1e-6
@@ -226,7 +226,7 @@ class Descended:
                 # The scatter rests on few rows: F(2, v), whose tail is (1 + 2 F / v)^(-v / 2), instead of chi-square.
                 square *= freedom * (probability ** (-2 / freedom) - 1) / (-2 * np.log(probability))
             # What a model lacks is no normal error: rows that follow it are not outliers for that.
-            refuted = self.factors[kind] > _REFUTED_FROM
+            refuted = self.factors[kind] > REFUTED_FROM
             limit[own] = np.sqrt(square) * (_SLACK if refuted else 1.0)
         return limit
 

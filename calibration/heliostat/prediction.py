@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from calibration.heliostat.aiming import aim
 from calibration.heliostat.design import HeliostatDesign
-from calibration.heliostat.fit_model import FitModel, descend
+from calibration.heliostat.fit_model import REFUTED_FROM, FitModel, descend
 from calibration.heliostat.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.kinematics import mirror_poses
 from calibration.heliostat.observability import plausible_scales
@@ -197,7 +197,7 @@ def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) ->
     draw. Blocks of neighbouring positions are left aside in turn; the factor makes the mean of their squared errors
     what it should be.
     """
-    if not found.sigma_estimated or found.n_free == 0 or found.used.sum() < 4 * _BLOCKS:
+    if not _refuted(found) or found.n_free == 0 or found.used.sum() < 4 * _BLOCKS:
         return 1.0
     seen = found.observations
     # Near the answer already: one descent for each block, at the sigmas and with the rows of the whole fit.
@@ -391,6 +391,11 @@ def sun_positions_of_year(
     return np.concatenate(parts), np.concatenate(days)
 
 
+def _refuted(found: HeliostatFit) -> bool:
+    """Whether the residuals exceed the stated sigmas by more than sigmas are known: the model lacks something."""
+    return max(found.sigma_factors.values(), default=1.0) > REFUTED_FROM
+
+
 def _columns(found: HeliostatFit) -> npt.NDArray[np.intp]:
     return np.flatnonzero(found.design.parameters.free)
 
@@ -424,7 +429,7 @@ class _Wide:
     def of(cls, found: HeliostatFit) -> "_Wide":
         """Linearise at the fit; if the residuals refute the model, what was held may be wrong within its prior too."""
         own = found.design.parameters
-        if not found.sigma_estimated:
+        if not _refuted(found):
             return cls(_columns(found), found.solution.covariance)
         sigmas = own.sigmas.copy()
         for i, name in enumerate(own.names):
@@ -460,7 +465,7 @@ def _prediction(
     distance = _nearest(positions, _used_positions(found))
     reasons = tuple(_why(*pair) for pair in zip(distance, leverage, strict=True))
     extrapolated = np.array([bool(reason) for reason in reasons], dtype=np.bool_)
-    if found.sigma_estimated:
+    if _refuted(found):
         covariance = covariance * np.where(extrapolated, _BEYOND**2, 1.0)[:, None, None]
     parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     total = covariance + (misfit**2)[:, None, None] * np.eye(2)
