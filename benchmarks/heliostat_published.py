@@ -285,7 +285,7 @@ def improved():
 
     def three(name, asked, run):
         found = [run(count) for count in counts]
-        # Ten trials whose scatter is half the mean know it to 16 %: within half again.
+        # A dozen trials whose scatter is half the mean know it to 15 %: within half again.
         holds = all(one < 1.5 * float(limit) for one, limit in zip(found, asked.split(" / "), strict=True))
         line(name, asked, " / ".join(f"{one:.3f}" for one in found), holds)
 
@@ -296,7 +296,7 @@ def improved():
         ("B4 100 m", (100, 100), "0.088 / 0.035 / 0.015"),
         ("B5 32 to 70 m", (32, 70), "0.215 / 0.065 / 0.037"),
     ):
-        three(f"{name}, published cost", asked, lambda n, r=radius: published_cost(truth, r, n, 10)[0].mean())
+        three(f"{name}, published cost", asked, lambda n, r=radius: published_cost(truth, r, n, 30)[0].mean())
     for name, radius, wide, asked in (
         ("B1 with our residual and priors, 32 m", (32, 32), 1, "0.386 / 0.191 / 0.155"),
         ("B4 with our residual and priors, 100 m", (100, 100), 1, "0.088 / 0.035 / 0.015"),
