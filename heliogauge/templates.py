@@ -391,6 +391,7 @@ file = "camera.json"
 photos = "*.jpg"
 #: video = "pass.mp4"           # instead of photos
 #: every_nth = 5                # of the video's frames
+#: encoding = "srgb"            # or "linear"; without it targets and edges of the reflection tell
 
 # Coded targets on the rim (ring codes aicon-12, ... or markers DICT_4X4_100); targets.csv has the columns
 # target, x_m, y_m, z_m, sigma_x_mm, sigma_y_mm, sigma_z_mm; leave a cell empty where a coordinate is not known.
