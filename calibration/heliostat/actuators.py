@@ -185,6 +185,8 @@ def _triangle(drive: LinearActuator, numbers: Mapping[str, float]) -> tuple[floa
     )  # fmt: skip
 
 
+# A fit may try numbers whose triangle is open, or an increment of almost nothing: callers see what is not finite.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def _linear(drive: LinearActuator, numbers: Mapping[str, float], readings: FloatArray) -> _Base:
     start, side, other, increment = _triangle(drive, numbers)
     sign, pitch = (1.0 if drive.clockwise else -1.0), 2 * np.pi * drive.terms.worm_ratio
@@ -192,9 +194,8 @@ def _linear(drive: LinearActuator, numbers: Mapping[str, float], readings: Float
     # The last entry is reading 0: both ends of the difference come from one evaluation.
     strokes = np.append(start + extension, start)
     cosine = (side**2 + other**2 - strokes**2) / (2 * side * other)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        inner = np.arccos(cosine)
-        per_sine = 1 / np.sqrt((1 - cosine) * (1 + cosine))
+    inner = np.arccos(cosine)
+    per_sine = 1 / np.sqrt((1 - cosine) * (1 + cosine))
     by_stroke = strokes / (side * other) * per_sine
     by_side, by_other = (cosine / side - 1 / other) * per_sine, (cosine / other - 1 / side) * per_sine
     none, per_reading = np.zeros(len(readings)), -sign * by_stroke[:-1] / increment

@@ -13,6 +13,8 @@ from heliogauge.notation import number_text
 from heliogauge.report_html import Html, join, show, table
 
 _MOST_ROWS = 60
+#: Letters of a reason in the table of a field.
+_REASON_LENGTH = 160
 #: Headline of one heliostat: words and keys of an angle summary.
 _ANGLES = (
     ("beam, RMS", "beam_rms_mrad"),
@@ -199,11 +201,14 @@ def field_title(report: FieldReport) -> Html:
 def field_doubts(report: FieldReport) -> Html:
     """Return how many heliostats failed or need a second look, or the statement that none does."""
     numbers = report.summary.numbers
-    doubtful, failed = int(numbers["doubtful_count"] or 0), int(numbers["failed_count"] or 0)
+    failed, faulty, doubtful = (int(numbers.get(f"{kind}_count") or 0) for kind in ("failed", "faulty", "doubtful"))
     warnings = [html.escape(str(text)) for text in report.summary.warnings]
-    if not (doubtful or failed or warnings):
+    if not (failed or faulty or doubtful or warnings):
         return Html('<div class="fine">No warnings: every check of every heliostat passed.</div>')
-    first = f"{failed} of {numbers['heliostats_count']} heliostats have no model; {doubtful} have warnings of their own"
+    count = numbers["heliostats_count"]
+    first = (
+        f"{failed} of {count} heliostats have no model; {faulty} have a fault; {doubtful} have warnings of their own"
+    )
     items = "".join(f"<li>{text}</li>" for text in (first, *warnings))
     return Html(f'<div class="warnings"><strong>to look at</strong><ul>{items}</ul></div>')
 
@@ -213,8 +218,10 @@ def field_headline(report: FieldReport) -> Html:
     beam, normal = report.numbers("beam_test_rms_mrad"), report.numbers("normal_test_rms_mrad")
     known = np.isfinite(beam)
     numbers = report.summary.numbers
-    rows = [("Heliostats: calibrated, with doubts, failed", ", ".join(
-        str(numbers[key]) for key in ("calibrated_count", "doubtful_count", "failed_count")))]  # fmt: skip
+    counts = ", ".join(
+        str(numbers.get(f"{kind}_count") or 0) for kind in ("calibrated", "faulty", "doubtful", "failed")
+    )
+    rows = [("Heliostats: calibrated, of these with a fault, with doubts; failed", counts)]
     for word, values in (("Beam", beam), ("Normal", normal)):
         if np.isfinite(values).any():
             low, middle, high = np.nanpercentile(values, [5, 50, 95])
@@ -238,12 +245,15 @@ def field_table(report: FieldReport) -> Html:
     rows, count = report.rows, len(report.rows["heliostat"])
     shown = ("beam_test_rms_mrad", "beam_train_rms_mrad", "predicted_sigma_beam_mrad", "normal_test_rms_mrad")
     angles = {name: report.numbers(name) for name in shown}
-    cells = [(rows["heliostat"][i], rows["status"][i], rows["model"][i], *(_number(angles[name][i]) for name in shown),
-              f"{rows['used_count'][i]} of {rows['observations_count'][i]}" if rows["used_count"][i] else "",
-              rows["reason"][i]) for i in range(min(count, _MOST_ROWS))]  # fmt: skip
+    found = rows.get("diagnosis", ("",) * count)
+    states = [kind.replace("_", " ") or status for kind, status in zip(found, rows["status"], strict=True)]
+    cells = [(rows["heliostat"][i], states[i], rows["model"][i], *(_number(angles[name][i]) for name in shown),
+              f"{rows['used_count'][i]}/{rows['observations_count'][i]}" if rows["used_count"][i] else "",
+              _shortened(rows["reason"][i])) for i in range(min(count, _MOST_ROWS))]  # fmt: skip
     head = ("heliostat", "", "model", "beam predicted", "fitted", "expected", "normal predicted", "used", "")
     more = f"The worst {_MOST_ROWS} of {count}; all are in field.csv. " if count > _MOST_ROWS else ""
-    note = f"{more}Angles in mrad, RMS. <code>heliogauge report OUT/NAME</code> makes the report of one heliostat."
+    command = "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat."
+    note = f"{more}Angles in mrad, RMS; reasons in full in field.csv. {command}"
     return join(table(head, cells, numbers=(3, 4, 5, 6)), _caption(note))
 
 
@@ -253,6 +263,10 @@ def _head(name: str, line: str) -> Html:
 
 def _caption(text: str) -> Html:
     return Html(f'<p class="caption">{text}</p>' if text else "")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _REASON_LENGTH else f"{text[:_REASON_LENGTH].rsplit(' ', 1)[0]} ..."
 
 
 def _number(value: float | None) -> str:
