@@ -60,6 +60,8 @@ def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tup
         Rows that are explained.
     """
     explained = np.zeros(len(fit.observations), dtype=np.bool_)
+    if not fit.rejected.any():
+        return [], explained
     found: dict[str, list[tuple[str, BoolArray]]] = {}
     for ways in (_other_targets(fit, targets), _other_units(fit, targets)):
         for kind, text, fits in ways:
@@ -241,9 +243,9 @@ def _coordinates(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Float
     for group in fit.observations.groups:
         xy = np.full((len(group), 2), np.nan)
         if isinstance(group, BeamSpots):
-            for i, name in enumerate(group.target):
-                if name in targets:
-                    xy[i] = targets[name].coordinates(group.spot_m[i : i + 1])[0]
+            names = np.array(group.target, dtype=np.str_)
+            for name in set(group.target) & set(targets):
+                xy[names == name] = targets[name].coordinates(group.spot_m[names == name])
         found.append(xy)
     return np.concatenate(found)
 

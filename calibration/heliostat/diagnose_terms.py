@@ -272,7 +272,8 @@ def _with_spots(observations: Observations, targets: Mapping[str, PlaneTarget], 
     groups: list[Group] = []
     for group in observations.groups:
         if isinstance(group, BeamSpots) and len(group):
-            steps = np.stack([targets[n].axes[axis] if n in targets else np.zeros(3) for n in group.target])
+            known = {name: targets[name].axes[axis] if name in targets else np.zeros(3) for name in set(group.target)}
+            steps = np.stack([known[name] for name in group.target])
             group = replace(group, spot_m=group.spot_m + _STEP_M * steps)
         groups.append(group)
     return Observations(tuple(groups))
