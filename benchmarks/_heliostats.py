@@ -9,14 +9,14 @@ from heliogauge.errors import EstimationError, InputError
 
 
 def title(text):
-    print(f"\n{text}\n  {'':66}{'asked':>25}{'measured':>25}  verdict")
+    print(f"\n{text}\n  {'':66}{'asked':>25}{'measured':>34}  verdict")
     if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
         print("(OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 are not set: times hold the waiting of idle threads)")
 
 
 def line(what, asked, measured, holds):
     verdict = holds if isinstance(holds, str) else ("holds" if holds else "DIFFERS")
-    print(f"  {what:66}{asked:>25}{measured:>25}  {verdict}", flush=True)
+    print(f"  {what:66}{asked:>25}{measured:>34}  {verdict}", flush=True)
 
 
 def close(what, asked, measured, tolerance):
