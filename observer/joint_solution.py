@@ -180,6 +180,7 @@ def solve_jointly(
     common: tuple[FloatArray, FloatArray],
     *,
     with_shares: bool | BoolArray = True,
+    with_covariance: bool = True,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns by one Gauss-Newton step, which is exact for linear observations.
 
@@ -198,6 +199,8 @@ def solve_jointly(
     with_shares : bool or ndarray of bool, shape (c,), optional
         Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
         there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
+    with_covariance : bool, optional
+        Whether the covariance of the common unknowns is wanted; without it and without shares it is empty.
 
     Returns
     -------
@@ -206,7 +209,8 @@ def solve_jointly(
     """
     wanted = _ROWS_TIMES_COMMON // max(common[0].size, 1)
     rows = sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
-    shared = _eliminate(*_sampled(lines, grid, rows), prior, start[rows], common)
+    needs_covariance = with_covariance or with_shares is not False
+    shared = _eliminate(*_sampled(lines, grid, rows), prior, start[rows], common, with_covariance=needs_covariance)
     step = shared.step
     system = assemble(lines, grid, prior)
     moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, step[lines.common_index])
@@ -221,10 +225,11 @@ def solve_jointly(
     found = (common[0] + step, shared.covariance, rows)
     if with_shares is False:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), *found, nothing, nothing)
-    variance, modes = shared.shares()
-    apart = nothing
-    if with_shares is not True and not with_shares.all():
-        modes, apart = (part.shares()[1] for part in shared.split(np.asarray(with_shares)))
+    if with_shares is True or with_shares.all():
+        (variance, modes), apart = shared.shares(), nothing
+    else:
+        (variance, modes), (more, apart) = (part.shares() for part in shared.split(np.asarray(with_shares)))
+        variance = variance + more
     between = _between_rows(variance, rows, grid.n_rows)
     return SlopeErrors(slopes, random, between, *found, modes, apart)
 
@@ -303,9 +308,17 @@ class _Eliminated:
 
 
 def _eliminate(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, start: FloatArray, common: tuple[FloatArray, FloatArray]
+    lines: TouchingLines,
+    grid: RowGrid,
+    prior: Roughness,
+    start: FloatArray,
+    common: tuple[FloatArray, FloatArray],
+    *,
+    with_covariance: bool = False,
 ) -> _Eliminated:
     """Eliminate the slopes of all rows; estimate the common unknowns and what of the slopes hangs on them."""
+    from scipy.linalg import lapack
+
     value, covariance = common
     count = value.size
     system = assemble(lines, grid, prior)
@@ -327,40 +340,48 @@ def _eliminate(
     # Each common unknown touches a few nodes of a row only: with dense factors this product would cost the most of all.
     normal -= coupling.T @ carried.reshape(flat)
     gradient -= carried.reshape(flat).T @ pull.reshape(-1)
-    posterior, narrowed = _inverted(normal)
-    step = -posterior @ gradient
+    root, narrowed = _root(normal)
+    step = -np.asarray(lapack.dpotrs(root, gradient, lower=1)[0])
+    posterior = _inverse_of(root) if with_covariance else np.zeros((0, 0))
     evidence -= 0.5 * (narrowed + spread + float(gradient @ step))
     return _Eliminated(step, posterior, carried, evidence)
 
 
 def _precision(covariance: FloatArray) -> tuple[FloatArray, float]:
-    """Return the inverse of a prior covariance and the logarithm of its determinant; the last one is remembered.
+    """Return the inverse of a prior covariance and the logarithm of its determinant; the last two are remembered.
 
     All rounds of a solution have the same prior, and inverting a thousand unknowns takes as long as half the rest.
     """
-    known = _last_prior[0] if _last_prior else None
-    if known is None or known[0]() is not covariance:
-        known = (weakref.ref(covariance), _inverted(covariance))
-        _last_prior[:] = [known]
-    return known[1]
+    for known, found in _last_priors:
+        if known() is covariance:
+            return found
+    root, determinant = _root(covariance)
+    _last_priors[:] = [(weakref.ref(covariance), (_inverse_of(root), determinant)), *_last_priors[:1]]
+    return _last_priors[0][1]
 
 
-_last_prior: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = []
+_last_priors: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = []
 
 
-def _inverted(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """Return the inverse of a positive definite matrix and the logarithm of its determinant."""
+def _root(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the lower Cholesky root of a positive definite matrix and the logarithm of the determinant."""
     from scipy.linalg import lapack
 
     root, info = lapack.dpotrf(0.5 * (matrix + matrix.T), lower=1)
     if info != 0:
         raise np.linalg.LinAlgError("the common unknowns are not determined")
-    determinant = 2 * float(np.log(np.diagonal(root)).sum())
+    return np.asarray(root), 2 * float(np.log(np.diagonal(root)).sum())
+
+
+def _inverse_of(root: FloatArray) -> FloatArray:
+    """Return the inverse of the matrix that has a root."""
+    from scipy.linalg import lapack
+
     # Above the diagonal both are zero.
-    inverse, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
+    inverse, _ = lapack.dpotri(root, lower=1)
     whole = inverse + inverse.T
     whole.flat[:: len(whole) + 1] *= 0.5
-    return np.asarray(whole), determinant
+    return np.asarray(whole)
 
 
 def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":

@@ -108,7 +108,8 @@ def find_shape_share(
     solved = solve_jointly(lines, fewer, roughness, still, (np.zeros(count + 2), prior), with_shares=False)
     nothing = (np.zeros(count), covariance)
     slopes = [
-        solve_jointly(one, fewer, roughness, still, nothing, with_shares=False).slopes[..., 0] for one in (shaped, flat)
+        solve_jointly(one, fewer, roughness, still, nothing, with_shares=False, with_covariance=False).slopes[..., 0]
+        for one in (shaped, flat)
     ]
     seen = np.zeros(slopes[0].shape, dtype=bool)
     seen[shaped.row, np.abs(shaped.x_m[:, None] - grid.x_m).argmin(axis=1)] = True
