@@ -112,7 +112,8 @@ def find_shape_share(
         for one in (shaped, flat)
     ]
     seen = np.zeros(slopes[0].shape, dtype=bool)
-    seen[shaped.row, np.abs(shaped.x_m[:, None] - grid.x_m).argmin(axis=1)] = True
+    nearest = np.rint((shaped.x_m - grid.x_m[0]) / grid.step_m).astype(np.intp)
+    seen[shaped.row, np.clip(nearest, 0, grid.x_m.size - 1)] = True
     excess = _EXCESS * (_edge_step_m(shaped) / _EXCESS_STEP_M) ** _EXCESS_POWER
     return ShapeShare(
         1.0 + float(solved.common[count]) - excess,
