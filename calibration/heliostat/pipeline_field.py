@@ -28,6 +28,9 @@ from heliogauge.progress import Progress, SilentProgress
 from heliogauge.scale import Failure, run_each
 from heliogauge.store import ResultFolder, Summary, hash_files, write_summary
 
+#: Warnings of a field that are repeated in the terminal.
+_MOST_SAID = 20
+
 
 @dataclass(frozen=True, slots=True)
 class FieldResult:
@@ -52,8 +55,10 @@ class FieldResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the result doubtful."""
-        return () if self.summary is None else tuple(self.summary.warnings)
+        """What makes the result doubtful, as much of it as one reads in a terminal."""
+        said = () if self.summary is None else tuple(self.summary.warnings)
+        rest = len(said) - _MOST_SAID
+        return said if rest <= 0 else (*said[:_MOST_SAID], f"... and {rest} more in summary.json and field.csv")
 
 
 @dataclass(frozen=True, slots=True)
