@@ -12,7 +12,7 @@ from observer.design import Collector
 from observer.joint_solution import sample_rows, solve_jointly
 from observer.outline import Span
 from observer.reflector import Reflector
-from observer.slope_field import RowGrid
+from observer.slope_field import Roughness, RowGrid
 
 #: Slopes of a parabola whose focal length is wrong by this share are 4 mrad off at the rim of an LS-2: no mirror that
 #: anybody would measure has its panels all tilted like that.
@@ -37,6 +37,9 @@ _CLIPPED_SHARE = 0.1
 _SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
 #: Image points that fit so much worse than they were measured are not bad photos any more.
 _MISFIT_FACTOR = 3.0
+#: Slopes that vary along a row as much as this jump at panel edges: mirrors of one piece have 1e-4 to 3e-3, a mirror of
+#: four panels that was stated to be one 0.15 [rad^2 / m^3].
+_JUMPING = 0.02
 #: No camera that sees a collector is further away than this many times its largest dimension.
 _FARTHEST_TIMES = 100.0
 
@@ -265,6 +268,29 @@ def overexposure_doubt(clipped_share: float) -> str | None:
     return (
         f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
         "move and the tube looks thinner than it is; expose so that the sky stays below full scale"
+    )
+
+
+def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
+    """Say whether the mirror looks like several panels where none were stated.
+
+    Parameters
+    ----------
+    roughness : Roughness
+        Of the slopes along the rows, as found.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where panels are stated, or slopes do not jump.
+    """
+    if collector.panel_edges_x_m.size > 2 or roughness.across < _JUMPING:
+        return None
+    return (
+        "slopes jump along x as at edges of panels, but the mirror is stated to be one piece across: without "
+        "collector.panel_edges_x_m slopes are smeared over the edges, and sigma is large everywhere"
     )
 
 

@@ -17,7 +17,7 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
-from observer.design_checks import camera_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.design_checks import camera_doubt, panels_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
 from observer.longitudinal import incidence_warning
 from observer.pipeline_checks import design_doubts
@@ -209,6 +209,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("check the design"):
         design = (
             camera_doubt(network.solved.image_sigma_factor),
+            panels_doubt(reflector.roughness, collector),
             sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
             *design_doubts((files, views), reflector, slope_map, absorber, collector),
         )

@@ -17,10 +17,12 @@ from observer.design_checks import (
     focal_length_doubt,
     outline_doubts,
     overexposure_doubt,
+    panels_doubt,
     refuse_impossible_cameras,
     sparse_doubt,
 )
 from observer.outline import Span, clipped_share, photos_from_above, rims_in_photo, spans_of
+from observer.slope_field import Roughness
 
 CAMERA = Camera(480, 640, 1030.0, 1030.0, 239.5, 319.5)
 SHORT = Collector(5.0, 3.16, 1.49, 0.070, GlassTube(0.115, 0.109))
@@ -180,3 +182,11 @@ def test_photos_near_the_axis_are_chosen():
     assert len(chosen) == 7
     assert np.abs(eyes[chosen, 0]).max() < 1.6
     assert photos_from_above(eyes[:2]) == [0, 1]
+
+
+def test_jumps_of_the_slopes_ask_for_the_panels() -> None:
+    panelled = replace(ls2(), panel_edges_x_m=np.array([-2.5, 0.0, 2.5]))
+    whole = replace(ls2(), panel_edges_x_m=np.array([-2.5, 2.5]))
+    assert "panel_edges_x_m" in str(panels_doubt(Roughness(0.15), whole))
+    assert panels_doubt(Roughness(0.15), panelled) is None
+    assert panels_doubt(Roughness(3e-3), whole) is None

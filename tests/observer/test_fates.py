@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from observer.edge_fates import EdgeFate, first_fate, is_alone
+from observer.edge_fates import EdgeFate, first_fate, is_alone, unchecked_doubt
 from observer.edges import Edges
 from observer.rectify import Strip
 from observer.reflection import ReflectionEdges, _is_tube_dark, _unevenness
@@ -67,3 +67,9 @@ def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> Non
     both = curve(0, np.arange(40), np.full(40, 0.1))
     both = replace(both, unevenness=np.where(np.arange(40) < 5, uneven, even))
     np.testing.assert_array_equal(first_fate(both) == EdgeFate.UNEVEN, np.arange(40) < 5)
+
+
+def test_a_word_is_said_where_most_edges_stand_alone() -> None:
+    fate = np.repeat([EdgeFate.USED, EdgeFate.WRONG_STEP, EdgeFate.ONE_SIDED], [40, 10, 50])
+    assert "50 % are not borne out" in str(unchecked_doubt(fate))
+    assert unchecked_doubt(fate[:55]) is None
