@@ -112,8 +112,7 @@ def predict_rows(found: HeliostatFit, observations: Observations, options: FitOp
     normals = mirror_poses(
         found.design, found.values, observations.readings, observations.approach, outside="nan"
     ).normals(found.design)
-    known = found.sigma_factors
-    factor = np.array([known.get(kind, 1.0) for kind in observations.kind])
+    factor = np.array([found.sigma_factors.get(kind, 1.0) for kind in observations.kind])
     misfit = np.sqrt(np.maximum(factor**2 - 1, 0.0)) * sigma
     positions = observations.sun if _by_sun(found) else normals
     spread = wide.spread(jacobian, blocked_inflation(found, options))
@@ -469,10 +468,9 @@ def _prediction(
         covariance = covariance * np.where(extrapolated, _BEYOND**2, 1.0)[:, None, None]
     parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     total = covariance + (misfit**2)[:, None, None] * np.eye(2)
-    root = np.sqrt(2.0)
     return Prediction(
-        drives[0], drives[1], total, parameters, root * misfit, root * noise, leverage, distance, extrapolated, reasons,
-        inflation,
+        *drives, total, parameters, np.sqrt(2.0) * misfit, np.sqrt(2.0) * noise, leverage, distance, extrapolated,
+        reasons, inflation,
     )  # fmt: skip
 
 
