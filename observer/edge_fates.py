@@ -17,8 +17,8 @@ _CONTINUED_STEP_M = 0.05
 #: From one row to the next an edge moves by at most so many distances of the rows.
 _STEEPEST_CURVE = 4.0
 #: With more than this share of edges that step the wrong way there are shadows in the reflection: 0.2 % under a clear
-#: or cloudy sky, 4 % with the collector's own shadow on the ground.
-_SHADOWS_SHARE = 0.01
+#: or cloudy sky, 1 % where the mirror bends so much that the reflection folds, 4 % with the collector's own shadow.
+_SHADOWS_SHARE = 0.02
 #: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
 #: usually does: where a shadow or a thing on the ground ends beside it the edge is up to 4 mrad off.
 _MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
