@@ -4,7 +4,8 @@ Run with one thread: ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmark
 is a measurement such as ``heliogauge synth trough FOLDER --preset ls2`` draws; without it a small one is drawn, whose
 photos are too small for the ratio to mean much. The photos are written as JPEG (quality 95), in colour with
 ``--colour``, as often as are needed for 400 (``--photos``): passes over the same places, one after the other. Decoding
-is OpenCV's, of the same files in the same run. ``--profile`` lists where the time goes.
+is OpenCV's, of the same files in the same run, with all that is in them: a colour photo becomes three colours, as in
+any program that opens it (the evaluation itself decodes its luma only). ``--profile`` lists where the time goes.
 """
 
 import argparse
@@ -17,6 +18,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import cv2
 from _measure import StageClock, row, title
