@@ -111,6 +111,7 @@ def residual_findings(
             break
         # The clearest may be part of something larger: the first that explains most of it is taken.
         clear.sort(key=lambda pair: -pair[1].clear)
+        clear = [(group, _closer(group.model, look)) for group, look in clear]
         tried = ((group, look, _extended(fit, group, look)) for group, look in clear)
         found = next(((g, look, ext) for g, look, ext in tried if _is_fault(fit, g, look, ext)), None)
         if found is None and findings:
@@ -202,6 +203,19 @@ def _looks(model: LinearFit, terms: Sequence[Term]) -> list[_Look]:
         clear = float(statistics[index]) - int(freedom[index]) * np.log(2 * rows) - 2 * np.log(len(statistics))
         found.append(_Look(term, index, statistics, chance, clear))
     return found
+
+
+def _closer(model: LinearFit, look: _Look) -> _Look:
+    """Look again about the best number of a term; what was significant stays so."""
+    term = look.term
+    if term.columns_at is None or len(term.at) < 2:
+        return look
+    # Two steps to either side: the steps miss a period by a sixth of a cycle at most, noise by a little more.
+    at = term.at[look.index] + np.linspace(-2, 2, 41) * (term.at[1] - term.at[0])
+    at = at[at > 0]
+    finer = replace(term, columns=term.columns_at(at), at=at)
+    statistics, _ = model.scores(finer.columns)
+    return replace(look, term=finer, index=int(np.argmax(statistics)), statistics=statistics)
 
 
 def _explained(check: Check, look: _Look, extension: Extension) -> Check:

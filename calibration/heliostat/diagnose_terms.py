@@ -42,6 +42,8 @@ class Term:
         Its coefficients with units.
     at : ndarray, shape (looks,)
         The number of each look.
+    columns_at : callable, optional
+        Makes the columns at any such numbers, to look closer about the best.
     """
 
     kind: str
@@ -49,6 +51,7 @@ class Term:
     columns: FloatArray
     names: tuple[str, ...]
     at: FloatArray
+    columns_at: Callable[[FloatArray], FloatArray] | None = None
 
 
 def _single(kind: str, name: str, columns: FloatArray, *names: str) -> Term:
@@ -161,9 +164,14 @@ class Terms:
         # Half as many cycles as rows can be told apart; steps of a third of a cycle over the span miss no period.
         most = min(_MOST_CYCLES, self.rows.sum() / 2)
         cycles = np.arange(_FEWEST_CYCLES, max(most, _FEWEST_CYCLES + 0.1), 1 / 3)
-        waves = 2 * np.pi * cycles[:, None] / span * (phase - phase.mean())
-        columns = np.stack([np.cos(waves), np.sin(waves)], axis=2) * by_axis[None, :, None]
-        return Term("worm_gear", f"axis {axis + 1}", columns, ("cos_rad", "sin_rad"), cycles / span * turn)
+        numbers = cycles / span * turn
+
+        def columns_at(numbers: FloatArray) -> FloatArray:
+            waves = 2 * np.pi / turn * numbers[:, None] * (phase - phase.mean())
+            return np.stack([np.cos(waves), np.sin(waves)], axis=2) * by_axis[None, :, None]
+
+        name = f"axis {axis + 1}"
+        return Term("worm_gear", name, columns_at(numbers), ("cos_rad", "sin_rad"), numbers, columns_at)
 
     # --- sun ----------------------------------------------------------------------------------------------------------
 

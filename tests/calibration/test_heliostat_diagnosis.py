@@ -208,7 +208,7 @@ def test_worm_gear_has_its_period(rng):
     (finding,) = judged(seen(truth, rng)).faults
     assert finding.kind == "worm_gear"
     assert "axis 2" in finding.text
-    assert abs(finding.evidence["cycles_per_turn_or_m"] - 60.0) < 6
+    assert abs(finding.evidence["cycles_per_turn_or_m"] - 60.0) < 1
 
 
 def test_sag(rng):
