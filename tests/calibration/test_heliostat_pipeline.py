@@ -277,6 +277,23 @@ class TestField:
         with pytest.raises(InputError, match="no folder of results can be made there"):
             run_into(load_heliostat(folder), folder.parent / "out" / "deeper", QUICK)
 
+    @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+    def test_a_folder_that_is_read_only(self, folder: Path) -> None:
+        place = folder.parent / "locked"
+        place.mkdir(mode=0o500)
+        for names in (None, "H1"):
+            with pytest.raises(InputError, match=r"no folder .*can be made there"):
+                run_into(load_heliostat(folder), place / "out", Options(thorough=False, model="5", only=names))
+
+    def test_what_a_crash_left_half_is_done_again(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.interrupt(folder, monkeypatch, 2)
+        half = folder.parent / "out" / ".H4.partial"
+        half.mkdir()
+        (half / "heliostat.json").write_text("{", encoding="utf-8")
+        assert self.calibrate(folder).resumed == 2
+        assert not half.exists()
+        assert content_of(folder.parent / "out" / "H4")["heliostat"] == "H4"
+
     def test_a_bug_is_told_with_its_trace(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def stumble(shared: Any, task: Any) -> Any:
             return calibrate_one(shared, task) if task.name != "H5" else 1 / 0
@@ -380,6 +397,16 @@ class TestRealHeliostats:
         assert one.main.train.beam_rms_rad < 2.3e-3
         assert one.main.test.beam_rms_rad < 2.7e-3
         assert one.seen.sun_check_rad < 0.05e-3
+
+    def test_both_labels_can_be_read(self, csp: Path) -> None:
+        """One record of BF55 has a centre by HeliOS only."""
+        counts = {}
+        for label in ("UTIS", "HeliOS"):
+            (one,) = run(load_heliostat(csp / "BF55"), Options(model="4", thorough=False, label=label)).heliostats
+            counts[label] = one.seen.rows.flags.count("label")
+            assert one.main is not None
+            assert one.main.test.beam_rms_rad < 2.5e-3
+        assert counts == {"UTIS": 1, "HeliOS": 0}
 
     @pytest.mark.slow
     def test_the_field_with_its_faulty_unit(self, csp: Path, tmp_path: Path) -> None:
