@@ -7,6 +7,7 @@ are under way at a time, so memory does not grow with their number. Dask is impo
 import multiprocessing
 import os
 import signal
+import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -173,6 +174,20 @@ def _one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
+def _main_unseen() -> Iterator[None]:
+    """Start processes that do not run the caller's script again: what they work on is in modules."""
+    main = sys.modules["__main__"]
+    names: tuple[str, ...] = ("__file__", "__spec__")
+    hidden = {name: main.__dict__[name] for name in names if name in main.__dict__}
+    main.__dict__.pop("__file__", None)
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        main.__dict__.update(hidden)
+
+
+@contextmanager
 def _pool(function: Callable[..., Any], context: Any, processes: int) -> Iterator[ProcessPoolExecutor]:
     # Spawned, not forked: a fork copies whatever threads and locks the parent has.
     pool = ProcessPoolExecutor(
@@ -196,8 +211,9 @@ def _in_processes(
             running: dict[Future[Any], Any] = {}
             try:
                 with _pool(function, context, processes) as pool:
-                    for task in islice(waiting, _AHEAD * processes):
-                        running[pool.submit(_work, task)] = task
+                    with _main_unseen():
+                        for task in islice(waiting, _AHEAD * processes):
+                            running[pool.submit(_work, task)] = task
                     while running:
                         for future in wait(running, return_when=FIRST_COMPLETED).done:
                             outcome = future.result()
@@ -217,7 +233,9 @@ def _one_by_one(
     for task in suspects:
         try:
             with _pool(function, context, 1) as pool:
-                outcome = pool.submit(_work, task).result()
+                with _main_unseen():
+                    future = pool.submit(_work, task)
+                outcome = future.result()
         except BrokenProcessPool:
             outcome = Failure("the process that worked on it was killed twice; is there enough memory?")
         yield Done(task, outcome)

@@ -1,7 +1,10 @@
 """Many independent tasks: what fails is an outcome, workers agree with this process, memory does not grow."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -66,6 +69,27 @@ def test_threads_of_the_caller_are_left_as_they_were(monkeypatch: pytest.MonkeyP
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     list(run_each(halve, 1.0, [2, 4], workers=Workers(), processes=2))
     assert "OMP_NUM_THREADS" not in os.environ
+
+
+SCRIPT = """
+from heliogauge.scale import Workers, run_each
+from tests.heliogauge.test_scale import halve
+
+print("begin")
+found = {one.task: one.outcome for one in run_each(halve, 0.5, range(0, 12, 2), workers=Workers(), processes=2)}
+print(sorted(found.values()))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_without_a_guard_is_not_run_again(tmp_path: Path, repository: Path) -> None:
+    """Spawned processes import the caller's script, unless they are kept from it."""
+    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")], env=os.environ | {"PYTHONPATH": str(repository)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "begin\n[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]\n", done.stderr
 
 
 def test_how_many_processes() -> None:
