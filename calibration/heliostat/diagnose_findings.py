@@ -137,6 +137,11 @@ class Diagnosis:
         return tuple(one.kind for one in self.faults)
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """Kinds of the faults and of what the observations are too few to tell, each once."""
+        return tuple(dict.fromkeys(one.kind for one in self.findings if one.severity in ("fault", "doubt")))
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Faults, wrong rows and doubts as sentences with their remedy."""
         return tuple(f"{one.text} {one.remedy}" for one in self.findings if one.severity != "hint")

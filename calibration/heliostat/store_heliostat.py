@@ -371,7 +371,7 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
     doubts = [text for text in result.warnings if not text.startswith("split ")]
     return {
         "heliostat": result.name, "status": _status(result, doubts),
-        "diagnosis": ", ".join(dict.fromkeys(result.diagnosis.kinds)),
+        "diagnosis": ", ".join(result.diagnosis.named),
         "e_m": east, "n_m": north, "u_m": up, "model": result.free, **headline(result),
         "duration_s": round(result.duration_s, 4), "warnings_count": len(result.warnings),
         "reason": "; ".join(doubts),
