@@ -129,8 +129,11 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
     folder.mkdir()
     place = folder / MEASUREMENT
     write_heliostat_dataset(place, heliostat_scene("small"), progress=progress)
-    # Four heliostats are not worth processes of their own, nor every split.
-    result = heliostats.run(load_heliostat(place), heliostats.Options(thorough=False, jobs=1), progress)
+    with progress.stage("calibrate heliostats"):
+        # Its own progress: the report of the heliostats would list the stages of the facet. Four heliostats are not
+        # worth processes of their own, nor every split.
+        options = heliostats.Options(thorough=False, jobs=1)
+        result = heliostats.run(load_heliostat(place), options, SilentProgress())
     with progress.stage("write results"):
         heliostats.write(result, folder)
     if report:

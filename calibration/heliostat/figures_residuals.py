@@ -313,7 +313,8 @@ def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatAr
     if (~known).any():
         add_legend(axes, loc="upper right")
     add_color_bar(figure, image, box, MapStyle("", "mrad"), beam_mrad[known])
-    note = f"RMS on positions that were not fitted; {int((beam_mrad[known] > high).sum())} beyond the colours"
+    beyond = int((beam_mrad[known] > high).sum())
+    note = "RMS on positions that were not fitted" + (f"; {beyond} beyond the colours" if beyond else "")
     add_title(figure, "Beam error of each heliostat", note)
     return figure
 
