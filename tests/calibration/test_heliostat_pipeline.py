@@ -361,7 +361,7 @@ class TestCommand:
     def test_ctrl_c_keeps_what_is_finished(self, tmp_path: Path) -> None:
         write_field(tmp_path / "in", heliostats=80, observations=20)
         arguments = [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(tmp_path / "in"), "-o",
-                     str(tmp_path / "out"), "--jobs", "2", "--model", "5", "-q"]  # fmt: skip
+                     str(tmp_path / "out"), "--jobs", "2", "--model", "5", "--no-report", "-q"]  # fmt: skip
         running = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
         deadline = time.monotonic() + 60
         while len(list((tmp_path / "out").glob("H*"))) < 5 and time.monotonic() < deadline:
