@@ -179,8 +179,7 @@ def solve_jointly(
     start: FloatArray,
     common: tuple[FloatArray, FloatArray],
     *,
-    with_shares: bool | BoolArray = True,
-    with_covariance: bool = True,
+    with_shares: bool | BoolArray | None = True,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns by one Gauss-Newton step, which is exact for linear observations.
 
@@ -196,11 +195,10 @@ def solve_jointly(
         Slope errors where the lines were linearised [rad].
     common : (ndarray, ndarray), shapes (c,) and (c, c)
         Values of the common unknowns where the lines were linearised, and their prior covariance about zero.
-    with_shares : bool or ndarray of bool, shape (c,), optional
+    with_shares : bool, ndarray of bool, shape (c,), or None, optional
         Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
         there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
-    with_covariance : bool, optional
-        Whether the covariance of the common unknowns is wanted; without it and without shares it is empty.
+        With None not even the covariance of the common unknowns is computed; it is empty.
 
     Returns
     -------
@@ -209,8 +207,8 @@ def solve_jointly(
     """
     wanted = _ROWS_TIMES_COMMON // max(common[0].size, 1)
     rows = sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
-    needs_covariance = with_covariance or with_shares is not False
-    shared = _eliminate(*_sampled(lines, grid, rows), prior, start[rows], common, with_covariance=needs_covariance)
+    some, fewer = _sampled(lines, grid, rows)
+    shared = _eliminate(some, fewer, prior, start[rows], common, with_covariance=with_shares is not None)
     step = shared.step
     system = assemble(lines, grid, prior)
     moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, step[lines.common_index])
@@ -223,7 +221,7 @@ def solve_jointly(
     random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
     nothing = np.zeros((0, rows.size, grid.x_m.size))
     found = (common[0] + step, shared.covariance, rows)
-    if with_shares is False:
+    if with_shares is None or with_shares is False:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), *found, nothing, nothing)
     if with_shares is True or with_shares.all():
         (variance, modes), apart = shared.shares(), nothing

@@ -229,7 +229,7 @@ def solve_reflector(
         sigma = np.hypot(noise * lines.sigma_rad, allowance)
         used = replace(lines, sigma_rad=sigma).chosen(keep)
         roughness = find_roughness(used, grid, roughness, unknowns.covariance)
-        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=False, with_covariance=False)
+        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
         if allowance == 0.0:
             noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)

@@ -108,8 +108,7 @@ def find_shape_share(
     solved = solve_jointly(lines, fewer, roughness, still, (np.zeros(count + 2), prior), with_shares=False)
     nothing = (np.zeros(count), covariance)
     slopes = [
-        solve_jointly(one, fewer, roughness, still, nothing, with_shares=False, with_covariance=False).slopes[..., 0]
-        for one in (shaped, flat)
+        solve_jointly(one, fewer, roughness, still, nothing, with_shares=None).slopes[..., 0] for one in (shaped, flat)
     ]
     seen = np.zeros(slopes[0].shape, dtype=bool)
     nearest = np.rint((shaped.x_m - grid.x_m[0]) / grid.step_m).astype(np.intp)
