@@ -219,8 +219,10 @@ def test_command_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "--force" in capsys.readouterr().err
     assert leave("response", str(folder), "-o", str(tmp_path / "response.csv")) == 2
     assert "give a folder" in capsys.readouterr().err
-    assert leave("heliostat", str(folder), "-o", str(out)) == 2
-    assert "No such command 'heliostat'" in capsys.readouterr().err
+    assert leave("heliostat", str(folder), "-o", str(tmp_path / "other")) == 2
+    assert "evaluate this folder with `heliogauge calibrate response`" in capsys.readouterr().err
+    assert leave("telescope", str(folder), "-o", str(out)) == 2
+    assert "No such command 'telescope'" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["grey", "result"]
 
 

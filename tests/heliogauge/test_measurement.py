@@ -260,20 +260,15 @@ class TestTemplate:
 
 
 def test_reading_is_cheap() -> None:
-    """Importing the models and checking a file costs no more than importing pydantic, which nobody can avoid."""
+    """Nothing is imported for a measurement file that takes longer than pydantic, which nobody can avoid."""
     program = """
-import time, pydantic
-from pydantic import BaseModel, BeforeValidator, Discriminator, Field, Tag, model_validator
-start = time.process_time()
-import tomllib
+import sys, tomllib
 from pathlib import Path
 from heliogauge.measurement import parse_measurement
 from heliogauge.templates import _DEFLECTOMETRY
 parse_measurement(tomllib.loads(_DEFLECTOMETRY), Path("measurement.toml"))
-print(time.process_time() - start)
+heavy = {"cv2", "scipy", "h5py", "xarray", "matplotlib", "pvlib", "pandas", "skimage"} & sys.modules.keys()
+sys.exit(f"imported: {sorted(heavy)}" if heavy else 0)
 """
-    # The best of three: another process on the machine can only make it slower. Measured: 0.04 s.
-    runs = [
-        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True) for _ in range(3)
-    ]
-    assert min(float(run.stdout) for run in runs) < 0.12
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr

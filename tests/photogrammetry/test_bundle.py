@@ -196,9 +196,9 @@ def test_joint_covariance_is_that_of_the_dense_problem(case, loss):
     bordered = np.block([[normal, border], [border.T, np.zeros((size, size))]])
     cofactor = np.linalg.inv(bordered)[: layout.n, : layout.n] / scale[:, None] / scale
     if problem.datum.kind is DatumKind.PHOTOS:
-        # The inverse has rounding there, a millionth of a millionth of what is shifted about.
+        # The inverse has rounding there, which depends on the processor.
         held = (columns != 0).any(axis=1)
-        assert np.abs(cofactor[held]).max() < 1e-17
+        assert np.abs(cofactor[held]).max() < 1e-15 * np.abs(cofactor).max()
         cofactor[held], cofactor[:, held] = 0.0, 0.0
     share = float(
         np.trace(result.covariance.intrinsics) / np.trace(cofactor[np.ix_(*[layout.intrinsic_columns[0]] * 2)])
