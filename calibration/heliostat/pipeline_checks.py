@@ -56,7 +56,7 @@ def readings_of(rows: Rows, design: HeliostatDesign, verdicts: Verdicts) -> Floa
     if unit != "counts":
         _check_angles(values, names, unit, verdicts)
         values = np.deg2rad(values) if unit == "deg" else values
-    verdicts.refuse(~np.isfinite(values).all(axis=1), "not_finite", f"{' or '.join(names)} is missing")
+    verdicts.refuse(~np.isfinite(values).all(axis=1), "not_finite", f"{' or '.join(names)} is missing or not finite")
     low, high = design.limits.T
     outside: BoolArray = np.asarray((values < low) | (values > high))
     verdicts.refuse(outside.any(axis=1), "reading", lambda row: _outside_text(design, names, values[row], outside[row]))
@@ -76,11 +76,13 @@ def _check_angles(values: FloatArray, names: list[str], unit: str, verdicts: Ver
     if len(known) < _ENOUGH:
         return
     if unit == "rad":
-        beyond: BoolArray = np.asarray(np.abs(values) > 1.05 * _TURN)
+        beyond: BoolArray = np.asarray(np.isfinite(values) & (np.abs(values) > 1.05 * _TURN))
         if (np.abs(known) > 1.05 * _TURN).any(axis=1).mean() > _MOST:
             worst = names[int(np.argmax(np.abs(known).max(axis=0)))]
-            raise InputError(
-                f"{worst}: values such as {np.abs(known).max():g} are no radians; name the columns axis_1_deg"
+            raise ColumnError(
+                "units",
+                f"{worst}: values such as {np.abs(known).max():g} are no radians; name the columns axis_1_deg, "
+                "axis_2_deg, and let both be degrees",
             )
         verdicts.refuse(
             beyond.any(axis=1), "units", lambda row: f"{names[int(np.argmax(beyond[row]))]}: degrees among radians?"

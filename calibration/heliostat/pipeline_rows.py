@@ -180,7 +180,7 @@ def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
     """
     numbered = list(lines)
     cells, flags, reasons = [], [], []
-    for (_, text), row in zip(numbered, csv.reader(text for _, text in numbered), strict=True):
+    for (_, text), row in zip(numbered, _cells([text for _, text in numbered]), strict=True):
         fits = len(row) == len(header)
         flags.append("" if fits else "unreadable")
         reasons.append("" if fits else f"{len(row)} cells, the header has {len(header)}: {text.strip()[:60]}")
@@ -195,6 +195,14 @@ def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
     numbers = {name: _numbers(name, columns[name], verdicts) for name in header if name not in TEXT_COLUMNS}
     times = parse_times(texts["time_utc"], verdicts) if "time_utc" in texts else blank.times
     return verdicts.judged(Rows(blank.ids, numbers, texts, times, blank.flags, blank.reasons))
+
+
+def _cells(lines: Sequence[str]) -> list[list[str]]:
+    """Split each line by itself: a quotation mark that is never closed must not swallow the rows below it."""
+    whole = [line.rstrip("\r\n").replace("\r", " ") for line in lines]
+    if not any('"' in line for line in whole):
+        return list(csv.reader(whole))
+    return [next(csv.reader([line]), []) for line in whole]
 
 
 def _numbers(name: str, cells: Sequence[str], verdicts: Verdicts) -> FloatArray:

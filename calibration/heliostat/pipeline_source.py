@@ -6,6 +6,7 @@ machine; tasks are made one at a time, so that a field of any size fits into mem
 
 import csv
 import hashlib
+import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -221,6 +222,11 @@ def _read_header(file: Path) -> tuple[str, ...]:
     sun = [name for name in ("sun_azimuth_deg", "sun_elevation_deg") if name in header]
     if len(sun) == 1:
         raise InputError(f"{file}: {sun[0]} is alone; sun_azimuth_deg and sun_elevation_deg belong together")
+    sigma = [name for name in ("sigma_x_mm", "sigma_y_mm") if name in header]
+    if len(sigma) == 1:
+        raise InputError(
+            f"{file}: {sigma[0]} is alone; sigma_x_mm and sigma_y_mm belong together, or sigma_mm for both"
+        )
     # Drones, normals and points do without the sun: with kinds it is asked for row by row.
     if not sun and "time_utc" not in header and "kind" not in header:
         raise InputError(f"{file}: where the sun was is missing: time_utc, or sun_azimuth_deg and sun_elevation_deg")
@@ -341,15 +347,18 @@ def position_of(cells: dict[str, str], plant: Plant) -> tuple[float, float, floa
     Raises
     ------
     InputError
-        A cell that is empty or no number.
+        A cell that is empty or no finite number.
     """
-    names = _POSITION if all(cells.get(name) for name in _POSITION) else _GEODETIC
+    names = _POSITION if any(cells.get(name) for name in _POSITION) else _GEODETIC
     values = []
     for name in names:
         try:
             values.append(float(cells.get(name, "")))
         except ValueError:
-            raise InputError(f"{name} = {cells.get(name, '')!r}: a number is needed for its position") from None
+            values.append(math.nan)
+        if not math.isfinite(values[-1]):
+            said = cells.get(name, "")
+            raise InputError(f"table of heliostats: {name} = {said!r}: a finite number is needed for its position")
     if names is _GEODETIC:
         values = enu_from_geodetic(values[0], values[1], values[2], plant.origin).tolist()
     return values[0], values[1], values[2]

@@ -301,7 +301,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
 def _parsed(text: str, where: str) -> dict[str, Any]:
     try:
         content = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: not valid JSON ({error}); is the file whole?") from error
     if not isinstance(content, dict):
         raise InputError(f"{where}: a JSON object is needed, not a {type(content).__name__}")

@@ -89,6 +89,7 @@ class TestRows:
             (lambda t: put(t, "x_m", 3, "nan"), "not_finite", "centre is missing"),
             (lambda t: put(t, "y_m", 3, ""), "not_finite", "centre is missing"),
             (lambda t: put(t, "axis_2_rad", 3, ""), "not_finite", "axis_1_rad or axis_2_rad is missing"),
+            (lambda t: put(t, "axis_2_rad", 3, "inf"), "not_finite", "is missing or not finite"),
             (lambda t: put(t, "axis_1_rad", 3, "57.3"), "units", "axis_1_rad: degrees among radians"),
             (lambda t: put(t, "axis_2_rad", 3, "2.5"), "reading", "2.5 rad is beyond the drive's limits"),
             (lambda t: put(t, "x_m", 3, "4.5"), "off_target", "(4.50, "),
@@ -97,6 +98,7 @@ class TestRows:
             (lambda t: put(t, "time_utc", 3, "2026-06-21T12:30:00"), "time", "says no zone"),
             (lambda t: put(t, "time_utc", 3, ""), "time", "neither a time nor"),
             (lambda t: put(t, "sigma_mm", 3, "0"), "not_finite", "a sigma must be positive"),
+            (lambda t: put(t, "sigma_mm", 3, "1e200"), "not_finite", "a sigma must be positive and below 1e6"),
             (lambda t: t.update(kind=["beam"] * 3 + ["baem"] + ["beam"] * 8), "unreadable", "did you mean 'beam'"),
         ],
     )  # fmt: skip
@@ -131,6 +133,7 @@ class TestColumns:
         ("change", "wanted"),
         [
             (lambda t: scale(t, 57.29578, "axis_1_rad", "axis_2_rad"), "are no radians; name the columns axis_1_deg"),
+            (lambda t: scale(t, 57.29578, "axis_1_rad"), "let both be degrees"),
             (lambda t: t.update(axis_1_deg=t.pop("axis_1_rad"), axis_2_deg=t.pop("axis_2_rad")), "look like radians"),
             (lambda t: t.update(axis_1_counts=t.pop("axis_1_rad"), axis_2_counts=t.pop("axis_2_rad")),
              "say counts_per_turn"),
@@ -138,6 +141,7 @@ class TestColumns:
             (lambda t: t.update(time_utc=[t["time_utc"][0]] * 12), "the sun stands at the same place in all 12 rows"),
             (lambda t: t.pop("axis_1_rad"), "the readings of both axes are needed in one unit"),
             (lambda t: t.pop("time_utc"), "where the sun was is missing"),
+            (lambda t: t.update(sigma_x_mm=t.pop("sigma_mm")), "sigma_x_mm is alone"),
             (lambda t: t.update(sun_azimuth_deg=["0"] * 12), "sun_azimuth_deg is alone"),
             (lambda t: t.update(xm=t.pop("x_m")), "'xm' is not a column here; did you mean 'x_m'"),
             (lambda t: with_suns(t, lambda a, e: (180 - a, e)), "0 in the south and positive to the east"),
@@ -166,6 +170,8 @@ class TestColumns:
         ("old", "new", "wanted"),
         [
             ("e_m", "east", r"position is missing: columns e_m, n_m, u_m"),
+            ("\nH1,", "\nH1,nan,2,3\nH2,", "e_m = 'nan': a finite number is needed for its position"),
+            ("\nH1,", "\nH1,,2,3\nH2,", "e_m = '': a finite number is needed for its position"),
             ("\nH1,", "\nH1,1,2,3\nH1,", "line 3: heliostat 'H1' is listed twice"),
         ],
     )
@@ -214,6 +220,7 @@ class TestPaint:
         [
             ('{"motor_position": {"axis_1_m', "unreadable", "not valid JSON"),
             ("[1, 2]", "unreadable", "a JSON object is needed"),
+            ('{"a":' * 100_000, "unreadable", "not valid JSON"),
             ("{}", "unreadable", "the key motor_position is missing"),
         ],
     )

@@ -43,6 +43,13 @@ def test_what_cannot_be_read_keeps_its_row(line: str, flag: str, reason: str) ->
     assert len(read) == 3
 
 
+def test_a_quotation_mark_that_is_never_closed_costs_its_own_row_only() -> None:
+    good = "A1,2026-06-21T09:00:00Z,0.5,0.25,t,0,0"
+    read = rows(good, 'A1,2026-06-21T09:00:00Z,0.5,0.25,"t,0,0', good.replace("09:", "10:"))
+    assert read.flags == ("", "unreadable", "")
+    assert "5 cells, the header has 7" in read.reasons[1]
+
+
 def test_no_rows() -> None:
     assert len(rows()) == 0
 
