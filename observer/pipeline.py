@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliogauge.camera import Camera
+from heliogauge.errors import EstimationError
 from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
@@ -198,6 +199,8 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         nodes = (reflector.grid.x_m, y)
         visible = visibility(nodes, photos.eyes_m, collector, absorber, known_theta_r(reflector, collector))
         slope_map = slope_map_of(reflector, collector, visible)
+        if not slope_map.valid.any():
+            raise EstimationError(f"reflection: {sparse_doubt(0.0, photos.eyes_m)}")
         angles = angle_maps(slope_map, absorber, collector)
     with progress.stage("intercept factor"):
         intercept = evaluate_intercept(sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance())

@@ -10,7 +10,7 @@ import pytest
 
 from data_synth.trough_dataset import TroughOptions, write_trough_dataset
 from data_synth.trough_presets import TroughChoice, trough_scene
-from heliogauge.errors import MetrologyError
+from heliogauge.errors import EstimationError, MetrologyError
 from heliogauge.measurement import load_observer
 from observer.pipeline import Options, run
 
@@ -164,12 +164,23 @@ def test_pass_over_one_half(trough):
     assert re.search(r"no photo shows an edge .* on \d+ % of the mirror \(x = .*; fly from x = ", said), said
 
 
+def keep_every(folder, count):
+    for number, file in enumerate(photos_of(folder)):
+        if number % count:
+            file.unlink()
+
+
 @pytest.mark.slow
 def test_photos_far_apart(trough):
-    for number, file in enumerate(photos_of(trough)):
-        if number % 5:
-            file.unlink()
+    keep_every(trough, 3)
     assert "at most 0.2 m apart" in warnings_of(trough)
+
+
+@pytest.mark.slow
+def test_photos_too_far_apart_for_any_slope(trough):
+    keep_every(trough, 5)
+    with pytest.raises(EstimationError, match=r"only 0 % of the mirror .* at most 0.2 m apart"):
+        warnings_of(trough)
 
 
 @pytest.mark.slow
