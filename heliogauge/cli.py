@@ -82,7 +82,7 @@ class LazyGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stopped:
-            print(f"heliogauge: interrupted; {stopped or 'nothing was written'}", file=sys.stderr)
+            print(f"heliogauge: interrupted; {str(stopped) or 'nothing was written'}", file=sys.stderr)
             raise typer.Exit(130) from None
 
 
