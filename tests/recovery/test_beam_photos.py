@@ -46,7 +46,7 @@ def _beam(aim_m: tuple[float, float]):
 
 
 def test_centroids_of_drawn_photos(plant: TargetCamera) -> None:
-    """Within 0.12 px (with vignetting) and the reach of the predicted sigma, without and with photos of the empty target."""
+    """Within 0.12 px (with vignetting) and the predicted sigma, without and with photos of the empty target."""
     marks_px = plant.image_points(plant.surface.marks_m)
     view = view_from_points(marks_px, plant.surface.marks_m, camera=LENS)
     rectifier = Rectifier(view, [-3.2, 3.2, -3.2, 3.2])
