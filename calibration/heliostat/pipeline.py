@@ -1,15 +1,18 @@
 """Observations of heliostats to tracking models one can trust: read, fit each, try it out, write."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import get_args
 
+from calibration.heliostat.fit_result import HeliostatFit
+from calibration.heliostat.pipeline_design import told_free
 from calibration.heliostat.pipeline_folder import check_names
-from calibration.heliostat.pipeline_one import AUTO, HeliostatResult, Shared, calibrate_one
+from calibration.heliostat.pipeline_one import AUTO, HeliostatResult, Shared, calibrate_one, fit_alone
 from calibration.heliostat.pipeline_source import Source, open_source
+from calibration.heliostat.population import Population
 from calibration.heliostat.splits import SPLIT_NAMES
 from calibration.heliostat.store_heliostat import (
     FIELD_KIND,
@@ -28,6 +31,8 @@ from heliogauge.store import Summary, hash_files, write_summary
 #: Up to so many heliostats every split is made and the model chosen by trial, unless the user says otherwise: a second
 #: each instead of a tenth.
 THOROUGH_UP_TO = 25
+#: So many sound heliostats say what is usual: each, and four others.
+FEWEST_OF_A_FIELD = 5
 #: Heliostats that are worth a process of their own, which takes a second to start: quick ones, thorough ones.
 WORTH = {False: 16, True: 1}
 
@@ -140,6 +145,8 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("look at heliostats"):
         chosen = choose(measurement, options)
+    chosen = with_field(chosen, options.workers, progress)
+    with progress.stage("hash inputs"):
         hashes = hash_files(chosen.source.files, measurement.folder)
     processes = options.workers.processes(len(chosen.names), worth=WORTH[chosen.shared.thorough])
     tasks = chosen.source.tasks(chosen.names)
@@ -191,6 +198,41 @@ def choose(measurement: HeliostatMeasurement, options: Options) -> Chosen:
         thorough=thorough,
     )
     return Chosen(source, names, shared)
+
+
+def with_field(chosen: Chosen, workers: Workers, progress: Progress) -> Chosen:
+    """Let heliostats of a small field know what they have in common, where nobody said which parameters are free.
+
+    Parameters
+    ----------
+    chosen : Chosen
+        The heliostats.
+    workers : Workers
+        Who works.
+    progress : Progress
+        Told of the stage.
+
+    Returns
+    -------
+    Chosen
+        With the field's population; as it was for one heliostat, a large field, or beams that are only measured yet.
+    """
+    shared = chosen.shared
+    own_say = shared.free != AUTO or told_free(shared.model.kinematics)
+    if own_say or not shared.thorough or shared.model.images or len(chosen.names) < FEWEST_OF_A_FIELD:
+        return chosen
+    fits: dict[str, HeliostatFit] = {}
+    tasks = chosen.source.tasks(chosen.names)
+    processes = workers.processes(len(chosen.names), worth=WORTH[False])
+    with progress.stage("what the field has in common", len(chosen.names)) as stage:
+        for done in run_each(fit_alone, shared, tasks, workers=workers, processes=processes):
+            if isinstance(done.outcome, HeliostatFit):
+                fits[done.task.name] = done.outcome
+            stage.advance()
+    if len(fits) < FEWEST_OF_A_FIELD:
+        return chosen
+    in_order = [fits[name] for name in chosen.names if name in fits]
+    return replace(chosen, shared=replace(shared, population=Population.told_by(in_order)))
 
 
 def _one_of(flag: str, value: str | None, known: tuple[str, ...]) -> str | None:

@@ -7,10 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calibration.heliostat.pipeline import WORTH, Chosen, Options, choose, field_summary, refuse_all, run, write
+import numpy as np
+
+from calibration.heliostat.pipeline import (
+    WORTH,
+    Chosen,
+    Options,
+    choose,
+    field_summary,
+    refuse_all,
+    run,
+    with_field,
+    write,
+)
 from calibration.heliostat.pipeline_folder import FieldFolder
 from calibration.heliostat.pipeline_one import Shared, calibrate_one
 from calibration.heliostat.pipeline_source import HeliostatTask
+from calibration.heliostat.population import Population
 from calibration.heliostat.store_heliostat import (
     FIELD_KIND,
     KIND,
@@ -125,6 +138,7 @@ def run_into(
         return FieldResult([field_row(one)], summary, splits=split_lines(one))
     with FieldFolder(out, force=force) as folder:
         try:
+            chosen = with_field(chosen, options.workers, progress)
             filled = _fill(folder, chosen, measurement, options, progress)
             if report:
                 _report(folder.path, FIELD_KIND, progress)
@@ -194,8 +208,15 @@ def _digest(shared: Shared) -> str:
     targets = [(name, one.center_m.tolist(), one.axes.tolist(), one.width_m, one.height_m)
                for name, one in plant.targets.items()]  # fmt: skip
     said = (__version__, plant.origin, plant.site, targets, plant.other_targets, shared.model.model_dump_json(),
-            shared.split, shared.free, shared.label, shared.thorough)  # fmt: skip
+            shared.split, shared.free, shared.label, shared.thorough, _common(shared.population))  # fmt: skip
     return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+def _common(population: Population | None) -> tuple[Any, ...]:
+    """Return what the heliostats know of each other, without the last digits, which differ between processors."""
+    if population is None:
+        return ()
+    return population.names, population.heliostats, np.round(population.offsets, 9).tolist()
 
 
 def _is_there(folder: Path, name: str, row: dict[str, Any]) -> bool:

@@ -17,6 +17,7 @@ from calibration.heliostat.pipeline_design import nominal_design, told_free
 from calibration.heliostat.pipeline_observations import Observed, observed, site_of
 from calibration.heliostat.pipeline_rows import Rows, parse_rows
 from calibration.heliostat.pipeline_source import HeliostatTask, Plant
+from calibration.heliostat.population import Population, with_population
 from calibration.heliostat.prediction import predict_aim
 from calibration.heliostat.splits import SPLIT_NAMES, HeldOut, held_out, make_split
 from calibration.heliostat.store_paint import parse_calibrations, parse_properties
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from calibration.heliostat.pipeline_images import BeamMeasurements
 
 AUTO = "auto"
+#: Name of the model in which values and priors come from the other heliostats of the field.
+FIELD = "priors of the field"
 #: More readings than this beyond the actuators' geometry are not slips of single rows.
 _FEW_BEYOND = 0.02
 #: A median farther from the best fit than this is no matter of which parameters are free [rad of the beam].
@@ -62,6 +65,8 @@ class Shared:
         The measurement's folder; where work is done elsewhere, photos must be found there too.
     thorough : bool
         Try the model out on every split, and choose it again for each.
+    population : Population or None
+        What the heliostats of the field have in common; None where each is taken for itself.
     """
 
     plant: Plant
@@ -71,6 +76,7 @@ class Shared:
     label: str
     folder: Path
     thorough: bool
+    population: Population | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,20 +184,18 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         No row can be used, or they do not determine the answer.
     """
     begin = perf_counter()
-    if task.fault:
-        raise InputError(f"{task.name}: {task.fault}")
-    nominal = nominal_design(task, shared.plant, shared.model.kinematics)
-    rows, beams = _rows(task, shared)
-    seen = observed(rows, nominal, shared.plant, shared.model)
+    nominal, seen, beams = _look(shared, task)
     if seen.observations is None:
         raise EstimationError(f"{task.name}: {_all_refused(seen.rows)}")
-    options = FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
+    options = _fit_options(seen)
     chosen, choice, free = _chosen(nominal, seen, shared, options)
     result = fit(chosen, seen.observations, options)
     held, not_split = _splits((nominal, chosen), choice, seen, shared, options, hopeless=_is_hopeless(result))
     main = held.get(shared.split)
     records = Records(seen.rows.flags, seen.rows.text("image"), seen.rows.times)
-    diagnosis = diagnose(result, targets=shared.plant.targets, site=site_of(shared.plant.site), records=records)
+    # A field's scatter says what is usual, not what a heliostat was delivered as: faults are judged by the latter.
+    judged = result if shared.population is None else fit(with_priors(nominal), seen.observations, options)
+    diagnosis = diagnose(judged, targets=shared.plant.targets, site=site_of(shared.plant.site), records=records)
     sky = _sky(result, shared, None if main is None else main.prediction.inflation) if shared.thorough else None
     doubts, notes = _said(task, seen, result, (held, not_split), shared)
     doubts = tuple(dict.fromkeys((*diagnosis.warnings, *doubts)))
@@ -200,6 +204,40 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         not_split=not_split, diagnosis=diagnosis, sky=sky, beams=beams, warnings=doubts, notes=notes,
         properties=task.properties, duration_s=perf_counter() - begin,
     )  # fmt: skip
+
+
+def fit_alone(shared: Shared, task: HeliostatTask) -> HeliostatFit | None:
+    """Fit a heliostat within its own priors: a first look, of which the field's population is made.
+
+    Parameters
+    ----------
+    shared : Shared
+        What all heliostats share.
+    task : HeliostatTask
+        The heliostat.
+
+    Returns
+    -------
+    HeliostatFit or None
+        None where the heliostat or its records are wrong.
+    """
+    nominal, seen, _ = _look(shared, task)
+    if seen.observations is None:
+        return None
+    found = fit(with_priors(nominal), seen.observations, _fit_options(seen))
+    return None if _is_hopeless(found) or not found.converged else found
+
+
+def _look(shared: Shared, task: HeliostatTask) -> "tuple[HeliostatDesign, Observed, BeamMeasurements | None]":
+    if task.fault:
+        raise InputError(f"{task.name}: {task.fault}")
+    nominal = nominal_design(task, shared.plant, shared.model.kinematics)
+    rows, beams = _rows(task, shared)
+    return nominal, observed(rows, nominal, shared.plant, shared.model), beams
+
+
+def _fit_options(seen: Observed) -> FitOptions:
+    return FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
 
 
 def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements | None"]:
@@ -263,6 +301,10 @@ def _chosen(
     known = with_priors(nominal), None, "all with priors"
     if seen.observations is None or not shared.thorough:
         return known
+    if shared.population is not None and shared.population.knows(nominal.name):
+        usual = with_population(known[0], shared.population)
+        # What is usual is no help to a heliostat that something is wrong with.
+        return known if _is_hopeless(fit(usual, seen.observations, options)) else (usual, None, FIELD)
     if _is_hopeless(fit(known[0], seen.observations, options)):
         return known
     choice = choose_model(nominal, seen.observations, options)
@@ -326,6 +368,10 @@ def _said(
         first, count = rows.flags.index(flag), refused.count(flag)
         text = f"{count} of {len(rows)} rows left out ({flag}), the first: {rows.ids[first]}: {rows.reasons[first]}"
         (doubts if count > _FEW_REFUSED * len(rows) else notes).append(text)
+    if shared.population is not None and shared.population.knows(task.name):
+        others = len(set(shared.population.heliostats) - {task.name})
+        common = ", ".join(shared.population.names)
+        notes.append(f"{others} other heliostats of the field say what is usual: values and priors of {common}")
     if not seen.has_sigmas:
         notes.append(
             f"the observations come without sigmas: {shared.model.evaluation.spot_sigma_mm:g} mm is taken for beams, "

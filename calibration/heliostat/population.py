@@ -14,6 +14,8 @@ from heliogauge.validate import FloatArray, float_array
 
 # Fewer heliostats say less of a field's scatter than manufacturing tolerances do.
 _FEWEST = 4
+# A parameter that observations narrow to less than this share of its prior sigma is told by them.
+_TOLD = 0.5
 # Median absolute deviation of normal numbers over their sigma.
 _MAD_OF_NORMAL = 0.6745
 
@@ -67,6 +69,33 @@ class Population:
                 if name in found.solution.names:
                     offsets[row, column] = found.design.parameters.value(name) - found.nominal.parameters.value(name)
         return cls(tuple(names), offsets, tuple(found.design.name for found in fits))
+
+    @classmethod
+    def told_by(cls, fits: Sequence[HeliostatFit]) -> "Population":
+        """Collect the estimates of the parameters that the observations themselves tell.
+
+        Parameters
+        ----------
+        fits : sequence of HeliostatFit
+            Fits of heliostats of one kind, each within its own priors.
+
+        Returns
+        -------
+        Population
+            Of the parameters whose sigma is below half of the prior's in most fits; the others would come back as
+            their priors, and look as if all heliostats had the same.
+        """
+        shares: dict[str, list[float]] = {}
+        for found in fits:
+            for name in found.solution.names:
+                index = found.design.parameters.index(name)
+                prior = float(found.design.parameters.sigmas[index])
+                shares.setdefault(name, []).append(float(found.sigma[index]) / prior)
+        return cls.of(fits, tuple(name for name, some in shares.items() if np.median(some) < _TOLD))
+
+    def knows(self, without: str) -> bool:
+        """Whether enough heliostats besides one say what is usual."""
+        return not np.isnan(self.middle_and_sigma(without)[0]).all()
 
     def middle_and_sigma(self, without: str | None = None) -> tuple[FloatArray, FloatArray]:
         """Return what to expect of one more heliostat.

@@ -119,7 +119,7 @@ def parameter_table(report: HeliostatReport) -> Html:
         rows.append((name.replace("_", " "), value, f"{factor * one['nominal']:.6g}", prior, moved))
     if not rows:
         return Html("<p>All parameters are held.</p>")
-    head = ("parameter", "value ± 1 sigma", "delivered", "prior", "moved by, in prior sigmas")
+    head = ("parameter", "value ± 1 sigma", "known before", "prior", "moved by, in prior sigmas")
     return table(head, rows, numbers=(1, 2, 3, 4))
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from calibration.heliostat.design import HeliostatDesign
 from calibration.heliostat.fit_result import HeliostatFit
-from calibration.heliostat.pipeline_one import SKY_AZIMUTHS_DEG, SKY_ELEVATIONS_DEG, HeliostatResult, Shared
+from calibration.heliostat.pipeline_one import FIELD, SKY_AZIMUTHS_DEG, SKY_ELEVATIONS_DEG, HeliostatResult, Shared
 from calibration.heliostat.splits import AngleSummary, HeldOut
 from calibration.heliostat.store_design import design_content
 from calibration.heliostat.store_residuals import final_flags, residual_columns
@@ -143,7 +143,7 @@ def _model_content(result: HeliostatResult) -> dict[str, Any]:
         "name": result.free,
         "free": list(result.fit.solution.names),
         "kind": _preset_of(design),
-        "chosen_because": "said so" if choice is None else choice.reason,
+        "chosen_because": _reason(result),
     }
     if choice is not None:
         content["candidates"] = [
@@ -152,6 +152,12 @@ def _model_content(result: HeliostatResult) -> dict[str, Any]:
             for one in choice.table
         ]  # fmt: skip
     return content
+
+
+def _reason(result: HeliostatResult) -> str:
+    if result.choice is not None:
+        return result.choice.reason
+    return "what the other heliostats of the field have in common is usual" if result.free == FIELD else "said so"
 
 
 def _preset_of(design: HeliostatDesign) -> str:

@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.heliostat import pipeline_field
+from calibration.heliostat import pipeline, pipeline_field
 from calibration.heliostat.pipeline import Options, run, write
 from calibration.heliostat.pipeline_field import FieldResult, run_into
 from calibration.heliostat.pipeline_folder import JOURNAL_FILE, check_names
-from calibration.heliostat.pipeline_one import calibrate_one
+from calibration.heliostat.pipeline_one import FIELD, calibrate_one
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement import load_heliostat
+from heliogauge.progress import SilentProgress
+from heliogauge.scale import Workers
 from heliogauge.store import read_summary
 from heliogauge.store_tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat_folders import ERRORS, SIGMA_M, write_field, write_paint
@@ -418,3 +420,51 @@ class TestRealHeliostats:
         assert "cannot be reached with the actuators as delivered" in faulty["reason"]
         assert all(float(row["beam_test_rms_mrad"]) < 2.7 for row in rows.values())
         assert [row["status"] for row in rows.values()] == ["ok"] * 6
+
+
+class TestWhatAFieldHasInCommon:
+    @pytest.fixture(scope="class")
+    def folder(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+        folder = tmp_path_factory.mktemp("field")
+        write_field(folder, heliostats=6, observations=40, seed=4)
+        return folder
+
+    def test_the_other_side_of_the_sky_is_predicted_better(self, folder: Path) -> None:
+        options = Options(split="azimuth", jobs=1)
+        together = run(load_heliostat(folder), options)
+        assert {one.free for one in together.heliostats} == {FIELD}
+        alone = [run(load_heliostat(folder), Options(split="azimuth", only=f"H{n}")).heliostats[0] for n in range(1, 7)]
+        assert FIELD not in {one.free for one in alone}
+        errors = [[one.main.test.beam_rms_rad for one in some] for some in (together.heliostats, alone)]
+        assert np.median(errors[0]) < 0.9 * np.median(errors[1])
+        sigma = [np.sqrt(np.nanmean(one.main.prediction.sigma_beam_rad**2)) for one in together.heliostats]
+        assert np.median(np.array(errors[0]) / sigma) < 1.5
+        assert any("5 other heliostats of the field" in note for note in together.heliostats[0].notes)
+
+    def test_few_heliostats_are_taken_for_themselves(self, folder: Path) -> None:
+        few = run(load_heliostat(folder), Options(only="H1,H2,H3,H4", jobs=1))
+        assert FIELD not in {one.free for one in few.heliostats}
+
+    def test_who_says_what_is_free_is_obeyed(self, folder: Path) -> None:
+        told = run(load_heliostat(folder), Options(model="5", jobs=1))
+        assert {one.free for one in told.heliostats} == {"5"}
+
+    def test_a_heliostat_with_wrong_numbers_is_named_and_spoils_none(self, tmp_path: Path) -> None:
+        write_field(tmp_path, heliostats=6, observations=40, seed=4)
+        table = read_table_csv(tmp_path / "observations.csv")
+        wrong = [row for row, name in enumerate(table["heliostat"]) if name == "H3"]
+        for row in wrong:
+            table["axis_1_rad"][row] = str(-float(table["axis_1_rad"][row]))
+        write_table_csv(tmp_path / "observations.csv", table)
+        result = run(load_heliostat(tmp_path), Options(jobs=1))
+        sound = [one for one in result.heliostats if one.name != "H3"]
+        assert {one.free for one in sound} == {FIELD}
+        assert not [one.name for one in sound if one.diagnosis.kinds]
+        spoiled = next((one for one in result.heliostats if one.name == "H3"), None)
+        assert "H3" in result.failures if spoiled is None else spoiled.diagnosis.kinds
+
+    def test_an_interrupted_field_is_taken_up_with_the_same_knowledge(self, folder: Path) -> None:
+        chosen = pipeline.choose(load_heliostat(folder), Options(jobs=1))
+        known = [pipeline.with_field(chosen, Workers(jobs), SilentProgress()).shared for jobs in (1, 2)]
+        assert pipeline_field._digest(known[0]) == pipeline_field._digest(known[1])
+        assert pipeline_field._digest(known[0]) != pipeline_field._digest(chosen.shared)
