@@ -68,8 +68,8 @@ def diagnose(
     if not 0 < significance < 1:
         raise InputError(f"significance: a probability between 0 and 1 is needed, not {significance:g}")
     known = {} if targets is None else dict(targets)
-    findings = record_findings(fit, records)
-    stuck = any(one.kind == "constant_column" for one in findings)
+    findings = record_findings(fit, records, known)
+    stuck = any(one.kind == "constant_column" and one.severity == "fault" for one in findings)
     few = _too_few(fit)
     if few is not None or stuck:
         return Diagnosis(ordered([*findings, *([few] if few is not None else [])]), (), significance)
@@ -89,7 +89,7 @@ def diagnose(
         found = [followed]
         numbers = [one for one in numbers if one.kind != followed.kind]
     left = fit.rejected & ~explained & fit.residuals.computable & ~(looked.lengths < _UNDONE)
-    outliers = outlier_finding(fit, left, images)
+    outliers = outlier_finding(fit, left, images, () if records is None else records.ids)
     findings += [*numbers, *explained_findings, *found, *([outliers] if outliers is not None else [])]
     if fit.rejected.mean() > REJECTED and not any(one.severity == "fault" for one in [*found, *explained_findings]):
         findings.append(hypothesis_finding(fit, known, site)[0])

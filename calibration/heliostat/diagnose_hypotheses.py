@@ -14,6 +14,7 @@ from calibration.heliostat.diagnose_model import linear_fit
 from calibration.heliostat.diagnose_terms import Terms, turned_sky, with_suns
 from calibration.heliostat.fit import fit as fit_heliostat
 from calibration.heliostat.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.kinematics import mirror_poses
 from calibration.heliostat.observations import Group, Observations, Pointings
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.sun import Site
@@ -163,7 +164,16 @@ def _fitted(hypothesis: Hypothesis, observations: Observations) -> HeliostatFit 
 
 def _tried(hypothesis: Hypothesis, observations: Observations) -> float:
     found = _fitted(hypothesis, observations)
-    return np.inf if found is None else _median(found)
+    return np.inf if found is None or _looks_away(found) else _median(found)
+
+
+def _looks_away(fit: HeliostatFit) -> bool:
+    """Whether the mirror turns its back to the sun: that reflects alike on paper, and nowhere else."""
+    seen = fit.observations
+    poses = mirror_poses(fit.design, fit.values, seen.readings, seen.approach, outside="nan")
+    facing = np.einsum("ni,ni->n", poses.normals(fit.design), seen.sun)
+    facing = facing[np.isfinite(facing)]
+    return bool(facing.size and np.median(facing) < 0)
 
 
 def _some(observations: Observations) -> Observations:
@@ -228,6 +238,15 @@ def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
             "inverted_axis", f"Axis {axis + 1} runs the other way than said", _inverted(fit.nominal, axis),
             lambda seen: seen, {"axis": axis + 1.0},
         )  # fmt: skip
+    drive = fit.nominal.drives[0]
+    if isinstance(drive, RotaryDrive):
+        # Azimuths from the south, clockwise and not; half a turn of axis 2 as well would be the same pose over the top.
+        half = np.array([np.pi / drive.rad_per_reading, 0.0])
+        for design, also in ((fit.nominal, ""), (_inverted(fit.nominal, 0), " and runs the other way")):
+            yield Hypothesis(
+                "half_turn", f"Axis 1 is read half a turn off{also} (an azimuth from the south?)", design,
+                partial(_with_readings, change=partial(np.add, half)), {"axis": 1.0},
+            )  # fmt: skip
 
 
 def _inverted(design: HeliostatDesign, axis: int) -> HeliostatDesign:

@@ -26,6 +26,8 @@ EXPLAINS_IN_TIME = 0.7
 #: likelier than chance: then there is no misfit that it could be mistaken for.
 AS_STATED = 1.15
 _MUCH_LIKELIER, _SOMETHING = 20.0, 0.3
+# Mirrored spots look like a scale of -1, 200 % short of what it should be; errors of a scale are below this.
+_MIRRORED = 1.5
 # Priors are loosened so far to see whether they are what is wrong.
 _WIDE = 100.0
 #: So many faults of one heliostat are looked for.
@@ -255,7 +257,9 @@ def _finding(
         mine = np.array([f"target {name}" == term.name for name in fit.observations.label], dtype=np.bool_)
         rows, dates = tuple(fit.observations.row[mine].tolist()), dates_of(times[mine])
     share = f"; this explains {100 * extension.explained:.0f} % of what is unexplained"
-    return Finding(term.kind, severity, f"{said}{share}.", evidence, chance, rows, dates)
+    mirrored = term.kind == "target_scale" and values.max() > _MIRRORED
+    kind = "mirrored_spots" if mirrored else term.kind
+    return Finding(kind, severity, f"{said}{share}.", evidence, chance, rows, dates)
 
 
 def _numbers_text(fit: HeliostatFit, term: Term, shifts: FloatArray, evidence: dict[str, float]) -> str:
@@ -299,7 +303,10 @@ def _sentence(
             f"{where} stands {right:+.3f} m to the right and {up:+.3f} m up (+- {sigma:.3f} m) of where it is said to"
         )
     width, height = values.tolist()
+    turned = [name for name, share in (("left and right", width), ("up and down", height)) if share > _MIRRORED]
+    if turned:
+        return f"Spots on the targets are mirrored {' and '.join(turned)}"
     return (
-        f"Spots on the targets have to be stretched by {100 * width:+.2g} % and {100 * height:+.2g} % "
+        f"Spots on the targets have to be stretched by {100 * width:+.1f} % and {100 * height:+.1f} % "
         f"(+- {100 * sigma:.2g} %)"
     )

@@ -16,6 +16,11 @@ from heliogauge.validate import BoolArray, FloatArray
 
 # A row is explained by another reading of it when it then lies within this of the fit [sigma of the beam].
 _EXPLAINED = 4.0
+# Spots that differ by less were not measured one by one.
+SAME_SPOT_M = 1e-6
+_ENOUGH_SPOTS = 5
+# Real heliostats fit to 1 to 2 mrad of the beam.
+_STEERED_RAD = 3e-3
 # An explanation that would fit by chance more often than this is none.
 _BY_CHANCE = 0.05
 # Outliers up to this share (and number) are of single rows; more of them have one cause. Of six healthy real
@@ -35,11 +40,14 @@ class Records:
         Photo of each row, as far as known.
     times : ndarray of datetime64, shape (rows,)
         Time of each row.
+    ids : tuple of str, optional
+        What a person calls each row, such as "line 7"; else its number from 0 is said.
     """
 
     flags: tuple[str, ...]
     images: tuple[str, ...]
     times: np.ndarray[tuple[int, ...], np.dtype[np.datetime64]]
+    ids: tuple[str, ...] = ()
 
 
 def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tuple[list[Finding], BoolArray]:
@@ -79,7 +87,9 @@ def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tup
     return findings, explained
 
 
-def outlier_finding(fit: HeliostatFit, rows: BoolArray, images: Sequence[str]) -> Finding | None:
+def outlier_finding(
+    fit: HeliostatFit, rows: BoolArray, images: Sequence[str], ids: Sequence[str] = ()
+) -> Finding | None:
     """Return the rows that nothing explains, or None without any.
 
     Parameters
@@ -90,6 +100,8 @@ def outlier_finding(fit: HeliostatFit, rows: BoolArray, images: Sequence[str]) -
         The rows.
     images : sequence of str, length n
         Their photos.
+    ids : sequence of str, optional
+        What a person calls each row of the table.
 
     Returns
     -------
@@ -103,7 +115,9 @@ def outlier_finding(fit: HeliostatFit, rows: BoolArray, images: Sequence[str]) -
     when = fit.observations.time[worst]
     photo = f", photo {images[worst]}" if images[worst] else ""
     first = "" if np.isnat(when) else f", {str(when)[:16]}Z"
-    where = f"row {fit.observations.row[worst]}{first}{photo}"
+    row = int(fit.observations.row[worst])
+    name = ids[row] if ids else str(row)
+    where = f"{f'row {name}' if name.isdecimal() else name}{first}{photo}"
     text = (
         f"{count} of {len(rows)} rows contradict the others; the worst is {where}: "
         f"{fit.reason[worst] or 'far from the fit'}."
@@ -112,7 +126,7 @@ def outlier_finding(fit: HeliostatFit, rows: BoolArray, images: Sequence[str]) -
     return _row_finding(fit, rows, "outliers", "fault" if many else "rows", text, images)
 
 
-def record_findings(fit: HeliostatFit, records: Records | None) -> list[Finding]:
+def record_findings(fit: HeliostatFit, records: Records | None, targets: Mapping[str, PlaneTarget]) -> list[Finding]:
     """Find repeats, mixed units and columns that never change.
 
     Parameters
@@ -121,6 +135,8 @@ def record_findings(fit: HeliostatFit, records: Records | None) -> list[Finding]
         The fit.
     records : Records, optional
         Verdicts on all rows of the table.
+    targets : mapping
+        Targets by name.
 
     Returns
     -------
@@ -133,7 +149,7 @@ def record_findings(fit: HeliostatFit, records: Records | None) -> list[Finding]
         count = int(repeated.sum())
         text = f"{count} of {len(repeated)} rows repeat an earlier one and count twice."
         findings.append(_row_finding(fit, repeated, "duplicates", "fault", text))
-    return findings + _constants(fit)
+    return findings + _constants(fit) + _constant_spots(fit, targets)
 
 
 def _flagged(records: Records) -> list[Finding]:
@@ -191,6 +207,25 @@ def _constants(fit: HeliostatFit) -> list[Finding]:
     return findings
 
 
+def _constant_spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[Finding]:
+    """Find beams that were all seen at the same x or y: not recorded, or steered there."""
+    xy = coordinates_on_targets(fit, targets)
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if len(xy) < _ENOUGH_SPOTS:
+        return []
+    same = np.flatnonzero(np.ptp(xy, axis=0) < SAME_SPOT_M).tolist()
+    if not same:
+        return []
+    said = " and ".join(f"{'xy'[axis]} = {xy[0, axis]:.3f} m" for axis in same)
+    text = (
+        f"All {len(xy)} beams were seen at {said}: either each was steered there, or that was not recorded, and then "
+        "the answer is wrong."
+    )
+    # Beams are steered to a point, and hardly to a line; and then they fit as well as others.
+    steered = len(same) == 2 and float(np.nanmedian(fit.residuals.beam_angle_rad)) < _STEERED_RAD
+    return [Finding("constant_column", "hint" if steered else "doubt", text, {"rows": float(len(xy))})]
+
+
 # --- other ways to read a row -----------------------------------------------------------------------------------------
 
 _Way = tuple[str, str, BoolArray]
@@ -199,7 +234,7 @@ _Way = tuple[str, str, BoolArray]
 def _other_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[_Way]:
     found = []
     labels = np.array(fit.observations.label, dtype=np.str_)
-    xy, limit = _coordinates(fit, targets), _limits(fit)
+    xy, limit = coordinates_on_targets(fit, targets), _limits(fit)
     for name, target in targets.items():
         hits = _hits(fit, target, fit.observations.readings)
         near = np.linalg.norm(hits - xy, axis=1) < limit
@@ -213,7 +248,7 @@ def _other_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> lis
 
 def _other_units(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[_Way]:
     found: list[_Way] = []
-    xy, limit = _coordinates(fit, targets), _limits(fit)
+    xy, limit = coordinates_on_targets(fit, targets), _limits(fit)
     labels = np.array(fit.observations.label, dtype=np.str_)
     readings: dict[str, Callable[[FloatArray], FloatArray]] = {}
     if fit.design.reading_unit == "rad":
@@ -237,8 +272,21 @@ def _other_units(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[
     return found
 
 
-def _coordinates(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> FloatArray:
-    """Coordinates of the spots on the targets that they name (n, 2) [m]; NaN for others."""
+def coordinates_on_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> FloatArray:
+    """Return where spots were seen on the targets that they name.
+
+    Parameters
+    ----------
+    fit : HeliostatFit
+        The fit.
+    targets : mapping
+        Targets by name.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        To the right and up [m]; NaN for other observations.
+    """
     found = []
     for group in fit.observations.groups:
         xy = np.full((len(group), 2), np.nan)

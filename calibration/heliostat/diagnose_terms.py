@@ -8,6 +8,7 @@ import numpy as np
 from calibration.heliostat.actuators import drive_angle
 from calibration.heliostat.beam_observations import BeamSpots, SunInCamera
 from calibration.heliostat.design import POSITION, HeliostatDesign, LinearActuator, PlaneTarget, RotaryDrive
+from calibration.heliostat.diagnose_rows import SAME_SPOT_M, coordinates_on_targets
 from calibration.heliostat.fit_result import HeliostatFit
 from calibration.heliostat.observations import Group, Observations
 from calibration.heliostat.residuals import evaluate, predicted_spots
@@ -207,6 +208,11 @@ class Terms:
                 terms.append(_single("target_place", f"target {name}", columns, "right_m", "up_m"))
         # Where beams should be: where they were seen holds the very errors that are looked at.
         spots = self._predicted(targets)
+        measured = coordinates_on_targets(self.fit, targets)
+        measured = measured[np.isfinite(measured).all(axis=1)]
+        if not measured.size or np.ptp(measured, axis=0).min() < SAME_SPOT_M:
+            # Beams that were steered to one place have no scale: what the fit leaves would pass for it.
+            return terms
         scaled = np.stack([right * spots[self.owner, 0], up * spots[self.owner, 1]], axis=1)
         terms.append(_single("target_scale", "spots on the targets", scaled, "width_share", "height_share"))
         return terms

@@ -192,7 +192,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     result = fit(chosen, seen.observations, options)
     held, not_split = _splits((nominal, chosen), choice, seen, shared, options, hopeless=_is_hopeless(result))
     main = held.get(shared.split)
-    records = Records(seen.rows.flags, seen.rows.text("image"), seen.rows.times)
+    records = Records(seen.rows.flags, seen.rows.text("image"), seen.rows.times, seen.rows.ids)
     # A field's scatter says what is usual, not what a heliostat was delivered as: faults are judged by the latter.
     judged = result if shared.population is None else fit(with_priors(nominal), seen.observations, options)
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=site_of(shared.plant.site), records=records)

@@ -259,6 +259,56 @@ def test_inverted_axis(healthy, axis):
     assert finding.evidence["axis"] == axis + 1
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_azimuths_of_the_mirror_from_the_south(healthy, sign):
+    """No mirror that shows its back to the sun is believed instead."""
+    _, observations = healthy
+    readings = np.stack([sign * (observations.readings[:, 0] - np.pi), observations.readings[:, 1]], axis=1)
+    pointings = replace(observations.groups[0].pointings, readings=readings)
+    (finding,) = judged(changed(observations, pointings=pointings)).faults
+    assert finding.kind == "half_turn"
+    assert finding.evidence["axis"] == 1
+    assert ("other way" in finding.text) == (sign < 0)
+
+
+@pytest.mark.parametrize(("axis", "severity"), [((0,), "doubt"), ((0, 1), "hint")])
+def test_spots_all_at_one_place(rng, axis, severity):
+    """A coordinate that never changes is told, and is no scale of the target."""
+    truth = drawn(nominal(), rng)
+    times = times_of(72)
+    suns = sun_directions(times, SITE)
+    aims = TARGETS["upper"].points(np.where(np.isin([0, 1], axis), 0.3, rng.normal(0, 0.4, (72, 2))))
+    xy = TARGETS["upper"].coordinates(aims)
+    readings = aim(truth, truth.parameters.values, suns, aims).readings
+    observations = beams(readings, suns, np.repeat("upper", 72), xy, times)
+    (finding,) = judged(observations).findings
+    assert (finding.kind, finding.severity) == ("constant_column", severity)
+    assert "x = 0.300 m" in finding.text
+
+
+def test_mirrored_spots_near_the_middle(healthy):
+    """Spots so near the middle that the fit is not far off are mirrored, not stretched by 200 %."""
+    _, observations = healthy
+    names = np.array(observations.groups[0].target)
+    spots = observations.groups[0].spot_m.copy()
+    for name, target in TARGETS.items():
+        spots[names == name] = target.points(target.coordinates(spots[names == name]) * [-1.0, 1.0])
+    finding = judged(changed(observations, spot_m=spots)).faults[0]
+    assert finding.kind == "mirrored_spots"
+    assert "mirrored left and right" in finding.text
+
+
+def test_an_outlier_is_called_as_in_the_table(healthy):
+    """By its line, not by a number that counts from 0."""
+    _, observations = healthy
+    spots = observations.groups[0].spot_m.copy()
+    spots[5] += [1.0, 0.0, 0.0]
+    ids = tuple(f"line {row + 2}" for row in range(72))
+    records = Records(("",) * 72, ("",) * 72, observations.time, ids)
+    (finding,) = judged(changed(observations, spot_m=spots), records=records).findings
+    assert "the worst is line 7, 2025" in finding.text
+
+
 def test_swapped_axes(healthy):
     """Exchanged columns are named."""
     _, observations = healthy
