@@ -34,6 +34,8 @@ class LinearFit:
         Number of rows.
     scale : float
         Scatter of the rows over their sigma.
+    stated : float
+        What that is where they scatter as was stated of them.
     """
 
     residual: FloatArray
@@ -41,6 +43,7 @@ class LinearFit:
     owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
     count: int
     scale: float = 1.0
+    stated: float = 0.0
 
     @property
     def observed(self) -> BoolArray:
@@ -77,7 +80,8 @@ class LinearFit:
         -----
         A score test with Huber's influence: the bounded residuals are projected on what the columns have beyond the
         base. ``-(v + q / 2 - 1) ln(1 - R^2)``, with v spare components, is chi-square with q degrees to second order
-        in 1 / v, and exactly for q = 2.
+        in 1 / v, and exactly for q = 2. Rows that scatter less than was stated of them are judged by what was stated:
+        errors that they share do not scatter, and are no fault.
         """
         wide = np.zeros((len(columns), self.owner.size, columns.shape[2]))
         wide[:, self.observed] = columns
@@ -97,7 +101,8 @@ class LinearFit:
             return np.zeros(len(columns)), np.zeros(len(columns), dtype=np.intp)
         explained = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
         share = np.minimum(explained / whole, 1 - 1e-12)
-        return np.asarray(-(spare - freedom / 2 - 1) * np.log1p(-share)), freedom
+        statistics = -(spare - freedom / 2 - 1) * np.log1p(-share)
+        return np.asarray(statistics * min(1.0, self.scale / max(self.stated, 1e-300)) ** 2), freedom
 
     def extended(
         self, columns: FloatArray, sigmas: FloatArray | None = None, *, judged: BoolArray | None = None
@@ -133,7 +138,7 @@ class LinearFit:
         spare = max(int(self.observed.sum()) - self.base.shape[1], 1)
         left = float(after @ after) / max(spare - columns.shape[1], 1)
         share = 1 - left / max(float(before @ before) / spare, 1e-300)
-        sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * settled.scale
+        sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * max(settled.scale, self.stated)
         return Extension(settled, step[own], sigma, share)
 
     def _pull(self) -> FloatArray:
@@ -194,6 +199,7 @@ def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:
         np.concatenate([residuals.jacobian[chosen][:, free] / factor[:, None], prior]),
         np.append(number[residuals.owner[chosen]], np.full(known.size, -1)),
         int(taken.sum()),
+        stated=1 / float(np.median(factor)) if factor.size else 0.0,
     )
     return _settled(model)[0]
 

@@ -32,8 +32,8 @@ class TargetImage:
         Homography from column and row to x (right) and y (up), as seen from the field [m].
     full_scale_dn : float
         End of the grey scale [DN].
-    sigma_place_m : float
-        Uncertainty of the place that the homography gives, alike for the whole picture [m].
+    view : TargetView, optional
+        Homography that put the picture onto the plane; without, the plane is known exactly.
 
     Raises
     ------
@@ -44,7 +44,7 @@ class TargetImage:
     values_dn: FloatArray
     plane_from_pixel: FloatArray
     full_scale_dn: float = 255.0
-    sigma_place_m: float = 0.0
+    view: "TargetView | None" = None
 
     def __post_init__(self) -> None:
         values = float_array("values_dn", self.values_dn, (None, None), finite=False)
@@ -71,6 +71,10 @@ class TargetImage:
         """Map points of the plane, shape (..., 2), into the picture [px]."""
         inverse = np.asarray(np.linalg.inv(self.plane_from_pixel), dtype=np.float64)
         return _mapped(inverse, np.asarray(points_m, dtype=np.float64))
+
+    def covariance_m2(self, point_m: npt.ArrayLike) -> FloatArray:
+        """Return the covariance of a place on the plane that the homography's errors cause, shape (2, 2) [m^2]."""
+        return np.zeros((2, 2)) if self.view is None else self.view.covariance_m2(point_m)
 
     def jacobian(self, pixel_px: npt.ArrayLike) -> FloatArray:
         """Return the derivative of the place on the plane by column and row, shape (2, 2) [m/px]."""
@@ -222,9 +226,7 @@ class Rectifier:
         values[~inside] = np.nan
         if finer > 1:
             values = cv2.resize(values, self._layout[1::-1], interpolation=cv2.INTER_AREA)
-        middle = self.extent_m.reshape(2, 2).mean(axis=1)
-        place = float(np.sqrt(np.trace(self.view.covariance_m2(middle)) / 2))
-        return TargetImage(np.asarray(values, dtype=np.float64), self.plane_from_pixel, scale, place)
+        return TargetImage(np.asarray(values, dtype=np.float64), self.plane_from_pixel, scale, self.view)
 
 
 def whole_image(

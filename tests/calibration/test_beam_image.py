@@ -58,6 +58,22 @@ def test_sigma_is_the_scatter(scene: str) -> None:
         assert (places.std(axis=0) / predicted < 1.2).all(), method
 
 
+def test_sigma_holds_what_a_centroid_leaves_open() -> None:
+    """A share of the width along each axis, and for a lopsided beam the scatter of the methods, in both directions."""
+    plain = measure_beam(picture(sky_light() + 90 * gaussian((0.2, 0.1)), noise_dn=1.0))
+    width = np.sqrt(np.diag(plain.moments.covariance_m2))
+    assert (plain.spot.sigma_m >= 0.008 * width).all()
+    assert (plain.spot.sigma_m < 0.012 * width).all()
+    skirt = 90 * gaussian((0.2, 0.1), (0.5, 0.5)) + 45 * gaussian((1.0, 0.1), (0.7, 0.5))
+    lopsided = measure_beam(picture(sky_light() + skirt, noise_dn=1.0))
+    places = np.array([one.position_m for one in lopsided.estimates.values()])
+    assert not lopsided.rejected
+    assert np.ptp(places, axis=0)[0] > 5 * np.ptp(places, axis=0)[1]
+    # What the methods agree on in one direction by chance says nothing of it.
+    scatter = np.sqrt(places.var(axis=0, ddof=1).mean())
+    assert lopsided.spot.sigma_m == pytest.approx([scatter] * 2, rel=0.1)
+
+
 def _thesis_beam(center_px: tuple[float, float]) -> np.ndarray:
     """Footprint 0.30 m x 0.26 m convolved with a disc of 0.355 m, 6.667 mm/px (Malan 2014, as simulated for C10)."""
     finer = 2

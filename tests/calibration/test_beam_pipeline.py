@@ -20,6 +20,7 @@ from calibration.heliostat.pipeline_images import (
     write_beams,
 )
 from calibration.heliostat.target_marks import CORNERS
+from calibration.heliostat.target_view import view_from_points
 from heliogauge.errors import InputError
 from tests.calibration.beam_pictures import CORNERS_M, gaussian, sky_light
 
@@ -124,8 +125,12 @@ def test_corner_pixels_and_dark_marks(tmp_path: Path) -> None:
     pixels = np.array([340, 310]) + CORNERS_M * [60, -60]
     given = measure_beams([file], ["a"], {"a": TargetFrame(CORNERS_M, CornerPixels(pixels, sigma_px=1.0))})
     assert [given.x_m[0], given.y_m[0]] == pytest.approx([0.7, -0.4], abs=0.01)
-    # The middle is where the diagonals cross: each corner moves one of them by half of what it moves across it.
-    assert given.sigma_m[0] == pytest.approx([np.sqrt(0.5) / 60] * 2, rel=0.1)
+    exact = measure_beams([file], ["a"], {"a": TargetFrame(CORNERS_M, CornerPixels(pixels))})
+    # The homography's covariance times the point, where the beam is: off the middle it is another than there.
+    view = view_from_points(pixels, CORNERS_M, sigma_px=1.0)
+    place = view.covariance_m2([given.x_m[0], given.y_m[0]])
+    assert not np.allclose(place, view.covariance_m2([0.0, 0.0]), rtol=0.01)
+    assert given.covariance_m2[0] - exact.covariance_m2[0] == pytest.approx(place, rel=0.02, abs=1e-7)
     marks = measure_beams([file], ["a"], {"a": TargetFrame(CORNERS_M, DarkMarks("outer"))})
     assert [marks.x_m[0], marks.y_m[0]] == pytest.approx([0.7, -0.4], abs=0.01)
     image = target_image(file, TargetFrame(CORNERS_M, DarkMarks("outer")))
