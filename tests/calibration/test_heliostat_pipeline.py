@@ -361,7 +361,7 @@ class TestCommand:
 
     @pytest.mark.slow
     def test_ctrl_c_keeps_what_is_finished(self, tmp_path: Path) -> None:
-        write_field(tmp_path / "in", heliostats=80, observations=20)
+        write_field(tmp_path / "in", heliostats=300, observations=20)
         arguments = [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(tmp_path / "in"), "-o",
                      str(tmp_path / "out"), "--jobs", "2", "--model", "5", "--no-report", "-q"]  # fmt: skip
         running = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -371,13 +371,13 @@ class TestCommand:
         os.killpg(running.pid, signal.SIGINT)
         said = running.communicate(timeout=60)[1]
         assert running.returncode == 130, said
-        assert "of 80 heliostats are finished" in said
+        assert "of 300 heliostats are finished" in said
         assert "Traceback" not in said
         finished = len(list((tmp_path / "out").glob("H*")))
         assert not list((tmp_path / "out").glob(".*.partial"))
         again = subprocess.run([*arguments[:-1]], capture_output=True, text=True, check=True)
         assert int(again.stdout.split()[0]) >= finished - 1
-        assert len(rows_of(tmp_path / "out" / "field.csv")) == 80
+        assert len(rows_of(tmp_path / "out" / "field.csv")) == 300
 
 
 class TestRealHeliostats:
