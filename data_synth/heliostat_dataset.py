@@ -212,9 +212,12 @@ def heliostat_content(scene: HeliostatScene, corners_px: Mapping[str, FloatArray
     if corners_px and scene.photos is not None:
         lens = {"camera": CAMERA_FILE} if scene.photos.is_distorted else {}
         content["images"] = [
-            {"target": name, "corners_px": corners.round(2).tolist(), "empty": f"{_folder(name)}/empty_*.png", **lens}
+            {
+                "target": name, "corners_px": corners.round(2).tolist(),
+                "corners_sigma_px": scene.photos.corner_sigma_px, "empty": f"{_folder(name)}/empty_*.png", **lens,
+            }
             for name, corners in corners_px.items()
-        ]
+        ]  # fmt: skip
     return content
 
 

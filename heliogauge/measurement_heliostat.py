@@ -124,12 +124,14 @@ class BeamImagesSection(Section):
     One of these says where the target is in them: ``whole`` (the photo is the target: "edge" where its outer edges are
     the target's, "index" where its outermost pixels' centres are), ``corners_px`` (upper left, upper right, lower
     right, lower left), ``markers`` (four pictures of marks, in that order), ``aruco_ids`` with ``dictionary``,
-    ``dark_marks``. ``empty`` are photos of the target without a beam, ``camera`` a calibrated camera's file.
+    ``dark_marks``. ``corners_sigma_px`` is how well the given pixels are known: 0.3 is careful work by hand. ``empty``
+    are photos of the target without a beam, ``camera`` a calibrated camera's file.
     """
 
     target: Text
     whole: Literal["index", "edge"] | None = None
     corners_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = None
+    corners_sigma_px: Positive = 0.3
     markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = None
     aruco_ids: Annotated[tuple[Index, ...], Field(min_length=4, max_length=4)] | None = None
     dictionary: Text = "DICT_4X4_50"

@@ -57,6 +57,7 @@ preset = "azimuth-elevation"    # or "drone", "six-error", "two-axes" (with axes
 #: [[images]]
 #: target = "target"
 #: corners_px = [[102.0, 88.0], [1180.0, 90.0], [1176.0, 902.0], [105.0, 899.0]]
+#: corners_sigma_px = 0.3       # how well they are known
 #: empty = "empty_*.png"        # the target without a beam, for the background
 #: camera = "camera.json"       # its lens, if it was calibrated
 

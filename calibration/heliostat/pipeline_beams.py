@@ -136,7 +136,7 @@ def beam_frames(folder: Path, plant: Plant, model: HeliostatModel) -> dict[str, 
 
 def _source(section: BeamImagesSection, folder: Path) -> Source:
     if section.corners_px is not None:
-        return CornerPixels(np.array(section.corners_px))
+        return CornerPixels(np.array(section.corners_px), section.corners_sigma_px)
     if section.markers is not None:
         return MarkerTemplates(tuple(folder / name for name in section.markers))
     if section.aruco_ids is not None:

@@ -55,6 +55,11 @@ def test_corners_in_the_photo_say_where_the_target_is(tmp_path: Path) -> None:
     corners = [[-0.5, -0.5], [319.5, -0.5], [319.5, 239.5], [-0.5, 239.5]]
     rows = measured(tmp_path, (TARGET.name, "1.png", ""), corners_px=corners)
     np.testing.assert_allclose(rows.vector("x_m", "y_m"), [CENTER_M], atol=0.02)
+    exact, known = (
+        measured(tmp_path, (TARGET.name, "1.png", ""), corners_px=corners, corners_sigma_px=sigma_px)
+        for sigma_px in (0.001, 3.0)
+    )
+    assert (known.vector("sigma_x_mm", "sigma_y_mm") > 1.5 * exact.vector("sigma_x_mm", "sigma_y_mm")).all()
 
 
 def test_photos_without_a_beam_are_reasons(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def test_every_optional_key_of_the_template_is_a_real_key(tmp_path: Path) -> Non
     assert dict(model.kinematics.parameters)["tilt_north"].sigma == 0.005
     assert model.kinematics.worm_ratio == (30.0, 30.0)
     assert model.images[0].corners_px[1] == (1180.0, 90.0)
+    assert model.images[0].corners_sigma_px == 0.3
 
 
 @pytest.mark.parametrize(
