@@ -29,7 +29,7 @@ _ROWS = 24
 _DIAMETER_PRIOR_SHARE = 0.03
 #: A number of the design contradicts the photos from so many sigmas on.
 _TIMES_SIGMA = 5.0
-#: The tube's diameter: more than this share of it, and more than so many sigmas; its sigma holds what all edges may have
+#: The tube's diameter: more than this share of it and than so many sigmas; its sigma holds what all edges may have
 #: in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
 _DIAMETER_SHARE, _DIAMETER_TIMES_SIGMA = 5e-3, 3.0
 #: What is said of width and length: more than this share, and more than so many sigmas.
