@@ -298,6 +298,18 @@ def test_mirrored_spots_near_the_middle(healthy):
     assert "mirrored left and right" in finding.text
 
 
+@pytest.mark.parametrize(("share", "severity"), [(0.03, "fault"), (0.006, "hint")])
+def test_scale_of_spots(rng, share, severity):
+    """A scale that is off by less than a percent, as the corners of photos are, accuses nobody."""
+    truth = drawn(nominal(), rng)
+    group = seen(truth, rng, sigma_m=5e-4).groups[0]
+    group = group.select(np.array(group.target) == "upper")
+    spots = TARGETS["upper"].points(TARGETS["upper"].coordinates(group.spot_m) * (1 - share))
+    group = replace(group, spot_m=spots, covariance_m2=group.covariance_m2 * (5e-4 / SIGMA_M) ** 2)
+    (finding,) = judged(Observations((group,))).findings
+    assert (finding.kind, finding.severity) == ("target_scale", severity)
+
+
 def test_an_outlier_is_called_as_in_the_table(healthy):
     """By its line, not by a number that counts from 0."""
     _, observations = healthy
