@@ -128,7 +128,7 @@ def series_figures(report: HeliostatReport) -> "dict[str, Figure]":
     Returns
     -------
     dict of str to Figure
-        Keys "time", "azimuth", "elevation"; without times only the latter two.
+        Keys "time", "azimuth", "elevation"; without times only the latter two, without suns too only "row".
     """
     rows = report.residuals
     against: dict[str, tuple[str, npt.NDArray[Any]]] = {
@@ -137,7 +137,10 @@ def series_figures(report: HeliostatReport) -> "dict[str, Figure]":
         "elevation": ("apparent elevation of the sun [deg]", rows.numbers["sun_elevation_deg"]),
     }
     known = {name: one for name, one in against.items() if (~_missing(one[1]) & rows.used).any()}
-    titles = {"time": "time", "azimuth": "the sun's azimuth", "elevation": "the sun's elevation"}
+    if not known:
+        # Drones, normals and points of the mirror need neither time nor sun.
+        known = {"row": ("row of residuals.csv", np.arange(1.0, rows.used.size + 1))}
+    titles = {"row": "their order", "time": "time", "azimuth": "the sun's azimuth", "elevation": "the sun's elevation"}
     return {name: _series(rows, titles[name], label, values) for name, (label, values) in known.items()}
 
 

@@ -83,6 +83,16 @@ def test_residuals_against_time_and_sun_are_all_drawn(one):
             assert drawn.max() <= high
 
 
+def test_residuals_without_time_and_sun_are_drawn_in_their_order(one):
+    rows = one.residuals
+    nowhere = {name: np.full(rows.used.size, np.nan) for name in ("sun_azimuth_deg", "sun_elevation_deg")}
+    bare = replace(rows, time=np.full(rows.used.size, np.datetime64("NaT", "ms")), numbers={**rows.numbers, **nowhere})
+    drawn = figures.series_figures(replace(one, residuals=bare))
+    assert list(drawn) == ["row"]
+    x = np.concatenate([line.get_xdata() for line in drawn["row"].axes[0].lines if line.get_linestyle() == "None"])
+    assert sorted(x) == [row + 1 for row in np.flatnonzero(rows.used)]
+
+
 def test_parameters_are_given_in_milliradians_with_what_was_known(one):
     text = sections.parameter_table(one).text
     for name, parameter in one.content["parameters"].items():
