@@ -32,8 +32,8 @@ _WITH_SUN = ("beam", "camera")
 _DIRECTION_SIGMA_RAD = 1e-3
 #: Of a drone or a point of the mirror, where the table gives none [m].
 _PLACE_SIGMA_M = 0.02
-#: A sigma beyond this, in metres or radians, is no knowledge, and its square soon no number.
-_MOST_SIGMA = 1e3
+#: A sigma beyond these, in metres or radians, is no knowledge, and its square soon 0 or no number.
+_LEAST_SIGMA, _MOST_SIGMA = 1e-9, 1e3
 #: A beam's centre given in space may be this far off its target's plane [m].
 _OFF_PLANE_M = 0.5
 
@@ -190,8 +190,8 @@ class _Building:
         """Return standard deviations (n, len(names)), and refuse rows whose are not positive."""
         values = self.rows.vector(*names) * unit
         values = np.where(np.isnan(values), otherwise, values)
-        wrong = self.of(kind) & ~((values > 0) & (values < _MOST_SIGMA)).all(axis=1)
-        self.verdicts.refuse(wrong, "not_finite", f"{names[0]}: a sigma must be positive and below 1e6")
+        wrong = self.of(kind) & ~((values >= _LEAST_SIGMA) & (values < _MOST_SIGMA)).all(axis=1)
+        self.verdicts.refuse(wrong, "not_finite", f"{names[0]}: a sigma must be positive, from 1e-6 to 1e6")
         return values
 
     def of(self, kind: str) -> BoolArray:
@@ -234,8 +234,8 @@ def _beams(building: _Building, plant: Plant, sigma_m: float) -> BeamSpots | Non
     both = building.sigmas("beam", ("sigma_mm", "sigma_mm"), sigma_m, 1e-3)
     own = building.rows.vector("sigma_x_mm", "sigma_y_mm") * 1e-3
     sigma = np.where(np.isnan(own), both, own)
-    wrong = building.of("beam") & ~((sigma > 0) & (sigma < _MOST_SIGMA)).all(axis=1)
-    building.verdicts.refuse(wrong, "not_finite", "a sigma must be positive and below 1e6 mm")
+    wrong = building.of("beam") & ~((sigma >= _LEAST_SIGMA) & (sigma < _MOST_SIGMA)).all(axis=1)
+    building.verdicts.refuse(wrong, "not_finite", "a sigma must be positive, from 1e-6 to 1e6 mm")
     chosen = building.usable("beam")
     if not chosen.any():
         return None

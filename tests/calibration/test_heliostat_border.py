@@ -98,7 +98,8 @@ class TestRows:
             (lambda t: put(t, "time_utc", 3, "2026-06-21T12:30:00"), "time", "says no zone"),
             (lambda t: put(t, "time_utc", 3, ""), "time", "neither a time nor"),
             (lambda t: put(t, "sigma_mm", 3, "0"), "not_finite", "a sigma must be positive"),
-            (lambda t: put(t, "sigma_mm", 3, "1e200"), "not_finite", "a sigma must be positive and below 1e6"),
+            (lambda t: put(t, "sigma_mm", 3, "1e200"), "not_finite", "a sigma must be positive, from 1e-6 to 1e6"),
+            (lambda t: put(t, "sigma_mm", 3, "1e-30"), "not_finite", "a sigma must be positive, from 1e-6 to 1e6"),
             (lambda t: t.update(kind=["beam"] * 3 + ["baem"] + ["beam"] * 8), "unreadable", "did you mean 'beam'"),
         ],
     )  # fmt: skip
