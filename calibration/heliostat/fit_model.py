@@ -22,6 +22,8 @@ _HUBER = {1: 1.345, 2: 1.5, 3: 1.65}
 _LEAST_LEFT = 0.05
 #: Factor on the stated sigma from which residuals are the model's, and how much farther rows may then lie.
 REFUTED_FROM, _SLACK = 1.2, 1.5
+# Chance with which a row lies within its stated sigma, and is no outlier.
+_AS_STATED = 0.95
 _ON_THE_WAY, _FEW_STEPS = 0.05, 12
 # Residuals of data without noise [stated sigma].
 _ZERO = 1e-6
@@ -183,7 +185,10 @@ class Descended:
             return residuals.computable
         scale = self.model.row_factors(factors)
         limit = self.limits() * np.sqrt(self._own_variance(residuals, scale))
-        return np.asarray(residuals.computable & (residuals.lengths <= limit * scale))
+        # A row that is where its stated sigma has it contradicts nothing, however well others of the kind fit.
+        stated = {n: np.sqrt(chi_square_quantile(_AS_STATED, n)) for n in set(self.model.components.tolist())}
+        near = np.array([stated[n] for n in self.model.components.tolist()])
+        return np.asarray(residuals.computable & (residuals.lengths <= np.maximum(limit * scale, near)))
 
     def with_own_covariance(self) -> "Descended":
         """Return the same end with the covariance for normal errors of the sigmas in force.
