@@ -364,7 +364,14 @@ class TestCommand:
         write_field(tmp_path / "in", heliostats=300, observations=20)
         arguments = [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(tmp_path / "in"), "-o",
                      str(tmp_path / "out"), "--jobs", "2", "--model", "5", "--no-report", "-q"]  # fmt: skip
-        running = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+        # Where the tests run in the background, a shell has told them to ignore Ctrl-C, and children inherit that.
+        running = subprocess.Popen(
+            arguments,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+        )
         deadline = time.monotonic() + 60
         while len(list((tmp_path / "out").glob("H*"))) < 5 and time.monotonic() < deadline:
             time.sleep(0.05)
