@@ -343,6 +343,18 @@ def _splits(
     return held, not_split
 
 
+def _without_sigma(rows: Rows) -> tuple[str, ...]:
+    """Return the usable beams of a table whose own cell of ``sigma_mm`` is empty; none where both axes have columns."""
+    if "sigma_mm" not in rows.numbers or "sigma_x_mm" in rows.numbers:
+        return ()
+    given, kinds = rows.numbers["sigma_mm"], rows.text("kind", "beam")
+    return tuple(
+        rows.ids[row]
+        for row in np.flatnonzero(np.isnan(given)).tolist()
+        if kinds[row] == "beam" and not rows.flags[row]
+    )
+
+
 def _said(
     task: HeliostatTask,
     seen: Observed,
@@ -376,6 +388,11 @@ def _said(
         notes.append(
             f"the observations come without sigmas: {shared.model.evaluation.spot_sigma_mm:g} mm is taken for beams, "
             "and its scale estimated from the residuals"
+        )
+    elif empty := _without_sigma(rows):
+        doubts.append(
+            f"{len(empty)} of {len(rows)} rows have no sigma_mm beside others that have one, the first: {empty[0]}: "
+            f"{shared.model.evaluation.spot_sigma_mm:g} mm is taken for them"
         )
     for text in result.warnings:
         # That the scale of the sigmas is estimated is no fault of the heliostat.

@@ -475,3 +475,12 @@ class TestWhatAFieldHasInCommon:
         known = [pipeline.with_field(chosen, Workers(jobs), SilentProgress()).shared for jobs in (1, 2)]
         assert pipeline_field._digest(known[0]) == pipeline_field._digest(known[1])
         assert pipeline_field._digest(known[0]) != pipeline_field._digest(chosen.shared)
+
+
+def test_a_row_without_a_sigma_beside_rows_that_have_one_is_told(tmp_path: Path) -> None:
+    write_field(tmp_path, observations=30)
+    table = read_table_csv(tmp_path / "observations.csv")
+    table["sigma_mm"][5] = ""
+    write_table_csv(tmp_path / "observations.csv", table)
+    (one,) = run(load_heliostat(tmp_path), QUICK).heliostats
+    assert any("1 of 30 rows have no sigma_mm" in text and "50 mm" in text for text in one.warnings)
