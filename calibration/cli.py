@@ -1,5 +1,6 @@
 """Commands of calibration: heliostats; camera; response of camera and display."""
 
+import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -161,16 +162,9 @@ def heliostat_export_command(
     force: Force = False,
 ) -> None:
     """Calibrated heliostats -> parameters for controllers, tables of corrections, properties as of PAINT and ARTIST."""
-    from datetime import date as day
-
     from calibration.heliostat.pipeline_export import ExportOptions, run
-    from heliogauge.errors import InputError
 
-    try:
-        chosen = None if date is None else day.fromisoformat(date)
-    except ValueError as error:
-        raise InputError(f"--date {date}: a day such as 2026-06-21 is needed ({error})") from error
-    for name in run(result, out, ExportOptions(chosen, step_minutes, target, force)):
+    for name in run(result, out, ExportOptions(_day("--date", date), step_minutes, target, force)):
         typer.echo(out / name)
 
 
@@ -193,19 +187,22 @@ def heliostat_plan_command(
     force: Force = False,
 ) -> None:
     """Calibrated heliostats -> what to measure next, at which suns, and a schedule, the worst first."""
-    from datetime import date as day
-
     from calibration.heliostat.pipeline_plan import NextOptions, run
-    from heliogauge.errors import InputError
 
-    try:
-        first = None if first_day is None else day.fromisoformat(first_day)
-    except ValueError as error:
-        raise InputError(f"--first-day {first_day}: a day such as 2026-06-21 is needed ({error})") from error
-    goal_rad, sigma_m = 1e-3 * goal_mrad, 1e-3 * sigma_mm
+    first, goal_rad, sigma_m = _day("--first-day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
     options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)
     sentences = run(result, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
     for text in [*sentences[:-1][:20], sentences[-1]]:
         typer.echo(text)
     typer.echo(f"results: {out}")
+
+
+def _day(flag: str, text: str | None) -> datetime.date | None:
+    """Return the day that a flag names; None without it."""
+    from heliogauge.errors import InputError
+
+    try:
+        return None if text is None else datetime.date.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(f"{flag} {text}: a day such as 2026-06-21 is needed ({error})") from error
