@@ -243,4 +243,10 @@ def _reason(scores: Sequence[CandidateScore], best: int, n_blocks: int) -> str:
     chosen = scores[best]
     text = f"predicts sun positions left aside to {1e3 * chosen.blocked_rms_rad:.2f} mrad"
     others = [f"{one.name} {1e3 * one.blocked_rms_rad:.2f}" for one in scores if one is not chosen]
-    return f"{text} ({', '.join(others)})" if others else text
+    if not others:
+        return text
+    text = f"{text} ({', '.join(others)})"
+    lowest = min(one.blocked_rms_rad for one in scores)
+    if chosen.blocked_rms_rad > lowest:
+        text += f"; the usual choice stays, since none is better by {100 * _BETTER_BY:.0f} %"
+    return text

@@ -213,12 +213,21 @@ def test_choice_finds_the_parameters_that_the_data_need():
     scores = {score.name: score for score in choice.table}
     assert scores["zeros"].blocked_rms_rad > 2 * scores["tilts"].blocked_rms_rad
     assert "left aside" in choice.reason
+    lowest = min(score.blocked_rms_rad for score in choice.table)
+    assert ("the usual choice stays" in choice.reason) == (scores[choice.best].blocked_rms_rad > lowest)
     # A model that lacks nothing is not made larger for a hair.
     small = choose_model(
         design, seen, FitOptions(),
         [Candidate("tilts", dict.fromkeys(ANGLES, 0.01)), Candidate("as delivered", {})],
     )  # fmt: skip
     assert small.best == "tilts"
+    # Two choices that predict alike: the last is the usual one, and the table alone would not tell why it stays.
+    alike = [Candidate("tilts", dict.fromkeys(ANGLES, 0.010)), Candidate("looser", dict.fromkeys(ANGLES, 0.012))]
+    for pair in (alike, alike[::-1]):
+        kept = choose_model(design, seen, FitOptions(), pair)
+        assert kept.best == pair[-1].name
+        first, last = (score.blocked_rms_rad for score in kept.table)
+        assert ("the usual choice stays" in kept.reason) == (last > first)
 
 
 def test_choice_with_too_few_rows_takes_everything_within_its_prior():
