@@ -176,10 +176,11 @@ class _Run:
     poses: dict[str, RigidTransform] = field(default_factory=dict)
     edges: dict[str, ReflectionEdges] = field(default_factory=dict)
     bearings: dict[str, Bearings] = field(default_factory=dict)
+    #: Photos that were searched as a whole, for this trough or for another one in the same photos.
+    searched: dict[str, OnePhoto] = field(default_factory=dict)
 
-    def take(self, number: int, file: Path) -> None:
-        """Read a photo and find what it shows, or leave that to `finish`."""
-        image, name = self.finder.read(file), file.name
+    def take(self, number: int, name: str, image: Image) -> None:
+        """Find what a photo shows, or leave that to `finish`."""
         camera = self.finder.camera_of.get(name)
         if self.track is not None and camera is not None:
             self.track = follow(image, self.track, self.finder.known, camera)
@@ -224,7 +225,9 @@ class _Run:
         self.bearings[name] = tube_bearings(image, number, view, expected)
 
     def _searched(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
-        found = measure_photo(image, name, self.finder.section, self.finder.search)
+        found = self.searched.get(name)
+        if found is None:
+            found = self.searched[name] = measure_photo(image, name, self.finder.section, self.finder.search)
         self.targets[name] = found
         pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
         if pose is None or camera is None:
@@ -296,30 +299,71 @@ def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progr
     InputError
         A photo cannot be read.
     """
-    slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
+    return look_first_at_each(files, [finder], jobs=jobs, progress=progress)[0]
+
+
+def look_first_at_each(
+    files: Sequence[Path], finders: Sequence[Finder], *, jobs: int | None, progress: Progress
+) -> list[FirstLook]:
+    """Look for several troughs in the same photos, each of which is read, and searched as a whole, once.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos, in the order in which they were taken.
+    finders : sequence of Finder
+        What is looked for, for each trough; they differ in known targets and expectation only.
+    jobs : int or None
+        Photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    list of FirstLook
+        What was found for each trough, photos by their numbers among the files.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read.
+    """
+    slices = [empty_slices(one.expected.collector, one.expected.y_m, len(files)) for one in finders]
     names = tuple(file.name for file in files)
-    if not finder.measures_alone:
-        return FirstLook(names, (), {}, {}, {}, slices, finder.tone)
+    leader = finders[0]
+    if not leader.measures_alone:
+        return [FirstLook(names, (), {}, {}, {}, own, leader.tone) for own in slices]
     with progress.stage("look how photos are encoded"):
-        finder = replace(finder, tone=_tone_of_some(files, finder))
-    length = min(max(-(-len(files) // _RUNS), _FEWEST_IN_RUN), _MOST_IN_RUN) if finder.follows else 1
+        # One flight, one camera: the first trough that tells is believed.
+        tone = next((told for one in finders if (told := _tone_of_some(files, one)) is not None), None)
+        finders = [replace(one, tone=tone) for one in finders]
+    length = min(max(-(-len(files) // _RUNS), _FEWEST_IN_RUN), _MOST_IN_RUN) if leader.follows else 1
     first = range(0, len(files), length)
     with progress.stage("measure photos", len(files)) as stage:
 
-        def one(start: int) -> _Run:
-            run = _Run(finder, slices)
+        def some(start: int) -> list[_Run]:
+            searched: dict[str, OnePhoto] = {}
+            runs = [_Run(finder, own, searched=searched) for finder, own in zip(finders, slices, strict=True)]
             for number, file in enumerate(files[start : start + length], start=start):
-                run.take(number, file)
+                image = linear_light(read_luma(file), tone or Tone.LINEAR)
+                for run in runs:
+                    run.take(number, file.name, image)
                 stage.advance()
-            run.finish()
-            return run
+            for run in runs:
+                run.finish()
+            return runs
 
-        runs = _side_by_side(one, first, jobs)
+        found = _side_by_side(some, first, jobs)
+    return [_put_together(names, runs, own, tone) for runs, own in zip(zip(*found, strict=True), slices, strict=True)]
+
+
+def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, tone: Tone | None) -> FirstLook:
+    """Return what consecutive runs over the photos found."""
     targets = tuple(one for run in runs for one in run.targets.values())
     poses = {name: pose for run in runs for name, pose in run.poses.items()}
     edges = {name: part for run in runs for name, part in run.edges.items()}
     bearings = {name: part for run in runs for name, part in run.bearings.items()}
-    return FirstLook(names, targets, poses, edges, bearings, slices, finder.tone)
+    return FirstLook(names, targets, poses, edges, bearings, slices, tone)
 
 
 def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
@@ -329,8 +373,8 @@ def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
     views, sizes = [], []
     for number in some_of(len(files)):
         run = _Run(finder, empty_slices(finder.expected.collector, finder.expected.y_m, len(files)))
-        run.take(number, files[number])
         name = files[number].name
+        run.take(number, name, finder.read(files[number]))
         if name in run.poses:
             view = (finder.camera_of[name], run.poses[name])
             views.append((files[number], view))
