@@ -19,7 +19,8 @@ from heliogauge.validate import BoolArray, FloatArray
 from observer.edges import Edges, find_edges
 from observer.glass import turned_rad
 from observer.rectify import rectified_strip
-from observer.reflection import AnyImage, Expectation, design_misfit
+from observer.reflection import AnyImage, Expectation
+from observer.sight import Sights, beside_axis
 from observer.silhouette import level_edges
 from observer.slope_field import IntArray
 
@@ -190,9 +191,9 @@ def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
     if abs(x) > collector.aperture_width_m / 2:
         return float("inf")
     point = np.array([[x, np.clip(eye_m[1], -1, 1) * 0.1, x**2 / (4 * focal)]])
-    found = design_misfit(point, eye_m[None], np.zeros(1), collector, expected.absorber)
-    half = collector.absorber_diameter_m / 2 / float(np.hypot(axis_x - x, axis_z - point[0, 2]))
-    return max(abs(float(found.angle_rad[0])) - half - 2 * expected.slope_error_rad, 0.0)
+    line, slope = Sights(point, eye_m[None], np.zeros(1)), np.array([x / (2 * focal)])
+    angle, half, _ = beside_axis(line, slope, expected.absorber, collector.absorber_diameter_m / 2)
+    return max(abs(float(angle[0])) - float(half[0]) - 2 * expected.slope_error_rad, 0.0)
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:
@@ -273,8 +274,12 @@ def _continuous(row: IntArray, angle_rad: FloatArray, strength: FloatArray, besi
     strongest = order[last]
     places = np.full(int(row.max()) + 1 + 2 * _ROWS_AROUND, np.nan)
     places[row[strongest] + _ROWS_AROUND] = angle_rad[strongest]
-    windows = np.lib.stride_tricks.sliding_window_view(places, 2 * _ROWS_AROUND + 1)
-    beside = np.abs(angle_rad - np.nanmedian(windows[row], axis=1))
+    # The median of what there is: sorting puts rows without a pair last.
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(places, 2 * _ROWS_AROUND + 1)[row[strongest]], axis=1)
+    count = np.count_nonzero(np.isfinite(windows), axis=1)
+    own = np.arange(count.size)
+    usual = 0.5 * (windows[own, (count - 1) // 2] + windows[own, count // 2])
+    beside = np.abs(angle_rad - usual[np.searchsorted(row[strongest], row)])
     order = np.lexsort((-beside, row))
     nearest = order[np.flatnonzero(np.diff(row[order], append=-1))]
     return np.asarray(nearest[beside[nearest] < beside_rad], dtype=np.intp)

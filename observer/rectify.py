@@ -115,8 +115,9 @@ def _lattice(view: tuple[Camera, RigidTransform], surface: Quadric, x_m: FloatAr
         step = float(values[1] - values[0]) if values.size > 1 else 0.0
         # Rows inside one map row need not be spaced like the map rows: they are, because the inner lines fill it.
         axes.append(values[0] + step * (_LATTICE * (np.arange(count) - 0.5) - 0.5))
-    grid_x, grid_y = np.meshgrid(*axes)
-    points = np.stack([grid_x, grid_y, surface.height(grid_x, grid_y)], axis=-1)
+    points = np.empty((axes[1].size, axes[0].size, 3))
+    points[..., 0], points[..., 1] = axes[0], axes[1][:, None]
+    points[..., 2] = surface.height(axes[0], axes[1][:, None])
     pixels = camera.project(cam_from_frame.apply(points))
     # What lies behind the camera is outside the photo. Single precision is 1e-4 px.
     return np.where(np.isfinite(pixels), pixels, -1e4).astype(np.float32)

@@ -239,18 +239,13 @@ def _window(eye_m: FloatArray, expected: Expectation) -> tuple[float, float] | N
     half = collector.aperture_width_m / 2
     x = np.linspace(-half, half, 201)
     points = np.stack([x, np.full_like(x, np.clip(eye_m[1], -1, 1)), x**2 / (4 * collector.focal_length_m)], axis=1)
-    found = design_misfit(points, np.tile(eye_m, (x.size, 1)), np.zeros_like(x), collector, absorber)
-    reach = collector.absorber_diameter_m / 2 * np.abs(_per_radius(points, absorber)) + 2 * expected.slope_error_rad
-    near = np.nonzero(np.abs(found.angle_rad) < reach)[0]
+    eyes, radius = np.broadcast_to(eye_m, points.shape), collector.absorber_diameter_m / 2
+    lines = Sights(points, eyes, np.zeros_like(x))
+    angle, tube_rad, _ = beside_axis(lines, x / (2 * collector.focal_length_m), absorber, radius)
+    near = np.nonzero(np.abs(angle) < tube_rad + 2 * expected.slope_error_rad)[0]
     if near.size == 0:
         return None
     return float(x[max(near[0] - 1, 0)]), float(x[min(near[-1] + 1, x.size - 1)])
-
-
-def _per_radius(points_m: FloatArray, absorber: AbsorberPath) -> FloatArray:
-    """Return the reciprocal distance across the trough between mirror points and the tube's axis [1/m]."""
-    axis_x, axis_z = absorber.at(points_m[:, 1])
-    return np.asarray(1 / np.hypot(axis_x - points_m[:, 0], axis_z - points_m[:, 2]))
 
 
 def _plausible(
@@ -268,13 +263,13 @@ def _plausible(
     angle = middle + side * half
     near = np.flatnonzero(np.abs(angle) < 2 * expected.slope_error_rad)
     found, points, side = found.chosen(near), points[near], side[near]
-    keep = is_on_panels(collector, points[:, 0], points[:, 1], spoilt_m)
-    keep &= ~_hidden(points, eye_m, collector, absorber, spoilt_m)
+    free_m = np.minimum(
+        _inside_panels_m(collector, points[:, 0], points[:, 1]), _beside_receiver_m(points, eye_m, collector, absorber)
+    )
+    keep = free_m > spoilt_m
     keep &= _is_tube_dark(found, side, keep)
     keep &= sees_tube(passing[near], collector, spoilt_m + _END_MARGIN_M)
-    far_m = spoilt_m + _EVEN_PX[1] * pixel_m
-    judged = is_on_panels(collector, points[:, 0], points[:, 1], far_m)
-    judged &= ~_hidden(points, eye_m, collector, absorber, far_m)
+    judged = free_m > spoilt_m + _EVEN_PX[1] * pixel_m
     edges = ReflectionEdges(
         np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast,
         np.where(judged, _unevenness(strip, found, pixel_m), 0.0),
@@ -312,7 +307,9 @@ def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray
         return np.ones(size.shape, dtype=bool)
     bright = np.abs(found.rise_dn) / np.maximum(size, 1e-6)
     dark = bright - np.abs(found.rise_dn)
-    tube = float(np.quantile(dark[clear], _DARKEST_SHARE))
+    among_clear = dark[clear]
+    place = int(_DARKEST_SHARE * (among_clear.size - 1))
+    tube = float(np.partition(among_clear, place)[place])
     return np.asarray(dark - tube < _DARK_SHARE * np.maximum(bright - tube, 0.0))
 
 
@@ -333,12 +330,16 @@ def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_
     ndarray of bool, shape (m,)
         Whether an edge there can be trusted.
     """
-    margin = margin_m + collector.panel_gap_m / 2
-    inside = np.ones(x_m.shape, dtype=bool)
+    return np.asarray(_inside_panels_m(collector, x_m, y_m) > margin_m)
+
+
+def _inside_panels_m(collector: Collector, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+    """Return how far points of the aperture are from the edges of their panel, negative in the gaps [m]."""
+    inside = np.full(x_m.shape, np.inf)
     for edges, place in ((collector.panel_edges_x_m, x_m), (collector.panel_edges_y_m, y_m)):
         panel = np.clip(np.searchsorted(edges, place), 1, edges.size - 1)
-        inside &= (place - edges[panel - 1] > margin) & (edges[panel] - place > margin)
-    return np.asarray(inside)
+        inside = np.minimum(inside, np.minimum(place - edges[panel - 1], edges[panel] - place))
+    return np.asarray(inside - collector.panel_gap_m / 2)
 
 
 def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) -> BoolArray:
@@ -364,12 +365,12 @@ def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) ->
     return np.asarray(seen)
 
 
-def _hidden(
-    points_m: FloatArray, eye_m: FloatArray, collector: Collector, absorber: AbsorberPath, margin_m: float
-) -> BoolArray:
-    """Return which mirror points the receiver hides from the camera, or nearly so."""
+def _beside_receiver_m(
+    points_m: FloatArray, eye_m: FloatArray, collector: Collector, absorber: AbsorberPath
+) -> FloatArray:
+    """Return how far lines of sight to mirror points pass beside the receiver, negative where it hides them [m]."""
     outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
     axis_x, axis_z = absorber.at(points_m[:, 1])
     way_x, way_z = eye_m[0] - points_m[:, 0], eye_m[2] - points_m[:, 2]
     beside = (axis_x - points_m[:, 0]) * way_z - (axis_z - points_m[:, 2]) * way_x
-    return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) < outer / 2 + margin_m)
+    return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) - outer / 2)

@@ -8,6 +8,7 @@ place where it is: in ray-traced photos of tubes 7 and 12 px wide the bisector s
 at a quarter of the way. Rows are averaged before the level is sought; in single ones noise would cross it too early.
 """
 
+import cv2
 import numpy as np
 
 from heliogauge.validate import FloatArray
@@ -20,6 +21,8 @@ _LEVEL = 0.5
 _ROWS_TOGETHER = 8
 #: Samples of a strip between places at which brightness is read.
 _STEP_SAMPLES = 0.25
+#: Numbers that are read on the tube and beyond the glass, of which the median counts; odd.
+_LEVEL_SAMPLES = 9
 #: Where the background is read: so many samples beyond the glass, over so many more.
 _BEYOND_SAMPLES = (2.0, 6.0)
 
@@ -60,13 +63,15 @@ def level_edges(
     mean = (group == np.arange(group.max(initial=-1) + 1)[:, None]).astype(np.float64)
     mean /= mean.sum(axis=1, keepdims=True)
     half = mean @ half_width_m
-    inside = mean @ np.median(_profiles(strip, row, middle_m, np.linspace(-0.5, 0.5, 9) * half[group, None]), axis=1)
+    beyond = glass_ratio * half[:, None] + step * np.linspace(*_BEYOND_SAMPLES, _LEVEL_SAMPLES)
+    across = np.linspace(-0.5, 0.5, _LEVEL_SAMPLES) * half[:, None]
+    offsets = np.stack([-beyond, across, beyond], axis=1)[group]
+    before, inside, after = (mean @ _plateaus(strip, row, middle_m, offsets)).T
+    n_steps = int(np.ceil((1.5 * float(half.max(initial=0.0)) / step + 1) / _STEP_SAMPLES))
+    outward = _STEP_SAMPLES * step * np.arange(n_steps)
     edges: list[FloatArray] = []
-    for way in (-1.0, 1.0):
-        beyond = glass_ratio * half[group, None] + step * np.linspace(*_BEYOND_SAMPLES, 9)
-        outside = mean @ np.median(_profiles(strip, row, middle_m, way * beyond), axis=1)
-        outward = np.arange(0.0, 1.5 * float(half.max(initial=0.0)) + step, _STEP_SAMPLES * step)
-        profile = mean @ _profiles(strip, row, middle_m, np.broadcast_to(way * outward, (row.size, outward.size)))
+    for way, outside in ((-1, before), (1, after)):
+        profile = mean @ _outward(strip, row, middle_m, way, n_steps, _STEP_SAMPLES * oversampling)
         share = (profile - inside[:, None]) / (outside - inside)[:, None]
         # The last place below the level on the way out, within the tube's half width.
         above = (share > _LEVEL) & (outward > 0.5 * half[:, None])
@@ -81,22 +86,45 @@ def level_edges(
     return edges[0], edges[1]
 
 
-def _profiles(strip: Strip, row: IntArray, middle_m: FloatArray, offsets_m: FloatArray) -> FloatArray:
-    """Interpolate the brightness of rows at offsets, shape (m, k), from their middles, by cubic convolution.
-
-    Linear interpolation would move the level by 0.03 px with the place of the edge among the pixels (Keys 1981).
-    """
+def _plateaus(strip: Strip, row: IntArray, middle_m: FloatArray, offsets_m: FloatArray) -> FloatArray:
+    """Return the median brightness of rows over offsets, shape (m, i, k), from their middles, shape (m, i)."""
     step = float(strip.x_m[1] - strip.x_m[0])
-    position = np.clip((middle_m[:, None] + offsets_m - strip.x_m[0]) / step, 1, strip.x_m.size - 2.001)
-    before = np.floor(position).astype(np.intp)
-    t = position - before
-    weights = (
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    )
-    value = np.zeros(position.shape)
-    for place, weight in enumerate(weights, start=-1):
-        value += weight * strip.image_dn[row[:, None], before + place]
-    return value
+    places = np.empty((*offsets_m.shape, 2), dtype=np.float32)
+    places[..., 0] = (offsets_m + (middle_m - strip.x_m[0])[:, None, None]) / step
+    places[..., 1] = row[:, None, None]
+    flat = places.reshape(row.size, -1, 2)
+    values = cv2.remap(strip.image_dn, flat, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    middle = offsets_m.shape[2] // 2
+    return np.partition(np.asarray(values).reshape(offsets_m.shape), middle, axis=2)[..., middle].astype(np.float64)
+
+
+def _outward(
+    strip: Strip, row: IntArray, middle_m: FloatArray, way: int, n_steps: int, step_samples: float
+) -> FloatArray:
+    """Interpolate the brightness from the middles of rows outwards, shape (m, n_steps), by cubic convolution.
+
+    Steps are a whole fraction of a sample: places that are whole samples apart share their weights. Linear
+    interpolation would move the level by 0.03 px with the place of the edge among the pixels.
+    """
+    each, width = round(1 / step_samples), strip.x_m.size
+    count = -(-n_steps // each)
+    middle = way * (middle_m - strip.x_m[0]) / float(strip.x_m[1] - strip.x_m[0])
+    first = np.floor(middle).astype(np.intp)
+    columns = np.clip(way * (first[:, None] + np.arange(-1, count + 3)), 0, width - 1)
+    found = strip.image_dn.ravel()[columns + (row * width)[:, None]]
+    values = np.empty((row.size, count, each), dtype=np.float32)
+    for k in range(each):
+        weights = _five_weights(middle - first + k * step_samples).astype(np.float32)
+        values[:, :, k] = sum(weights[i][:, None] * found[:, i : i + count] for i in range(5))
+    return values.reshape(row.size, -1)[:, :n_steps].astype(np.float64)
+
+
+def _five_weights(place: FloatArray) -> FloatArray:
+    """Return the weights of neighbours -1 to 3 of places between 0 and 2 by cubic convolution, shape (5, m).
+
+    Keys 1981, eq. 15: pieces of third degree over four neighbours, the fifth has none.
+    """
+    distance = np.abs(place - np.arange(-1, 4)[:, None])
+    near = (1.5 * distance - 2.5) * distance * distance + 1.0
+    far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
+    return np.where(distance < 1, near, np.where(distance < 2, far, 0.0))
