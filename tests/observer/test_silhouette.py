@@ -1,5 +1,6 @@
 """Edges of a tube behind glass: a dark stripe beside one edge must not pull the bisector."""
 
+from dataclasses import replace
 from math import erf
 
 import numpy as np
@@ -38,6 +39,21 @@ def test_a_stripe_in_the_glass_hardly_moves_the_middle(depth_dn: float, largest_
     assert np.isfinite(right).all()
     # 0.08 mm are 0.013 px; the steepest place would be pulled by twice as much.
     assert abs(np.mean(0.5 * (left + right) - middle)) < largest_m
+
+
+def test_clouds_that_end_within_the_glass_hardly_move_the_middle() -> None:
+    rng = np.random.default_rng(3)
+    middle = rng.uniform(-0.01, 0.01, 240)
+    strip = strip_with_stripe(rng, middle, 0.0)
+    # In some rows the sky right of the tube is darker by 30 DN as far as 20 mm beyond the metal, and brighter after.
+    clouded = (np.arange(240) // 40) % 3 == 1
+    in_glass = (strip.x_m > middle[:, None]) & (strip.x_m < middle[:, None] + HALF_M + 0.02)
+    cloud = np.where(clouded[:, None] & in_glass, (strip.image_dn - 22) * 30 / 104, 0.0)
+    strip = replace(strip, image_dn=(strip.image_dn - cloud).astype(np.float32))
+    left, right = level_edges(strip, np.arange(240), middle, np.full(240, HALF_M), 57.5 / 35)
+    off = 0.5 * (left + right) - middle
+    # By the level of what is beyond the glass the middle would be 1.2 mm aside.
+    assert abs(off[clouded].mean() - off[~clouded].mean()) < 0.12e-3
 
 
 def test_the_steepest_place_would_be_pulled() -> None:
