@@ -43,7 +43,8 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughne
     Roughness
         With the upper bound of two standard deviations, but what was assumed where the photos say nothing, as from
         straight above; and where there clearly are such slopes 1.4 times the most probable value, because panels
-        differ, or what was assumed if that is more. And with the length over which they are alike.
+        differ, or what was assumed if that is more and better than none. And with the length over which they are
+        alike.
     """
     lowest, highest = (round(float(np.log(end / prior.along_rad) / np.log(_FACTOR))) for end in _RANGE_RAD)
     known: dict[tuple[int, float], float] = {}
@@ -69,6 +70,7 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughne
     while largest < max(best, 0) and evidence(largest + 1, length) > evidence(best, length) - _EVIDENCE_LOSS:
         largest += 1
     if evidence(best, length) - evidence(lowest, length) > _CLEAR_EVIDENCE:
-        # There are such slopes: single panels may have more of them than the mean, and not less than was assumed.
-        largest = max(largest, best + 1, 0)
+        # There are such slopes: single panels may have more of them than the mean, and not less than was assumed where
+        # that explains the edges better than none; what is left of edges' own errors looks like 0.2 mrad.
+        largest = max(largest, best + 1, 0 if evidence(0, length) > evidence(lowest, length) else lowest)
     return trial(largest, length)

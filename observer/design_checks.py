@@ -289,7 +289,7 @@ def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
     str or None
         A sentence; None where panels are stated, or slopes do not jump.
     """
-    if collector.panel_edges_x_m.size > 2 or roughness.across < _JUMPING:
+    if collector.panel_edges_x_m.size > 2 or roughness.order > 2 or roughness.across < _JUMPING:
         return None
     return (
         "slopes jump along x as at edges of panels, but the mirror is stated to be one piece across: without "

@@ -1,6 +1,7 @@
 """Slopes of all rows together with what they have in common: camera positions, absorber and its radius."""
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +35,11 @@ _PHOTOS_FOR_ROUGHNESS = 70
 _MODES = 10
 _MODES_SHARE = 0.99
 _SINGLE: np.dtype[Any] = np.dtype(np.float32)
-#: Decimal exponents of the roughness [rad^2 / m^3] that are searched: from a mirror that bends by 0.1 mrad within a
-#: metre to a crumpled one.
-_EXPONENTS = (-8.0, 1.0)
+#: Decimal exponents of the roughness [rad^2 / m^3, rad^2 / m^5] that are searched, by its order: from a mirror that
+#: bends by 0.1 mrad within a metre to a crumpled one.
+_EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
+#: Waves of 0.6 m have so many times the roughness in the next order [1/m^2].
+_NEXT_ORDER_PER_M2 = 100.0
 #: It is told to such a part of the range, by differences of the evidence over twice so many decades.
 _INTERVALS, _DIFFERENCE = 32, 0.125
 
@@ -77,7 +80,9 @@ class SlopeErrors:
     modes_apart: FloatArray
 
 
-def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray) -> Roughness:
+def find_roughness(
+    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray, *, any_order: bool = False
+) -> Roughness:
     """Choose the roughness across the trough under which the lines are most probable.
 
     Parameters
@@ -90,6 +95,8 @@ def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covari
         The slope along the trough, which is kept.
     covariance : ndarray, shape (c, c)
         Prior covariance of the common unknowns.
+    any_order : bool, optional
+        Whether the order of the random walk is chosen as well; otherwise it is the prior's.
 
     Returns
     -------
@@ -107,13 +114,27 @@ def find_roughness(lines: TouchingLines, grid: RowGrid, prior: Roughness, covari
     some, own_covariance = _fewer_common(some, covariance)
     nothing = (np.zeros(len(own_covariance)), own_covariance)
     still = np.zeros((fewer.n_rows, grid.x_m.size, 2))
-    low, high = _EXPONENTS
+
+    def evidence(trial: Roughness) -> float:
+        return _eliminate(some, fewer, trial, still, nothing).evidence
+
+    best = _most_probable(prior, evidence)
+    if not any_order:
+        return best
+    other = 5 - best.order
+    start = best.across * _NEXT_ORDER_PER_M2 ** (other - best.order)
+    rival = _most_probable(replace(prior, across=start, order=other), evidence)
+    return max(best, rival, key=evidence)
+
+
+def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) -> Roughness:
+    """Return the roughness of the prior's order that has the largest evidence."""
+    low, high = _EXPONENTS[prior.order]
     width = (high - low) / _INTERVALS
     known: dict[int, bool] = {}
 
     def evidence(exponent: float) -> float:
-        trial = replace(prior, across=10.0**exponent)
-        return _eliminate(some, fewer, trial, still, nothing).evidence
+        return evidence_of(replace(prior, across=10.0**exponent))
 
     def rises(border: int) -> bool:
         """Return whether the evidence rises at a border between intervals; the first and the last enclose it."""
@@ -213,12 +234,8 @@ def solve_jointly(
     system = assemble(lines, grid, prior)
     moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, step[lines.common_index])
     right = right_sides(system, lines, grid, -moved) - prior_pull(system.bands, start)
-    slopes = start + from_blocks(system.factor.solve(right)[..., 0])
-    blocks = system.factor.inverse_blocks()
-    n_blocks, n_rows = blocks.shape[:2]
-    random = np.empty((n_rows, 2 * n_blocks, 2, 2))
-    random[:, 0::2] = np.swapaxes(blocks[..., :2, :2], 0, 1)
-    random[:, 1::2] = np.swapaxes(blocks[..., 2:, 2:], 0, 1)
+    slopes = start + from_blocks(system.factor.solve(right)[..., 0], grid.x_m.size)
+    random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
     nothing = np.zeros((0, rows.size, grid.x_m.size))
     found = (common[0] + step, shared.covariance, rows)
     if with_shares is None or with_shares is False:
@@ -230,6 +247,17 @@ def solve_jointly(
         variance = variance + more
     between = _between_rows(variance, rows, grid.n_rows)
     return SlopeErrors(slopes, random, between, *found, modes, apart)
+
+
+def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:
+    """Return the covariance of both slopes of each node, shape (r, nx, 2, 2), from blocks, (b, r, 2 w, 2 w)."""
+    n_blocks, n_rows, size = blocks.shape[:3]
+    width = size // 2
+    found = np.empty((n_rows, n_blocks * width, 2, 2))
+    for i in range(width):
+        own = slice(2 * i, 2 * i + 2)
+        found[:, i::width] = np.swapaxes(blocks[..., own, own], 0, 1)
+    return found[:, :n_nodes]
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -266,6 +294,7 @@ class _Eliminated:
     covariance: FloatArray
     carried: FloatArray
     evidence: float
+    n_nodes: int
 
     def split(self, first: BoolArray) -> tuple["_Eliminated", "_Eliminated"]:
         """Return what some unknowns do with the others held, and what the others do, the first following along."""
@@ -286,23 +315,24 @@ class _Eliminated:
         """
         from scipy.linalg import eigh
 
-        n_blocks, n_rows, _, count = self.carried.shape
+        n_blocks, n_rows, size, count = self.carried.shape
+        n_nodes = self.n_nodes
         if count == 0:
-            return np.zeros((n_rows, 2 * n_blocks, 2)), np.zeros((0, n_rows, 2 * n_blocks))
+            return np.zeros((n_rows, n_nodes, 2)), np.zeros((0, n_rows, n_nodes))
         # In single precision, which is a millionth of a variance; the products are the most expensive of all.
         root = np.asarray(np.linalg.cholesky(self.covariance), dtype=_SINGLE)
         flat = self.carried.reshape(-1, count).astype(_SINGLE) @ root
-        variance = from_blocks(np.einsum("kc,kc->k", flat, flat).astype(np.float64).reshape(n_blocks, n_rows, 4))
-        across = np.ascontiguousarray(flat.reshape(-1, 4, count)[:, 0::2]).reshape(-1, count)
+        of_each = np.einsum("kc,kc->k", flat, flat).astype(np.float64)
+        variance = from_blocks(of_each.reshape(n_blocks, n_rows, size), n_nodes)
+        across = np.ascontiguousarray(flat.reshape(-1, size, count)[:, 0::2]).reshape(-1, count)
         products = np.asarray(across.T @ across, dtype=np.float64)
         some = min(_MODES, count)
         values, vectors = eigh(products, subset_by_index=(count - some, count - 1), check_finite=False)
         enough = np.cumsum(values[::-1]) < _MODES_SHARE * np.trace(products)
         kept = min(some, int(np.count_nonzero(enough)) + 1)
-        strongest = (
-            (across @ vectors[:, ::-1][:, :kept].astype(_SINGLE)).astype(np.float64).reshape(n_blocks, n_rows, 2, kept)
-        )
-        return variance, np.asarray(strongest.transpose(3, 1, 0, 2).reshape(kept, n_rows, 2 * n_blocks))
+        strongest = (across @ vectors[:, ::-1][:, :kept].astype(_SINGLE)).astype(np.float64)
+        by_node = strongest.reshape(n_blocks, n_rows, size // 2, kept).transpose(3, 1, 0, 2)
+        return variance, np.asarray(by_node.reshape(kept, n_rows, -1)[..., :n_nodes])
 
 
 def _eliminate(
@@ -324,12 +354,12 @@ def _eliminate(
     known = float((pull * system.factor.solve(pull)).sum())
     evidence = 0.5 * (system.log_determinant + known)
     if count == 0:
-        nothing = np.zeros((grid.x_m.size // 2, grid.n_rows, 4, 0))
-        return _Eliminated(value, covariance, nothing, evidence)
+        nothing = np.zeros((1, grid.n_rows, 4, 0))
+        return _Eliminated(value, covariance, nothing, evidence, grid.x_m.size)
     weighted = lines.sigma_rad**-2
     derivatives = derivatives_of(lines, count)
     coupling = (slope_derivatives(system, lines, grid).T @ derivatives.multiply(weighted[:, None]).tocsr()).tocsr()
-    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 4, count), overwrite=True)
+    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 2 * system.width, count), overwrite=True)
     precision, spread = _precision(covariance)
     normal, gradient = precision.copy(), precision @ value
     gradient += derivatives.T @ (weighted * lines.misfit_rad)
@@ -342,7 +372,7 @@ def _eliminate(
     step = -np.asarray(lapack.dpotrs(root, gradient, lower=1)[0])
     posterior = _inverse_of(root) if with_covariance else np.zeros((0, 0))
     evidence -= 0.5 * (narrowed + spread + float(gradient @ step))
-    return _Eliminated(step, posterior, carried, evidence)
+    return _Eliminated(step, posterior, carried, evidence, grid.x_m.size)
 
 
 def _precision(covariance: FloatArray) -> tuple[FloatArray, float]:
@@ -419,16 +449,18 @@ def slope_derivatives(system: RowSystem, lines: TouchingLines, grid: RowGrid) ->
 
     Returns
     -------
-    csr_array, shape (m, b r 4)
+    csr_array, shape (m, b r 2 w)
         Derivatives, columns in the order of the blocks.
     """
     from scipy.sparse import csr_array
 
     # Node before and node after, each with two slopes.
     node = system.before[:, None] + np.array([0, 0, 1, 1])
-    place = ((node // 2) * grid.n_rows + lines.row[:, None]) * 4 + 2 * (node % 2) + np.array([0, 1, 0, 1])
+    width = system.width
+    block = (node // width) * grid.n_rows + lines.row[:, None]
+    place = 2 * (block * width + node % width) + np.array([0, 1, 0, 1])
     table = (system.weights.ravel(), place.ravel(), np.arange(lines.row.size + 1) * place.shape[1])
-    return csr_array(table, shape=(lines.row.size, 2 * grid.x_m.size * grid.n_rows))
+    return csr_array(table, shape=(lines.row.size, 2 * width * -(-grid.x_m.size // width) * grid.n_rows))
 
 
 def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:

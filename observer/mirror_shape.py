@@ -136,3 +136,40 @@ def at_points(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid)
     before, share = nodes_of(grid, x_m)
     share = share.reshape(-1, *[1] * (values.ndim - 2))
     return np.asarray(values[row, before] * (1 - share) + values[row, before + 1] * share)
+
+
+def beside_chord(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid) -> FloatArray:
+    """Return by how much the cubic through four nodes of a row departs from the straight line between the middle two.
+
+    Parameters
+    ----------
+    values : ndarray, shape (r, nx)
+        Values of the nodes.
+    row : ndarray of int, shape (m,)
+        Rows.
+    x_m : ndarray, shape (m,)
+        Places on the rows [m].
+    grid : RowGrid
+        Nodes.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        What `at_points` lacks; beside a panel's edge that of the parabola through three nodes.
+
+    Notes
+    -----
+    A wave of 3 mrad and 0.5 m departs from the chord between nodes 20 mm apart by 0.02 mrad, which is more than an edge
+    is uncertain by.
+    """
+    inner = grid.joined[:-1] & grid.joined[1:]
+    bend = np.zeros(values.shape)
+    bend[:, 1:-1] = np.where(inner, values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:], 0.0)
+    # The first and the last node of a panel bend as their neighbours do.
+    known = np.concatenate([[False], inner, [False]])
+    starts = np.flatnonzero(~known[:-1] & grid.joined & known[1:])
+    ends = np.flatnonzero(known[:-1] & grid.joined & ~known[1:]) + 1
+    bend[:, starts], bend[:, ends] = bend[:, starts + 1], bend[:, ends - 1]
+    before, share = nodes_of(grid, x_m)
+    first, second = bend[row, before], bend[row, before + 1]
+    return np.asarray(-share * (1 - share) / 6 * ((2 - share) * first + (1 + share) * second))

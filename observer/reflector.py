@@ -14,7 +14,7 @@ from observer.camera_modes import pose_derivatives, reduce_to_modes
 from observer.design import Collector
 from observer.edge_fates import EdgeFate, first_fate, has_shadows, is_alone
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
-from observer.mirror_shape import at_points, heights, on_surface
+from observer.mirror_shape import at_points, beside_chord, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.shadows import borne_out, pulled_curves
 from observer.shape_share import ShapeShare, find_shape_share
@@ -228,7 +228,7 @@ def solve_reflector(
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         sigma = np.hypot(noise * lines.sigma_rad, allowance)
         used = replace(lines, sigma_rad=sigma).chosen(keep)
-        roughness = find_roughness(used, grid, roughness, unknowns.covariance)
+        roughness = find_roughness(used, grid, roughness, unknowns.covariance, any_order=allowance == 0.0)
         errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
         if allowance == 0.0:
@@ -387,8 +387,10 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     points = on_surface(edges.points_m, nominal.eyes_m, edges.row, present.height_m, grid, focal)
     slopes = at_points(present.slopes, edges.row, points[:, 0], grid)
     sights = Sights(points, nominal.eyes_m, edges.side)
+    # Observations are those of the nodes beside them; what the mirror departs from the chord is known by now.
+    curved = slopes[:, 0] + beside_chord(present.slopes[..., 0], edges.row, points[:, 0], grid)
     found = misfit(
-        sights, (points[:, 0] / (2 * focal) + slopes[:, 0], slopes[:, 1]), expected.absorber,
+        sights, (points[:, 0] / (2 * focal) + curved, slopes[:, 1]), expected.absorber,
         collector.absorber_diameter_m / 2,
     )  # fmt: skip
     by_x, by_y = found.d_angle_d_slope_x, found.d_angle_d_slope_y

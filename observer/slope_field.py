@@ -1,8 +1,9 @@
 """The mirror's slopes from touching lines of sight: smooth along each row, panel by panel, and what all rows share.
 
 Each row of the map (constant y) has nodes along x. A touching line of sight at x says something about the slopes of the
-two nodes beside it. Between them the slope error follows an integrated random walk whose roughness is estimated from
-the data: the posterior mean is a smoothing spline, and its variance says honestly how little is known between samples.
+two nodes beside it. Between them the slope error follows a random walk that is integrated once or twice, as the data
+themselves tell like its roughness: the posterior mean is a smoothing spline, and its variance says honestly how little
+is known between samples.
 The slope along the trough has a prior instead of a measurement where one pass only has seen the mirror.
 """
 
@@ -18,6 +19,8 @@ IntArray = npt.NDArray[np.intp]
 
 #: A prior for the slope error across the trough that no mirror violates; it only keeps unmeasured rows solvable [rad].
 _LARGEST_SLOPE_RAD = 0.05
+#: Weights of neighbouring nodes in the differences that are white noise, by order.
+_DIFFERENCES = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,16 +54,21 @@ class Roughness:
     Parameters
     ----------
     across : float
-        Spectral density of the second derivative of the slope error across the trough [rad^2 / m^3].
+        Spectral density of the derivative of this order of the slope error across the trough
+        [rad^2 / m^(2 order - 1)].
     along_rad : float
         Standard deviation of the slope error along the trough, about zero [rad].
     along_length_m : float
         Length over which the slope along the trough is correlated across the trough [m].
+    order : int, optional
+        2: the bend of the mirror is a random walk, as where it has kinks. 3: the change of the bend is one, as that of
+        waves; what lies between edges then follows from how the mirror bends beside.
     """
 
     across: float
     along_rad: float = 2e-3
     along_length_m: float = 0.3
+    order: int = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +109,7 @@ class TouchingLines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowSystem:
-    """Factorised normal equations of all rows; the unknowns of two neighbouring nodes form one block.
+    """Factorised normal equations of all rows; the unknowns of two or three neighbouring nodes form one block.
 
     Parameters
     ----------
@@ -111,8 +119,8 @@ class RowSystem:
         Node before each line.
     weights : ndarray, shape (m, 4)
         Derivatives of each line's misfit with respect to (s_x, s_y) of the node before and of the node after.
-    bands : ndarray, shape (3, nx, 2)
-        The prior's precision of (s_x, s_y) between a node and itself, the next and the one after that.
+    bands : ndarray, shape (order + 1, nx, 2)
+        The prior's precision of (s_x, s_y) between a node and itself, the next and those after that.
     log_determinant : float
         Logarithm of the determinant of the prior of all rows minus that of the normal matrices.
     """
@@ -122,6 +130,11 @@ class RowSystem:
     weights: FloatArray
     bands: FloatArray
     log_determinant: float
+
+    @property
+    def width(self) -> int:
+        """Number of nodes in a block."""
+        return len(self.bands) - 1
 
 
 def assemble(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> RowSystem:
@@ -147,7 +160,7 @@ def assemble(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> RowSystem
     shape = (grid.n_rows, grid.x_m.size)
     place = lines.row * grid.x_m.size + before
     bands = prior_bands(grid, prior)
-    normal = np.zeros((3, *shape, 2, 2))
+    normal = np.zeros((len(bands), *shape, 2, 2))
     inverse_variance = lines.sigma_rad**-2
     # All products are those of both derivatives times those of both shares: nine sums, not sixteen.
     for i, j, product in (
@@ -206,24 +219,24 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (3, nx, 2)
-        Precision of (s_x, s_y) between a node and itself, the next and the one after that [1/rad^2].
+    ndarray, shape (order + 1, nx, 2)
+        Precision of (s_x, s_y) between a node and itself, the next and those after that [1/rad^2].
 
     Notes
     -----
-    Across: second differences within a panel have the variance q h^3. Along: the process (k^2 - d^2/dx^2) s = white
-    noise with free ends (Whittle 1954), which has the variance ``noise / (4 k^3)`` and the correlation length
-    sqrt(3) / k.
+    Across: differences of the order n within a panel have the variance q h^(2n - 1). Along: the process
+    (k^2 - d^2/dx^2) s = white noise with free ends (Whittle 1954), which has the variance ``noise / (4 k^3)`` and the
+    correlation length sqrt(3) / k.
     """
-    n, step = grid.x_m.size, grid.step_m
-    bands = np.zeros((3, n, 2))
+    n, step, order = grid.x_m.size, grid.step_m, prior.order
+    bands = np.zeros((order + 1, n, 2))
     bands[0, :, 0] = _LARGEST_SLOPE_RAD**-2
-    inner = grid.joined[:-1] & grid.joined[1:]
-    stiffness = inner / (prior.across * step**3)
-    for offset, part in enumerate((1.0, -2.0, 1.0)):
-        for reach in range(3 - offset):
-            other = (1.0, -2.0, 1.0)[offset + reach]
-            bands[reach, offset : offset + n - 2, 0] += part * other * stiffness
+    inner = np.lib.stride_tricks.sliding_window_view(grid.joined, order).all(axis=1)
+    stiffness = inner / (prior.across * step ** (2 * order - 1))
+    for offset, part in enumerate(_DIFFERENCES[order]):
+        for reach in range(order + 1 - offset):
+            other = _DIFFERENCES[order][offset + reach]
+            bands[reach, offset : offset + n - order, 0] += part * other * stiffness
     wave = np.sqrt(3) / prior.along_length_m
     link = grid.joined / step**2
     # Three diagonals of the operator k^2 - d^2/dx^2, and from them those of its square.
@@ -249,21 +262,27 @@ def _log_determinant(bands: FloatArray) -> float:
 
 
 def _paired(bands: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn bands, shape (3, r, nx, 2, 2), of a pentadiagonal matrix into blocks of two nodes."""
-    even, odd = bands[:, :, 0::2], bands[:, :, 1::2]
-    n_rows, n_blocks = even.shape[1:3]
-    diagonal = np.zeros((n_blocks, n_rows, 4, 4))
-    upper = np.zeros((n_blocks - 1, n_rows, 4, 4))
-    first, second = slice(0, 2), slice(2, 4)
-    by_block = np.swapaxes
-    diagonal[..., first, first] = by_block(even[0], 0, 1)
-    diagonal[..., second, second] = by_block(odd[0], 0, 1)
-    diagonal[..., first, second] = by_block(even[1], 0, 1)
-    diagonal[..., second, first] = np.swapaxes(by_block(even[1], 0, 1), 2, 3)
-    upper[..., first, first] = by_block(even[2], 0, 1)[:-1]
-    upper[..., second, first] = by_block(odd[1], 0, 1)[:-1]
-    upper[..., second, second] = by_block(odd[2], 0, 1)[:-1]
-    return diagonal, upper
+    """Turn bands, shape (w + 1, r, nx, 2, 2), of symmetric matrices into blocks of w nodes."""
+    width, (n_rows, n_nodes) = len(bands) - 1, bands.shape[1:3]
+    count = -(-n_nodes // width)
+    diagonal = np.zeros((count, n_rows, width, 2, width, 2))
+    upper = np.zeros((count - 1, n_rows, width, 2, width, 2))
+    for reach in range(width + 1):
+        whole = bands[reach]
+        if count * width > n_nodes:
+            # Nodes that fill the last block are known to be zero.
+            filled = np.zeros((n_rows, count * width - n_nodes, 2, 2)) + (np.eye(2) if reach == 0 else 0.0)
+            whole = np.concatenate([whole, filled], axis=1)
+        for first in range(width):
+            part = np.swapaxes(whole[:, first::width], 0, 1)
+            second = first + reach
+            if second < width:
+                diagonal[:, :, first, :, second] = part
+                diagonal[:, :, second, :, first] = np.swapaxes(part, 2, 3)
+            else:
+                upper[:, :, first, :, second - width] = part[:-1]
+    size = 2 * width
+    return diagonal.reshape(count, n_rows, size, size), upper.reshape(count - 1, n_rows, size, size)
 
 
 def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: FloatArray) -> FloatArray:
@@ -282,8 +301,8 @@ def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: 
 
     Returns
     -------
-    ndarray, shape (b, r, 4, 1)
-        Sums for each block.
+    ndarray, shape (b, r, 2 w, 1)
+        Sums for each block of w nodes.
     """
     shape = (grid.n_rows, grid.x_m.size)
     place = lines.row * grid.x_m.size + system.before
@@ -291,41 +310,48 @@ def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: 
     sums = np.stack([np.bincount(place, weighted[:, i], shape[0] * shape[1]).reshape(shape) for i in range(4)], axis=2)
     nodes = np.array(sums[..., :2], dtype=np.float64)
     nodes[:, 1:] += sums[:, :-1, 2:]
-    return to_blocks(nodes)
+    return to_blocks(nodes, system.width)
 
 
-def to_blocks(nodes: FloatArray) -> FloatArray:
+def to_blocks(nodes: FloatArray, width: int) -> FloatArray:
     """Turn values at nodes into right sides.
 
     Parameters
     ----------
     nodes : ndarray, shape (r, nx, 2)
         Values for (s_x, s_y) of the nodes.
+    width : int
+        Number of nodes in a block, w.
 
     Returns
     -------
-    ndarray, shape (nx / 2, r, 4, 1)
-        The same in blocks.
+    ndarray, shape (b, r, 2 w, 1)
+        The same in blocks; zeros fill the last one.
     """
     n_rows, n_nodes, _ = nodes.shape
-    return np.ascontiguousarray(np.swapaxes(nodes.reshape(n_rows, n_nodes // 2, 4), 0, 1))[..., None]
+    count = -(-n_nodes // width)
+    if count * width > n_nodes:
+        nodes = np.concatenate([nodes, np.zeros((n_rows, count * width - n_nodes, 2))], axis=1)
+    return np.ascontiguousarray(np.swapaxes(nodes.reshape(n_rows, count, 2 * width), 0, 1))[..., None]
 
 
-def from_blocks(blocks: FloatArray) -> FloatArray:
-    """Turn solutions, shape (nx / 2, r, 4), into values at nodes.
+def from_blocks(blocks: FloatArray, n_nodes: int) -> FloatArray:
+    """Turn solutions in blocks into values at nodes.
 
     Parameters
     ----------
-    blocks : ndarray, shape (nx / 2, r, 4)
-        Values of the blocks.
+    blocks : ndarray, shape (b, r, 2 w)
+        Values of the blocks of w nodes.
+    n_nodes : int
+        Number of nodes of a row.
 
     Returns
     -------
     ndarray, shape (r, nx, 2)
         (s_x, s_y) at the nodes.
     """
-    n_blocks, n_rows, _ = blocks.shape
-    return np.swapaxes(blocks, 0, 1).reshape(n_rows, 2 * n_blocks, 2)
+    n_blocks, n_rows, size = blocks.shape
+    return np.swapaxes(blocks, 0, 1).reshape(n_rows, n_blocks * size // 2, 2)[:, :n_nodes]
 
 
 def prior_pull(bands: FloatArray, slopes: FloatArray) -> FloatArray:
@@ -333,18 +359,18 @@ def prior_pull(bands: FloatArray, slopes: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    bands : ndarray, shape (3, nx, 2)
+    bands : ndarray, shape (order + 1, nx, 2)
         From `prior_bands`.
     slopes : ndarray, shape (r, nx, 2)
         Present slope errors [rad].
 
     Returns
     -------
-    ndarray, shape (b, r, 4, 1)
+    ndarray, shape (b, r, 2 order, 1)
         In blocks.
     """
     product: FloatArray = np.array(bands[0] * slopes)
-    for reach in (1, 2):
+    for reach in range(1, len(bands)):
         product[:, :-reach] += bands[reach, :-reach] * slopes[:, reach:]
         product[:, reach:] += bands[reach, :-reach] * slopes[:, :-reach]
-    return to_blocks(product)
+    return to_blocks(product, len(bands) - 1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from heliogauge.validate import FloatArray
 from observer.joint_solution import derivatives_of, slope_derivatives
-from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, to_blocks
+from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, from_blocks, to_blocks
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
@@ -48,9 +48,8 @@ def sum_covariance(
         nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
         for first in range(0, count, _AT_ONCE):
             some = slice(first, min(first + _AT_ONCE, count))
-            solved = system.factor.solve(np.concatenate([to_blocks(one) for one in nodes[some]], axis=3))
-            # (b, r, 4, k) to (k, r, nx, 2)
-            slopes = np.moveaxis(solved, 3, 0).swapaxes(1, 2).reshape(-1, grid.n_rows, grid.x_m.size, 2)
+            solved = system.factor.solve(np.concatenate([to_blocks(one, system.width) for one in nodes[some]], axis=3))
+            slopes = np.stack([from_blocks(one, grid.x_m.size) for one in np.moveaxis(solved, 3, 0)])
             own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
             seen = by_slopes @ solved.reshape(by_slopes.shape[1], -1)
             shared[some] = (by_common.T @ (weight * seen)).T

@@ -190,3 +190,5 @@ def test_jumps_of_the_slopes_ask_for_the_panels() -> None:
     assert "panel_edges_x_m" in str(panels_doubt(Roughness(0.15), whole))
     assert panels_doubt(Roughness(0.15), panelled) is None
     assert panels_doubt(Roughness(3e-3), whole) is None
+    # Waves, however steep, are no panels.
+    assert panels_doubt(Roughness(0.15, order=3), whole) is None

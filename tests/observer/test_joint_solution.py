@@ -36,7 +36,7 @@ def dense(
         jacobian[i, grid.n_rows * n + lines.common_index[i, 0]] += lines.d_common[i, 0]
     bands = prior_bands(grid, prior)
     precision = np.zeros((n, n))
-    for reach in range(3):
+    for reach in range(len(bands)):
         for i in range(grid.x_m.size - reach):
             for f in range(2):
                 precision[2 * i + f, 2 * (i + reach) + f] = precision[2 * (i + reach) + f, 2 * i + f] = bands[
@@ -50,9 +50,10 @@ def dense(
     return -inverse @ jacobian.T @ (lines.misfit_rad / lines.sigma_rad**2), inverse
 
 
-def test_joint_solution_is_that_of_dense_algebra() -> None:
+@pytest.mark.parametrize(("order", "across"), [(2, 1e-3), (3, 0.1)])
+def test_joint_solution_is_that_of_dense_algebra(order: int, across: float) -> None:
     rng = np.random.default_rng(0)
-    grid, prior, covariance = small_grid(), Roughness(1e-3), np.diag([1e-6, 4e-6, 9e-6])
+    grid, prior, covariance = small_grid(), Roughness(across, order=order), np.diag([1e-6, 4e-6, 9e-6])
     lines = random_lines(rng, grid, 200, 3)
     found = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
     solution, inverse = dense(grid, lines, prior, covariance)
@@ -80,18 +81,69 @@ def test_a_second_step_from_the_solution_stays() -> None:
     np.testing.assert_allclose(second.common, first.common, rtol=1e-6)
 
 
-def test_panels_do_not_know_of_each_other() -> None:
+@pytest.mark.parametrize("order", [2, 3])
+def test_panels_do_not_know_of_each_other(order: int) -> None:
     rng = np.random.default_rng(2)
-    grid, prior = small_grid(1), Roughness(1e-3)
+    grid, prior = small_grid(1), Roughness(1e-3, order=order)
     lines = random_lines(rng, grid, 80, 1)
     left = lines.chosen(lines.x_m < 0)
     for one in (lines, left):
         system = assemble(one, grid, prior)
-        slopes = from_blocks(system.factor.solve(right_sides(system, one, grid, -one.misfit_rad))[..., 0])
+        slopes = from_blocks(system.factor.solve(right_sides(system, one, grid, -one.misfit_rad))[..., 0], 20)
         if one is lines:
             whole = slopes
     np.testing.assert_allclose(slopes[:, :10], whole[:, :10], rtol=1e-12)
     assert np.abs(slopes[:, 10:, 0]).max() < 1e-12 < np.abs(whole[:, 10:, 0]).max()
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_prior_leaves_polynomials_of_a_panel_free_and_has_the_stated_differences(order: int) -> None:
+    grid, across = small_grid(1), 0.02
+    bands = prior_bands(grid, Roughness(across, order=order))[..., 0]
+    precision = sum(
+        np.diag(bands[i, : 20 - i], -i) + (i > 0) * np.diag(bands[i, : 20 - i], i) for i in range(order + 1)
+    )
+    precision -= np.diag(np.full(20, 0.05**-2))
+    left = np.where(grid.x_m < 0, 1.0, 0.0)
+    for power in range(order):
+        assert np.abs(precision @ (left * grid.x_m**power)).max() < 1e-9 * np.abs(precision).max()
+    # One sigma of each of the 10 - order differences of a panel.
+    wave = left * np.cumprod(np.full(20, -1.0))
+    expected = (10 - order) * (2.0**order) ** 2 / (across * grid.step_m ** (2 * order - 1))
+    assert wave @ precision @ wave == pytest.approx(expected, rel=1e-9)
+
+
+def wavy_lines(rng: np.random.Generator, *, kinks: bool) -> tuple[RowGrid, TouchingLines]:
+    """Sample waves of 0.7 m, or a mirror that bends abruptly each 0.2 m."""
+    grid = RowGrid(np.linspace(-2.4, 2.4, 100), np.ones(99, dtype=bool), 20)
+    row, x = np.repeat(np.arange(20), 80), rng.uniform(-2.38, 2.38, 1600)
+    knots = np.arange(-2.4, 2.6, 0.2)
+    height = rng.normal(0, 1e-3, (20, knots.size))
+    if kinks:
+        value = np.array([np.interp(at, knots, height[k]) for k, at in zip(row, x, strict=True)])
+    else:
+        value = 2e-3 * np.sin(9.0 * x + 0.3 * row)
+    misfit = 2 * value + rng.normal(0, 2e-5, x.size)
+    none = np.zeros(x.size)
+    return grid, TouchingLines(
+        row,
+        x,
+        misfit,
+        np.full(x.size, -2.0),
+        none,
+        none + 2e-5,
+        np.zeros((x.size, 0), dtype=np.intp),
+        np.zeros((x.size, 0)),
+    )
+
+
+@pytest.mark.parametrize("kinks", [False, True])
+def test_waves_are_told_from_kinks(kinks: bool) -> None:
+    grid, lines = wavy_lines(np.random.default_rng(3), kinks=kinks)
+    for start in (2, 3):
+        prior = Roughness(1e-2, along_rad=1e-6, order=start)
+        assert find_roughness(lines, grid, prior, np.zeros((0, 0)), any_order=True).order == (2 if kinks else 3)
+        assert find_roughness(lines, grid, prior, np.zeros((0, 0))).order == start
 
 
 def drawn(rng: np.random.Generator, grid: RowGrid, prior: Roughness) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from observer.design import Collector
-from observer.mirror_shape import at_points, heights, on_surface
+from observer.mirror_shape import at_points, beside_chord, heights, on_surface
 from observer.reflector import row_grid
 
 COLLECTOR = Collector(
@@ -54,3 +54,21 @@ def test_points_lie_on_the_surface_and_on_their_lines_of_sight() -> None:
     above = moved[:, 2] - moved[:, 0] ** 2 / 6 - at_points(height, row, moved[:, 0], grid)
     assert np.abs(above).max() < 2e-6
     assert np.abs(at_points(height, row, points[:, 0], grid)).max() > 9e-4
+
+
+def test_cubics_of_each_panel_are_met_between_nodes() -> None:
+    grid = row_grid(COLLECTOR, 2, 0.1)
+    x = np.linspace(-1.95, 1.95, 200)
+    x = x[np.abs(x) > grid.step_m]
+    row = np.tile([0, 1], x.size // 2)
+
+    def values(places: np.ndarray) -> np.ndarray:
+        return np.where(places > 0, 1.0 + places - 2 * places**3, 0.5 * places**2)
+
+    nodes = np.stack([values(grid.x_m), -values(grid.x_m)])
+    found = at_points(nodes, row, x, grid) + beside_chord(nodes, row, x, grid)
+    inner = (np.abs(x) > 1.5 * grid.step_m) & (np.abs(x) < 2.0 - 1.5 * grid.step_m)
+    expected = values(x) * np.where(row > 0, -1, 1)
+    np.testing.assert_allclose(found[inner | (x < 0)], expected[inner | (x < 0)], atol=1e-12)
+    # Beside the panel's edge a cubic is met to the third difference, not to the bend.
+    assert np.abs(found - expected).max() < 6 * 2 * grid.step_m**3
