@@ -46,7 +46,8 @@ _Result = TypeVar("_Result")
 
 #: Photos that are followed through; each run begins with a search of the whole photo and is one thread's work.
 _FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 12, 50, 8
-#: Photos whose targets are centred together: each step is then one operation on some twenty thousand pixels.
+#: Photos that are read, and whose targets are centred, together: each step is then one operation on some twenty
+#: thousand pixels, and a step that follows itself takes half the time.
 _TOGETHER = 8
 #: A photo in which fewer of the targets followed can be centred is searched as a whole.
 _LEAST_SHARE = 0.6
@@ -154,14 +155,13 @@ class FirstLook:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Followed:
-    """A photo whose targets wait to be centred together with those of its neighbours."""
+class _Photo:
+    """A photo in hand: its number, its name, and its camera if that is known."""
 
     number: int
     name: str
     image: Image
-    camera: Camera
-    track: Track
+    camera: Camera | None
 
 
 @dataclass(slots=True, eq=False)
@@ -171,7 +171,8 @@ class _Run:
     finder: Finder
     slices: Slices
     track: Track | None = None
-    waiting: list[_Followed] = field(default_factory=list)
+    #: Photos whose targets wait to be centred together, and where they are.
+    waiting: list[tuple[_Photo, Track]] = field(default_factory=list)
     targets: dict[str, OnePhoto] = field(default_factory=dict)
     poses: dict[str, RigidTransform] = field(default_factory=dict)
     edges: dict[str, ReflectionEdges] = field(default_factory=dict)
@@ -181,59 +182,65 @@ class _Run:
 
     def take(self, number: int, name: str, image: Image) -> None:
         """Find what a photo shows, or leave that to `finish`."""
-        camera = self.finder.camera_of.get(name)
-        if self.track is not None and camera is not None:
-            self.track = follow(image, self.track, self.finder.known, camera)
+        photo = _Photo(number, name, image, self.finder.camera_of.get(name))
+        if self.track is not None and photo.camera is not None:
+            self.track = follow(image, self.track, self.finder.known, photo.camera)
             if self.track is not None:
-                self.waiting.append(_Followed(number, name, image, camera, self.track))
+                self.waiting.append((photo, self.track))
                 if len(self.waiting) == _TOGETHER:
                     self.finish()
                 return
         self.finish()
-        self._look(number, name, image, camera, self._searched(image, name, camera))
+        self._look([(photo, self._searched(photo))])
 
     def finish(self) -> None:
         """Centre the targets of the photos that wait, and find what these show."""
-        waiting, self.waiting = self.waiting, []
-        as_shown: dict[str, Ellipse] = {}
-        measured = measure_at(
-            [one.image for one in waiting], [one.name for one in waiting], [one.track.ellipses for one in waiting],
-            self.finder.search,
-        )  # fmt: skip
-        for one, (found, shapes) in zip(waiting, measured, strict=True):
-            pose: RigidTransform | None = one.track.pose
-            if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(one.track.ellipses)):
-                pose = self._searched(one.image, one.name, one.camera)
-            else:
-                shown = zip(found.names, found.pixels_px, shapes, strict=True)
-                as_shown = {name: Ellipse(pixel, shape) for name, pixel, shape in shown}
-                none, (height, width) = found.chosen(np.zeros(0, dtype=np.intp)), one.image.shape
-                size = int(width), int(height)
-                self.targets[one.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
-            self._look(one.number, one.name, one.image, one.camera, pose)
-        if self.track is not None and waiting and self.track is waiting[-1].track:
-            # Ellipses as they look now: the perspective changes along the path.
-            self.track = replace(self.track, ellipses={**self.track.ellipses, **as_shown})
-
-    def _look(self, number: int, name: str, image: Image, camera: Camera | None, pose: RigidTransform | None) -> None:
-        if pose is None or camera is None:
+        if not self.waiting:
             return
-        self.poses[name] = pose
-        view, expected = (camera, pose), self.finder.expected
-        self.slices.take(number, image, view, expected.collector)
-        self.edges[name] = reflection_edges(image, number, view, expected)
-        self.bearings[name] = tube_bearings(image, number, view, expected)
+        waiting, self.waiting = self.waiting, []
+        measured = measure_at(
+            [photo.image for photo, _ in waiting], [photo.name for photo, _ in waiting],
+            [track.ellipses for _, track in waiting], self.finder.search,
+        )  # fmt: skip
+        seen: list[tuple[_Photo, RigidTransform | None]] = []
+        for (photo, track), (found, shapes) in zip(waiting, measured, strict=True):
+            if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(track.ellipses)):
+                seen.append((photo, self._searched(photo)))
+                continue
+            seen.append((photo, track.pose))
+            none, (height, width) = found.chosen(np.zeros(0, dtype=np.intp)), photo.image.shape
+            size = int(width), int(height)
+            self.targets[photo.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
+        if self.track is not None and self.track is waiting[-1][1]:
+            # Ellipses as they look now: the perspective changes along the path.
+            found, shapes = measured[-1]
+            shown = {name: Ellipse(*one) for name, *one in zip(found.names, found.pixels_px, shapes, strict=True)}
+            self.track = replace(self.track, ellipses={**self.track.ellipses, **shown})
+        self._look(seen)
 
-    def _searched(self, image: Image, name: str, camera: Camera | None) -> RigidTransform | None:
+    def _look(self, photos: Sequence[tuple[_Photo, RigidTransform | None]]) -> None:
+        """Find what photos show, step by step: what works on all of them in turn stays in the processor's caches."""
+        expected = self.finder.expected
+        known = [(one, (one.camera, pose)) for one, pose in photos if one.camera is not None and pose is not None]
+        for photo, view in known:
+            self.poses[photo.name] = view[1]
+            self.slices.take(photo.number, photo.image, view, expected.collector)
+        for photo, view in known:
+            self.edges[photo.name] = reflection_edges(photo.image, photo.number, view, expected)
+        for photo, view in known:
+            self.bearings[photo.name] = tube_bearings(photo.image, photo.number, view, expected)
+
+    def _searched(self, photo: _Photo) -> RigidTransform | None:
+        name, camera = photo.name, photo.camera
         found = self.searched.get(name)
         if found is None:
-            found = self.searched[name] = measure_photo(image, name, self.finder.section, self.finder.search)
+            found = self.searched[name] = measure_photo(photo.image, name, self.finder.section, self.finder.search)
         self.targets[name] = found
         pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
         if pose is None or camera is None:
             return None
         if self.finder.follows and agrees_with_list(found.detections, self.finder.known, camera, pose):
-            self.track = start_following(image, found.detections, found.ellipses_px2, pose)
+            self.track = start_following(photo.image, found.detections, found.ellipses_px2, pose)
         return pose
 
 
@@ -344,11 +351,14 @@ def look_first_at_each(
         def some(start: int) -> list[_Run]:
             searched: dict[str, OnePhoto] = {}
             runs = [_Run(finder, own, searched=searched) for finder, own in zip(finders, slices, strict=True)]
-            for number, file in enumerate(files[start : start + length], start=start):
-                image = linear_light(read_luma(file), tone or Tone.LINEAR)
-                for run in runs:
-                    run.take(number, file.name, image)
-                stage.advance()
+            numbers = range(start, min(start + length, len(files)))
+            for few in (numbers[k : k + _TOGETHER] for k in range(0, len(numbers), _TOGETHER)):
+                # Decoding drives all other code out of the processor's caches: several photos, then the rest.
+                images = [linear_light(read_luma(files[number]), tone or Tone.LINEAR) for number in few]
+                for number, image in zip(few, images, strict=True):
+                    for run in runs:
+                        run.take(number, files[number].name, image)
+                    stage.advance()
             for run in runs:
                 run.finish()
             return runs
