@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from observer.joint_solution import evidence_of_rows
+from observer.reduction import Reduction
 from observer.slope_field import Roughness, RowGrid, TouchingLines
 
 #: Standard deviations that are compared: this factor apart, from what does not matter any more to what no mirror has.
@@ -48,13 +48,14 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughne
     """
     lowest, highest = (round(float(np.log(end / prior.along_rad) / np.log(_FACTOR))) for end in _RANGE_RAD)
     known: dict[tuple[int, float], float] = {}
+    reduction = Reduction(lines, grid, np.zeros((0, 0)))
 
     def trial(power: int, length_m: float) -> Roughness:
         return replace(prior, along_rad=prior.along_rad * _FACTOR**power, along_length_m=length_m)
 
     def evidence(power: int, length_m: float) -> float:
         if (power, length_m) not in known:
-            known[power, length_m] = evidence_of_rows(lines, grid, trial(power, length_m))
+            known[power, length_m] = reduction.under(trial(power, length_m)).evidence
         return known[power, length_m]
 
     # There is one maximum: uphill from what was assumed in factors of two, then with the best length in single ones.

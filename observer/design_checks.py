@@ -1,6 +1,6 @@
 """What the measurement itself says of the collector's dimensions: where they differ, a number was stated wrongly."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,10 +9,9 @@ from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
-from observer.joint_solution import sample_rows, solve_jointly
 from observer.outline import Span
 from observer.reflector import Reflector
-from observer.slope_field import Roughness, RowGrid
+from observer.slope_field import Roughness
 
 #: Slopes of a parabola whose focal length is wrong by this share are 4 mrad off at the rim of an LS-2: no mirror that
 #: anybody would measure has its panels all tilted like that.
@@ -23,8 +22,6 @@ _FOCAL_SHARE_WITH_ABSORBER = 3e-3
 _REACH_SHARE = 0.7
 #: ... and on this share of their nodes.
 _ROW_SHARE = 0.4
-#: Rows that suffice for the tube's diameter, which is one number.
-_ROWS = 24
 #: What the diameter may be wrong by before the measurement, as a standard deviation.
 _DIAMETER_PRIOR_SHARE = 0.03
 #: A number of the design contradicts the photos from so many sigmas on.
@@ -171,24 +168,16 @@ def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
         The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection, in photos
         that are some ten apart.
     """
-    unknowns = reflector.unknowns
-    rows = sample_rows(reflector.grid, _ROWS)
-    number = np.full(reflector.grid.n_rows, -1)
-    number[rows] = np.arange(rows.size)
-    some = reflector.lines.chosen(number[reflector.lines.row] >= 0)
-    lines = replace(some, row=number[some.row])
-    radius, unit = collector.absorber_diameter_m / 2, float(unknowns.units[0])
+    unknowns, errors = reflector.unknowns, reflector.errors
+    number, radius, unit = unknowns.radius, collector.absorber_diameter_m / 2, float(unknowns.units[0])
     prior = (_DIAMETER_PRIOR_SHARE * radius / unit) ** 2
-    covariance = unknowns.covariance.copy()
-    covariance[unknowns.radius, unknowns.radius] = prior
-    grid = RowGrid(reflector.grid.x_m, reflector.grid.joined, rows.size)
-    nothing = (np.zeros(len(covariance)), covariance)
-    still = np.zeros((rows.size, grid.x_m.size, 2))
-    solved = solve_jointly(lines, grid, reflector.roughness, still, nothing, with_shares=False)
-    variance = float(solved.covariance_common[unknowns.radius, unknowns.radius])
+    # The solution knows the radius beforehand, apart from all else: with a wider prior its information is less.
+    stated, found = float(unknowns.covariance[number, number]), float(errors.covariance_common[number, number])
+    wider = 1 / (1 + found * (1 / prior - 1 / stated))
+    variance, value = wider * found, wider * float(errors.common[number])
     # Undo the pull of the prior: the value by the photos alone.
     own = max(1 - variance / prior, 1e-3)
-    return Found(2 * (radius + unit * float(solved.common[unknowns.radius]) / own), 2 * unit * np.sqrt(variance / own))
+    return Found(2 * (radius + unit * value / own), 2 * unit * np.sqrt(variance / own))
 
 
 def diameter_doubt(found: Found, collector: Collector) -> str | None:

@@ -1,27 +1,14 @@
 """Slopes of all rows together with what they have in common: camera positions, absorber and its radius."""
 
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray
-from observer.slope_field import (
-    IntArray,
-    Roughness,
-    RowGrid,
-    RowSystem,
-    TouchingLines,
-    assemble,
-    from_blocks,
-    prior_pull,
-    right_sides,
-)
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from observer.reduction import Reduced, Reduction
+from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
 #: many photos fewer rows do, because each mirror point is seen by more of them.
@@ -34,7 +21,8 @@ _PHOTOS_FOR_ROUGHNESS = 70
 #: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
 _MODES = 10
 _MODES_SHARE = 0.99
-_SINGLE: np.dtype[Any] = np.dtype(np.float32)
+#: Columns at which the share of the common unknowns is computed; it is smooth within a panel.
+_COLUMNS_FOR_SHARES = 64
 #: Decimal exponents of the roughness [rad^2 / m^3, rad^2 / m^5] that are searched, by its order: from a mirror that
 #: bends by 0.1 mrad within a metre to a crumpled one.
 _EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
@@ -109,14 +97,12 @@ def find_roughness(
     which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is near
     after the first round, and found by bisection.
     """
-    rows = sample_rows(grid, _ROWS_FOR_ROUGHNESS)
-    some, fewer = _sampled(lines, grid, rows)
+    some, fewer = _sampled(lines, grid, sample_rows(grid, _ROWS_FOR_ROUGHNESS))
     some, own_covariance = _fewer_common(some, covariance)
-    nothing = (np.zeros(len(own_covariance)), own_covariance)
-    still = np.zeros((fewer.n_rows, grid.x_m.size, 2))
+    reduction = Reduction(some, fewer, own_covariance)
 
     def evidence(trial: Roughness) -> float:
-        return _eliminate(some, fewer, trial, still, nothing).evidence
+        return reduction.under(trial).evidence
 
     best = _most_probable(prior, evidence)
     if not any_order:
@@ -158,27 +144,6 @@ def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) 
     return replace(prior, across=10.0 ** (low + (first + 0.5) * width))
 
 
-def evidence_of_rows(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> float:
-    """Return how probable lines are under a roughness, with nothing that rows have in common left to find.
-
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations of slope errors from zero; their common unknowns are not looked at.
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        How slopes may vary.
-
-    Returns
-    -------
-    float
-        Logarithm of the marginal likelihood, but for a constant.
-    """
-    still = np.zeros((grid.n_rows, grid.x_m.size, 2))
-    return _eliminate(lines, grid, prior, still, (np.zeros(0), np.zeros((0, 0)))).evidence
-
-
 def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
     """Keep the lines of some photos, evenly spread, and the common unknowns that move them, numbered anew."""
     if len(covariance) == 0:
@@ -197,25 +162,22 @@ def solve_jointly(
     lines: TouchingLines,
     grid: RowGrid,
     prior: Roughness,
-    start: FloatArray,
-    common: tuple[FloatArray, FloatArray],
+    covariance: FloatArray,
     *,
     with_shares: bool | BoolArray | None = True,
 ) -> SlopeErrors:
-    """Solve for slopes and common unknowns by one Gauss-Newton step, which is exact for linear observations.
+    """Solve for slopes and common unknowns.
 
     Parameters
     ----------
     lines : TouchingLines
-        Observations, linearised at the start.
+        Observations, their misfits with zero slope error and zero common unknowns.
     grid : RowGrid
         Nodes.
     prior : Roughness
         How slopes may vary.
-    start : ndarray, shape (r, nx, 2)
-        Slope errors where the lines were linearised [rad].
-    common : (ndarray, ndarray), shapes (c,) and (c, c)
-        Values of the common unknowns where the lines were linearised, and their prior covariance about zero.
+    covariance : ndarray, shape (c, c)
+        Prior covariance of the common unknowns about zero.
     with_shares : bool, ndarray of bool, shape (c,), or None, optional
         Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
         there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
@@ -225,39 +187,89 @@ def solve_jointly(
     -------
     SlopeErrors
         The solution.
+
+    Notes
+    -----
+    The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
-    wanted = _ROWS_TIMES_COMMON // max(common[0].size, 1)
-    rows = sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
-    some, fewer = _sampled(lines, grid, rows)
-    shared = _eliminate(some, fewer, prior, start[rows], common, with_covariance=with_shares is not None)
-    step = shared.step
-    system = assemble(lines, grid, prior)
-    moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, step[lines.common_index])
-    right = right_sides(system, lines, grid, -moved) - prior_pull(system.bands, start)
-    slopes = start + from_blocks(system.factor.solve(right)[..., 0], grid.x_m.size)
+    count = len(covariance)
+    rows = common_rows(grid, count)
+    is_shown = with_shares is not None and with_shares is not False
+    columns = share_columns(grid) if is_shown else None
+    # The unknowns that are shown apart are the last to be eliminated: the root then splits what both do.
+    apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
+    order = np.argsort(apart, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(count)
+    own, fewer = _sampled(lines, grid, rows)
+    ordered = covariance if not apart.any() else covariance[np.ix_(order, order)]
+    reduced = Reduction(replace(own, common_index=place[own.common_index]), fewer, ordered).under(
+        prior, columns=columns
+    )
+    common = reduced.common[place]
+    all_rows = assemble(lines, grid)
+    system = all_rows.under(prior)
+    moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, common[lines.common_index])
+    slopes = system.factor.solve(all_rows.right_sides(-moved / lines.sigma_rad)).reshape(grid.n_rows, -1, 2)
     random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
+    posterior = np.zeros((0, 0)) if with_shares is None else reduced.covariance()[np.ix_(place, place)]
     nothing = np.zeros((0, rows.size, grid.x_m.size))
-    found = (common[0] + step, shared.covariance, rows)
-    if with_shares is None or with_shares is False:
-        return SlopeErrors(slopes, random, np.zeros_like(slopes), *found, nothing, nothing)
-    if with_shares is True or with_shares.all():
-        (variance, modes), apart = shared.shares(), nothing
-    else:
-        (variance, modes), (more, apart) = (part.shares() for part in shared.split(np.asarray(with_shares)))
-        variance = variance + more
-    between = _between_rows(variance, rows, grid.n_rows)
-    return SlopeErrors(slopes, random, between, *found, modes, apart)
+    if columns is None:
+        return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
+    variance, modes = _shares(reduced, int(np.count_nonzero(~apart)))
+    shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
+    shown, shown_apart = (_between_columns(np.moveaxis(one, 0, -1), columns, grid) for one in modes)
+    return SlopeErrors(
+        slopes, random, shared, common, posterior, rows, np.moveaxis(shown, -1, 0), np.moveaxis(shown_apart, -1, 0)
+    )
 
 
 def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:
-    """Return the covariance of both slopes of each node, shape (r, nx, 2, 2), from blocks, (b, r, 2 w, 2 w)."""
-    n_blocks, n_rows, size = blocks.shape[:3]
-    width = size // 2
-    found = np.empty((n_rows, n_blocks * width, 2, 2))
-    for i in range(width):
+    """Return the covariance of both slopes of each node, shape (r, nx, 2, 2), from blocks of w nodes."""
+    n_rows, n_blocks, size, _ = blocks.shape
+    found = np.empty((n_rows, n_blocks, size // 2, 2, 2))
+    for i in range(size // 2):
         own = slice(2 * i, 2 * i + 2)
-        found[:, i::width] = np.swapaxes(blocks[..., own, own], 0, 1)
-    return found[:, :n_nodes]
+        found[:, :, i] = blocks[..., own, own]
+    return found.reshape(n_rows, -1, 2, 2)[:, :n_nodes]
+
+
+def share_columns(grid: RowGrid) -> IntArray:
+    """Return the nodes at which the share of the common unknowns is computed: evenly spread, and beside panel edges.
+
+    Parameters
+    ----------
+    grid : RowGrid
+        Nodes.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Ascending.
+    """
+    n = grid.x_m.size
+    even = np.linspace(0, n - 1, min(n, _COLUMNS_FOR_SHARES)).round().astype(np.intp)
+    edges = np.nonzero(~grid.joined)[0]
+    return np.unique(np.concatenate([even, edges, edges + 1]))
+
+
+def common_rows(grid: RowGrid, count: int) -> IntArray:
+    """Return the rows that some number of common unknowns are estimated from, shape (s,).
+
+    Parameters
+    ----------
+    grid : RowGrid
+        All rows.
+    count : int
+        Number of common unknowns.
+
+    Returns
+    -------
+    ndarray of int, shape (s,)
+        Ascending numbers of rows.
+    """
+    wanted = _ROWS_TIMES_COMMON // max(count, 1)
+    return sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
 
 
 def sample_rows(grid: RowGrid, most: int) -> IntArray:
@@ -286,188 +298,53 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     return replace(some, row=number[some.row]), RowGrid(grid.x_m, grid.joined, rows.size)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Eliminated:
-    """What remains after the slopes are eliminated: the common unknowns."""
+def _shares(reduced: Reduced, first: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Return what the slopes have from the common unknowns.
 
-    step: FloatArray
-    covariance: FloatArray
-    carried: FloatArray
-    evidence: float
-    n_nodes: int
-
-    def split(self, first: BoolArray) -> tuple["_Eliminated", "_Eliminated"]:
-        """Return what some unknowns do with the others held, and what the others do, the first following along."""
-        own, both = self.covariance[np.ix_(~first, ~first)], self.covariance[np.ix_(first, ~first)]
-        following = np.linalg.solve(own, both.T).T
-        rest = self.covariance[np.ix_(first, first)] - following @ both.T
-        # A little variance keeps the matrix positive definite where rounding took it.
-        rest += 1e-12 * np.diag(np.diagonal(self.covariance)[first])
-        carried = self.carried[..., ~first] + self.carried[..., first] @ following
-        return replace(self, covariance=rest, carried=self.carried[..., first]), replace(
-            self, covariance=own, carried=carried
-        )
-
-    def shares(self) -> tuple[FloatArray, FloatArray]:
-        """Return what the slopes have from the common unknowns: variance, shape (r, nx, 2), and modes, (k, r, nx).
-
-        Modes are the strongest independent changes of dz/dx.
-        """
-        from scipy.linalg import eigh
-
-        n_blocks, n_rows, size, count = self.carried.shape
-        n_nodes = self.n_nodes
-        if count == 0:
-            return np.zeros((n_rows, n_nodes, 2)), np.zeros((0, n_rows, n_nodes))
-        # In single precision, which is a millionth of a variance; the products are the most expensive of all.
-        root = np.asarray(np.linalg.cholesky(self.covariance), dtype=_SINGLE)
-        flat = self.carried.reshape(-1, count).astype(_SINGLE) @ root
-        of_each = np.einsum("kc,kc->k", flat, flat).astype(np.float64)
-        variance = from_blocks(of_each.reshape(n_blocks, n_rows, size), n_nodes)
-        across = np.ascontiguousarray(flat.reshape(-1, size, count)[:, 0::2]).reshape(-1, count)
-        products = np.asarray(across.T @ across, dtype=np.float64)
-        some = min(_MODES, count)
-        values, vectors = eigh(products, subset_by_index=(count - some, count - 1), check_finite=False)
-        enough = np.cumsum(values[::-1]) < _MODES_SHARE * np.trace(products)
-        kept = min(some, int(np.count_nonzero(enough)) + 1)
-        strongest = (across @ vectors[:, ::-1][:, :kept].astype(_SINGLE)).astype(np.float64)
-        by_node = strongest.reshape(n_blocks, n_rows, size // 2, kept).transpose(3, 1, 0, 2)
-        return variance, np.asarray(by_node.reshape(kept, n_rows, -1)[..., :n_nodes])
-
-
-def _eliminate(
-    lines: TouchingLines,
-    grid: RowGrid,
-    prior: Roughness,
-    start: FloatArray,
-    common: tuple[FloatArray, FloatArray],
-    *,
-    with_covariance: bool = False,
-) -> _Eliminated:
-    """Eliminate the slopes of all rows; estimate the common unknowns and what of the slopes hangs on them."""
-    from scipy.linalg import lapack
-
-    value, covariance = common
-    count = value.size
-    system = assemble(lines, grid, prior)
-    pull = right_sides(system, lines, grid, lines.misfit_rad) + prior_pull(system.bands, start)
-    known = float((pull * system.factor.solve(pull)).sum())
-    evidence = 0.5 * (system.log_determinant + known)
-    if count == 0:
-        nothing = np.zeros((1, grid.n_rows, 4, 0))
-        return _Eliminated(value, covariance, nothing, evidence, grid.x_m.size)
-    weighted = lines.sigma_rad**-2
-    derivatives = derivatives_of(lines, count)
-    coupling = (slope_derivatives(system, lines, grid).T @ derivatives.multiply(weighted[:, None]).tocsr()).tocsr()
-    carried = system.factor.solve(coupling.toarray().reshape(-1, grid.n_rows, 2 * system.width, count), overwrite=True)
-    precision, spread = _precision(covariance)
-    normal, gradient = precision.copy(), precision @ value
-    gradient += derivatives.T @ (weighted * lines.misfit_rad)
-    normal += (derivatives.T @ derivatives.multiply(weighted[:, None]).tocsr()).toarray()
-    flat = (-1, count)
-    # Each common unknown touches a few nodes of a row only: with dense factors this product would cost the most of all.
-    normal -= coupling.T @ carried.reshape(flat)
-    gradient -= carried.reshape(flat).T @ pull.reshape(-1)
-    root, narrowed = _root(normal)
-    step = -np.asarray(lapack.dpotrs(root, gradient, lower=1)[0])
-    posterior = _inverse_of(root) if with_covariance else np.zeros((0, 0))
-    evidence -= 0.5 * (narrowed + spread + float(gradient @ step))
-    return _Eliminated(step, posterior, carried, evidence, grid.x_m.size)
-
-
-def _precision(covariance: FloatArray) -> tuple[FloatArray, float]:
-    """Return the inverse of a prior covariance and the logarithm of its determinant; the last two are remembered.
-
-    All rounds of a solution have the same prior, and inverting a thousand unknowns takes as long as half the rest.
+    That is the variance, shape (r, n, 2), and the strongest independent changes of dz/dx, shape (k, r, n) each, by the
+    first unknowns with the others held, and by the others, the first following along.
     """
-    for known, found in _last_priors:
-        if known() is covariance:
-            return found
-    root, determinant = _root(covariance)
-    _last_priors[:] = [(weakref.ref(covariance), (_inverse_of(root), determinant)), *_last_priors[:1]]
-    return _last_priors[0][1]
+    from scipy.linalg import blas
+
+    n_rows, n_columns, _, count = reduced.carried.shape
+    # In single precision, which is a millionth of a variance; these products are the most expensive of all.
+    root = np.asfortranarray(reduced.root, dtype=np.float32)
+    carried = reduced.carried.reshape(-1, count).astype(np.float32).T
+    flat = np.asarray(blas.strsm(1.0, root, carried, lower=1)) if count else carried
+    variance = np.einsum("ck,ck->k", flat, flat).astype(np.float64).reshape(n_rows, n_columns, 2)
+    modes = (_strongest(one.reshape(-1, n_rows * n_columns, 2)[..., 0]) for one in (flat[:first], flat[first:]))
+    both = [one.reshape(-1, n_rows, n_columns) for one in modes]
+    return variance, (both[0], both[1])
 
 
-_last_priors: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = []
+def _strongest(changes: npt.NDArray[np.float32]) -> FloatArray:
+    """Return the principal parts of changes by independent unknowns of unit variance, shapes (c, k) and (s, k)."""
+    from scipy.linalg import eigh
+
+    if len(changes) == 0:
+        return np.zeros((0, changes.shape[1]))
+    is_wide = changes.shape[0] > changes.shape[1]
+    products = np.asarray(changes.T @ changes if is_wide else changes @ changes.T, dtype=np.float64)
+    size = len(products)
+    values, vectors = eigh(products, subset_by_index=(max(size - _MODES, 0), size - 1), check_finite=False)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    enough = np.cumsum(values) < _MODES_SHARE * np.trace(products)
+    kept = min(values.size, int(np.count_nonzero(enough)) + 1)
+    if is_wide:
+        return np.asarray(np.sqrt(np.maximum(values[:kept], 0.0))[:, None] * vectors[:, :kept].T)
+    return np.asarray(vectors[:, :kept].T @ changes)
 
 
-def _root(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """Return the lower Cholesky root of a positive definite matrix and the logarithm of the determinant."""
-    from scipy.linalg import lapack
-
-    root, info = lapack.dpotrf(0.5 * (matrix + matrix.T), lower=1)
-    if info != 0:
-        raise np.linalg.LinAlgError("the common unknowns are not determined")
-    return np.asarray(root), 2 * float(np.log(np.diagonal(root)).sum())
-
-
-def _inverse_of(root: FloatArray) -> FloatArray:
-    """Return the inverse of the matrix that has a root."""
-    from scipy.linalg import lapack
-
-    # Above the diagonal both are zero.
-    inverse, _ = lapack.dpotri(root, lower=1)
-    whole = inverse + inverse.T
-    whole.flat[:: len(whole) + 1] *= 0.5
-    return np.asarray(whole)
-
-
-def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":
-    """Return the derivatives of all lines with respect to the common unknowns.
-
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations.
-    count : int
-        Number of common unknowns.
-
-    Returns
-    -------
-    csr_array, shape (m, c)
-        Derivatives.
-    """
-    from scipy.sparse import csr_array
-
-    width = lines.common_index.shape[1]
-    first = np.arange(lines.row.size + 1) * width
-    table = (lines.d_common.ravel(), lines.common_index.ravel(), first)
-    return csr_array(table, shape=(lines.row.size, count))
-
-
-def slope_derivatives(system: RowSystem, lines: TouchingLines, grid: RowGrid) -> "csr_array":
-    """Return the derivatives of all lines with respect to the slopes.
-
-    Parameters
-    ----------
-    system : RowSystem
-        The rows.
-    lines : TouchingLines
-        Observations.
-    grid : RowGrid
-        Nodes.
-
-    Returns
-    -------
-    csr_array, shape (m, b r 2 w)
-        Derivatives, columns in the order of the blocks.
-    """
-    from scipy.sparse import csr_array
-
-    # Node before and node after, each with two slopes.
-    node = system.before[:, None] + np.array([0, 0, 1, 1])
-    width = system.width
-    block = (node // width) * grid.n_rows + lines.row[:, None]
-    place = 2 * (block * width + node % width) + np.array([0, 1, 0, 1])
-    table = (system.weights.ravel(), place.ravel(), np.arange(lines.row.size + 1) * place.shape[1])
-    return csr_array(table, shape=(lines.row.size, 2 * width * -(-grid.x_m.size // width) * grid.n_rows))
+def _between_columns(values: FloatArray, columns: IntArray, grid: RowGrid) -> FloatArray:
+    """Interpolate values of chosen nodes, shape (s, n, ...), to all nodes, shape (s, nx, ...)."""
+    return np.swapaxes(_between_rows(np.swapaxes(values, 0, 1), columns, grid.x_m.size), 0, 1)
 
 
 def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
-    """Interpolate values of sampled rows, shape (s, nx, 2), to all rows."""
+    """Interpolate values of sampled rows, shape (s, ...), to all rows."""
     if rows.size == 1:
         return np.repeat(values, n_rows, axis=0)
     place = np.arange(n_rows)
     before = np.clip(np.searchsorted(rows, place, side="right") - 1, 0, rows.size - 2)
-    share = ((place - rows[before]) / (rows[before + 1] - rows[before]))[:, None, None]
+    share = ((place - rows[before]) / (rows[before + 1] - rows[before])).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1 - share) * values[before] + share * values[before + 1])

@@ -213,7 +213,6 @@ def solve_reflector(
             "collector's dimensions and the targets right?"
         )
     is_bold = fate == EdgeFate.USED
-    nothing = (np.zeros(len(unknowns.covariance)), unknowns.covariance)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
@@ -223,13 +222,12 @@ def solve_reflector(
             # its place moves an edge by 0.1 mrad more.
             nominal = _nominal(edges, photos, expected, _bends(edges, present, grid))
             unknowns = nominal.unknowns
-            nothing = (nothing[0], unknowns.covariance)
         lines = _lines(nominal, expected, present, grid)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         sigma = np.hypot(noise * lines.sigma_rad, allowance)
         used = replace(lines, sigma_rad=sigma).chosen(keep)
         roughness = find_roughness(used, grid, roughness, unknowns.covariance, any_order=allowance == 0.0)
-        errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=None)
+        errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
         if allowance == 0.0:
             noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
@@ -247,11 +245,13 @@ def solve_reflector(
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
     shadows = has_shadows(fate)
     if shadows:
-        fate, errors, roughness, agreed = _without_shadows(lines, edges, (fate, errors, roughness), nothing, grid)
+        fate, errors, roughness, agreed = _without_shadows(
+            lines, edges, (fate, errors, roughness), unknowns.covariance, grid
+        )
         keep &= fate == EdgeFate.USED
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
-    errors = solve_jointly(used, grid, roughness, none, nothing, with_shares=~unknowns.is_place)
+    errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place)
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
@@ -294,24 +294,23 @@ def _without_shadows(
     lines: TouchingLines,
     edges: ReflectionEdges,
     present: tuple[IntArray, SlopeErrors, Roughness],
-    nothing: tuple[FloatArray, FloatArray],
+    covariance: FloatArray,
     grid: RowGrid,
 ) -> tuple[IntArray, SlopeErrors, Roughness, BoolArray]:
     """Refuse edges that shadows may have made; return fates, solution, roughness and the nodes that are borne out."""
     fate, errors, roughness = present
     fate = fate.copy()
     some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
-    still = np.zeros((grid.n_rows, grid.x_m.size, 2))
     borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     keep = some.copy()
     keep[some] = borne
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
-    roughness = find_roughness(lines.chosen(keep), grid, roughness, nothing[1])
-    errors = solve_jointly(lines.chosen(keep), grid, roughness, still, nothing, with_shares=False)
+    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
+    errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
     pulled = _is_pulled(lines, keep, edges, errors, grid)
     fate[pulled] = EdgeFate.BESIDE
     some &= ~pulled
-    errors = solve_jointly(lines.chosen(keep & some), grid, roughness, still, nothing, with_shares=False)
+    errors = solve_jointly(lines.chosen(keep & some), grid, roughness, covariance, with_shares=None)
     borne, agreed = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
     return fate, errors, roughness, agreed

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.validate import BoolArray, FloatArray
-from observer.block_tridiagonal import factorise
+from observer.banded import factorise
 from observer.slope_field import IntArray
 
 #: A value further than this from what its neighbours along the trough say is wrong, in standard deviations.
@@ -112,18 +112,10 @@ def _smooth(
     for first in range(3):
         for other in range(first, 3):
             bands[other - first, first : first + rows - 2] += parts[first] * parts[other] * stiffness
-    main = np.repeat(bands[0][:, None], columns, axis=1)
-    main[:rows] += weight
-    diagonal = np.zeros((count // 2, columns, 2, 2))
-    diagonal[..., 0, 0], diagonal[..., 1, 1] = main[0::2], main[1::2]
-    diagonal[..., 0, 1] = diagonal[..., 1, 0] = bands[1, 0::2, None]
-    upper = np.zeros((count // 2 - 1, columns, 2, 2))
-    upper[..., 0, 0], upper[..., 1, 1] = bands[2, 0:-2:2, None], bands[2, 1:-2:2, None]
-    upper[..., 1, 0] = bands[1, 1:-1:2, None]
-    factor = factorise(diagonal, upper)
-    right = np.zeros((count, columns))
-    right[:rows] = weight * value
-    paired = np.swapaxes(right.reshape(count // 2, 2, columns), 1, 2)[..., None]
-    solved = np.swapaxes(factor.solve(paired)[..., 0], 1, 2).reshape(count, columns)
-    spread = np.diagonal(factor.inverse_blocks(), axis1=2, axis2=3)
-    return solved[:rows], np.swapaxes(spread, 1, 2).reshape(count, columns)[:rows]
+    whole = np.repeat(bands.T[None], columns, axis=0)
+    whole[:, :rows, 0] += weight.T
+    factor = factorise(whole)
+    right = np.zeros((columns, count))
+    right[:, :rows] = (weight * value).T
+    spread = np.diagonal(factor.inverse_blocks(), axis1=2, axis2=3).reshape(columns, count)
+    return factor.solve(right).T[:rows], spread.T[:rows]

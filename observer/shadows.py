@@ -71,8 +71,7 @@ def borne_out(
 
 def _one_side(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> tuple[FloatArray, FloatArray]:
     """Return the slope across at all nodes from the edges of one side, and its variance, shape (r, nx) each."""
-    still = np.zeros((grid.n_rows, grid.x_m.size, 2))
-    found = solve_jointly(lines, grid, roughness, still, (np.zeros(0), np.zeros((0, 0))), with_shares=False)
+    found = solve_jointly(lines, grid, roughness, np.zeros((0, 0)), with_shares=None)
     return found.slopes[..., 0], found.random[..., 0, 0]
 
 

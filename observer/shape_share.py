@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliogauge.validate import FloatArray
-from observer.joint_solution import sample_rows, solve_jointly
-from observer.slope_field import Roughness, RowGrid, TouchingLines
+from observer.joint_solution import common_rows
+from observer.reduction import Reduction
+from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble
 
-#: Rows that suffice for one number.
-_ROWS = 96
 #: The factor before the measurement is anything within some of this.
 _PRIOR = 3.0
 #: An error of all edges towards the tube that is common to the photos, as a standard deviation [m]: a tenth of a pixel.
@@ -87,37 +86,27 @@ def find_shape_share(
     ShapeShare
         The factor, its sigma, and what it matters.
     """
-    rows = sample_rows(grid, _ROWS)
+    rows = common_rows(grid, len(covariance))
     number = np.full(grid.n_rows, -1)
     number[rows] = np.arange(rows.size)
     chosen = number[both[0].row] >= 0
     shaped, flat = (replace(some, row=number[some.row]) for some in (one.chosen(chosen) for one in both))
-    fewer, count = RowGrid(grid.x_m, grid.joined, rows.size), len(covariance)
-    still = np.zeros((fewer.n_rows, grid.x_m.size, 2))
+    fewer = RowGrid(grid.x_m, grid.joined, rows.size)
     extra = np.stack([shaped.misfit_rad - flat.misfit_rad, _EDGE_PRIOR_M * by_edge[chosen]], axis=1)
     if not np.abs(extra[:, 0]).max(initial=0.0) > 0:
         return ShapeShare(1.0, np.inf, 0.0)
-    lines = replace(
-        shaped,
-        common_index=np.column_stack([shaped.common_index, np.tile([count, count + 1], (shaped.row.size, 1))]),
-        d_common=np.column_stack([shaped.d_common, extra]),
-    )
-    prior = np.eye(count + 2)
-    prior[:count, :count] = covariance
-    prior[count, count] = _PRIOR**2
-    solved = solve_jointly(lines, fewer, roughness, still, (np.zeros(count + 2), prior), with_shares=False)
-    nothing = (np.zeros(count), covariance)
-    slopes = [
-        solve_jointly(one, fewer, roughness, still, nothing, with_shares=None).slopes[..., 0] for one in (shaped, flat)
-    ]
-    seen = np.zeros(slopes[0].shape, dtype=bool)
+    reduction = Reduction(shaped, fewer, covariance)
+    found = reduction.under(roughness, beside=(extra, np.array([_PRIOR, 1.0]))).beside
+    rows_alone = assemble(shaped, fewer)
+    slopes = rows_alone.under(roughness).factor.solve(rows_alone.right_sides(extra[:, 0] / shaped.sigma_rad))
+    seen = np.zeros((fewer.n_rows, grid.x_m.size), dtype=bool)
     nearest = np.rint((shaped.x_m - grid.x_m[0]) / grid.step_m).astype(np.intp)
     seen[shaped.row, np.clip(nearest, 0, grid.x_m.size - 1)] = True
     excess = _EXCESS * (_edge_step_m(shaped) / _EXCESS_STEP_M) ** _EXCESS_POWER
     return ShapeShare(
-        1.0 + float(solved.common[count]) - excess,
-        float(np.hypot(np.sqrt(solved.covariance_common[count, count]), 0.5 * excess)),
-        float(np.sqrt(np.mean(np.square(slopes[0] - slopes[1])[seen]))),
+        1.0 + float(found.amount[0]) - excess,
+        float(np.hypot(np.sqrt(found.covariance[0, 0]), 0.5 * excess)),
+        float(np.sqrt(np.mean(np.square(slopes[:, 0::2])[seen]))),
     )
 
 

@@ -8,12 +8,16 @@ The slope along the trough has a prior instead of a measurement where one pass o
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray
-from observer.block_tridiagonal import BlockFactor, factorise
+from observer.banded import BandedFactor, factorise
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 IntArray = npt.NDArray[np.intp]
 
@@ -102,43 +106,79 @@ class TouchingLines:
     common_index: IntArray
     d_common: FloatArray
 
-    def chosen(self, which: npt.NDArray[np.bool_]) -> "TouchingLines":
-        """Return some of them."""
+    def chosen(self, which: BoolArray | IntArray) -> "TouchingLines":
+        """Return some of them, by whether they are wanted or by their numbers."""
         return TouchingLines(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RowSystem:
-    """Factorised normal equations of all rows; the unknowns of two or three neighbouring nodes form one block.
+class Rows:
+    """Normal equations of all rows by the lines alone, the unknowns of a row in the order of its nodes.
 
     Parameters
     ----------
-    factor : BlockFactor
-        The factorised matrices.
-    before : ndarray of int, shape (m,)
-        Node before each line.
+    grid : RowGrid
+        Nodes.
+    place : ndarray of int, shape (m,)
+        The first of four unknowns of all rows that move each line: (s_x, s_y) of the node before and of the node after.
     weights : ndarray, shape (m, 4)
-        Derivatives of each line's misfit with respect to (s_x, s_y) of the node before and of the node after.
+        Derivatives of each line's misfit over its sigma with respect to those.
+    normal : ndarray, shape (r, 2 nx, 4)
+        Columns of the normal matrices from the diagonal downwards.
+    """
+
+    grid: RowGrid
+    place: IntArray
+    weights: FloatArray
+    normal: FloatArray
+
+    def right_sides(self, values: FloatArray) -> FloatArray:
+        """Return the transposed derivatives, shape (r 2 nx, m), times values of the lines over their sigmas."""
+        shape = self.normal.shape[:2]
+        sums = np.zeros(shape[0] * shape[1])
+        for i in range(4):
+            sums += np.bincount(self.place + i, values * self.weights[:, i], sums.size)
+        return sums.reshape(shape)
+
+    def derivatives(self) -> "csr_array":
+        """Return the derivatives of all lines over their sigmas with respect to all unknowns, shape (m, r 2 nx)."""
+        from scipy.sparse import csr_array
+
+        table = (self.weights.ravel(), (self.place[:, None] + np.arange(4)).ravel(), 4 * np.arange(self.place.size + 1))
+        return csr_array(table, shape=(self.place.size, self.normal.shape[0] * self.normal.shape[1]))
+
+    def under(self, prior: Roughness) -> "RowSystem":
+        """Return the factorised normal equations together with what is known of the slopes beforehand."""
+        bands = prior_bands(self.grid, prior)
+        n, count = self.grid.x_m.size, 2 * len(bands) - 1
+        whole = np.zeros((len(self.normal), n, 2, count))
+        whole[..., : self.normal.shape[2]] = self.normal.reshape(-1, n, 2, self.normal.shape[2])
+        whole[..., 0::2] += np.moveaxis(bands, 0, -1)
+        factor = factorise(whole.reshape(-1, 2 * n, count))
+        return RowSystem(factor, bands, len(whole) * _log_determinant(bands) - float(factor.log_determinant.sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowSystem:
+    """Factorised normal equations of all rows.
+
+    Parameters
+    ----------
+    factor : BandedFactor
+        The factorised matrices.
     bands : ndarray, shape (order + 1, nx, 2)
         The prior's precision of (s_x, s_y) between a node and itself, the next and those after that.
     log_determinant : float
         Logarithm of the determinant of the prior of all rows minus that of the normal matrices.
     """
 
-    factor: BlockFactor
-    before: IntArray
-    weights: FloatArray
+    factor: BandedFactor
     bands: FloatArray
     log_determinant: float
 
-    @property
-    def width(self) -> int:
-        """Number of nodes in a block."""
-        return len(self.bands) - 1
 
-
-def assemble(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> RowSystem:
-    """Set up and factorise the normal equations of all rows.
+def assemble(lines: TouchingLines, grid: RowGrid) -> Rows:
+    """Set up the normal equations of all rows.
 
     Parameters
     ----------
@@ -146,42 +186,31 @@ def assemble(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> RowSystem
         Observations.
     grid : RowGrid
         Nodes.
-    prior : Roughness
-        How slopes may vary.
 
     Returns
     -------
-    RowSystem
-        The system.
+    Rows
+        The equations.
     """
     before, share = nodes_of(grid, lines.x_m)
-    weights = np.stack([lines.d_slope_x, lines.d_slope_y] * 2, axis=1)
-    weights *= np.stack([1 - share, 1 - share, share, share], axis=1)
+    by_x, by_y = lines.d_slope_x / lines.sigma_rad, lines.d_slope_y / lines.sigma_rad
+    weights = np.stack([by_x * (1 - share), by_y * (1 - share), by_x * share, by_y * share], axis=1)
     shape = (grid.n_rows, grid.x_m.size)
-    place = lines.row * grid.x_m.size + before
-    bands = prior_bands(grid, prior)
-    normal = np.zeros((len(bands), *shape, 2, 2))
-    inverse_variance = lines.sigma_rad**-2
+    node = lines.row * grid.x_m.size + before
+    normal = np.zeros((*shape, 2, 4))
+    shares = (1 - share) ** 2, (1 - share) * share, share * share
     # All products are those of both derivatives times those of both shares: nine sums, not sixteen.
-    for i, j, product in (
-        (0, 0, lines.d_slope_x * lines.d_slope_x),
-        (0, 1, lines.d_slope_x * lines.d_slope_y),
-        (1, 1, lines.d_slope_y * lines.d_slope_y),
-    ):
-        product *= inverse_variance
-        after = product * share
+    for product, columns in ((by_x * by_x, ((0, 0),)), (by_x * by_y, ((0, 1), (1, -1))), (by_y * by_y, ((1, 0),))):
         own, between, next_one = (
-            np.bincount(place, one, shape[0] * shape[1]).reshape(shape)
-            for one in ((product - after) * (1 - share), after * (1 - share), after * share)
+            np.bincount(node, product * one, shape[0] * shape[1]).reshape(shape) for one in shares
         )
         own[:, 1:] += next_one[:, :-1]
-        normal[0, ..., i, j] = normal[0, ..., j, i] = own
-        normal[1, ..., i, j] = normal[1, ..., j, i] = between
-    normal[..., 0, 0] += bands[:, None, :, 0]
-    normal[..., 1, 1] += bands[:, None, :, 1]
-    factor = factorise(*_paired(normal))
-    change = grid.n_rows * _log_determinant(bands) - float(factor.log_determinant.sum())
-    return RowSystem(factor, before, weights, bands, change)
+        # The band of a pair is the distance of its unknowns, two of which belong to each node.
+        column, band = columns[0]
+        normal[..., column, band] = own
+        for column, band in columns:
+            normal[..., column, band + 2] = between
+    return Rows(grid, 2 * node, weights, normal.reshape(shape[0], -1, 4))
 
 
 def nodes_of(grid: RowGrid, x_m: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -255,122 +284,5 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
 
 def _log_determinant(bands: FloatArray) -> float:
     """Return the logarithm of the determinant of the prior of one row."""
-    from scipy.linalg import cholesky_banded
-
-    roots = [cholesky_banded(bands[:, :, k], lower=True, check_finite=False)[0] for k in (0, 1)]
-    return 2 * float(np.log(roots).sum())
-
-
-def _paired(bands: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn bands, shape (w + 1, r, nx, 2, 2), of symmetric matrices into blocks of w nodes."""
-    width, (n_rows, n_nodes) = len(bands) - 1, bands.shape[1:3]
-    count = -(-n_nodes // width)
-    diagonal = np.zeros((count, n_rows, width, 2, width, 2))
-    upper = np.zeros((count - 1, n_rows, width, 2, width, 2))
-    for reach in range(width + 1):
-        whole = bands[reach]
-        if count * width > n_nodes:
-            # Nodes that fill the last block are known to be zero.
-            filled = np.zeros((n_rows, count * width - n_nodes, 2, 2)) + (np.eye(2) if reach == 0 else 0.0)
-            whole = np.concatenate([whole, filled], axis=1)
-        for first in range(width):
-            part = np.swapaxes(whole[:, first::width], 0, 1)
-            second = first + reach
-            if second < width:
-                diagonal[:, :, first, :, second] = part
-                diagonal[:, :, second, :, first] = np.swapaxes(part, 2, 3)
-            else:
-                upper[:, :, first, :, second - width] = part[:-1]
-    size = 2 * width
-    return diagonal.reshape(count, n_rows, size, size), upper.reshape(count - 1, n_rows, size, size)
-
-
-def right_sides(system: RowSystem, lines: TouchingLines, grid: RowGrid, values: FloatArray) -> FloatArray:
-    """Return the transposed derivatives times weighted values, one column for each.
-
-    Parameters
-    ----------
-    system : RowSystem
-        The rows.
-    lines : TouchingLines
-        Observations.
-    grid : RowGrid
-        Nodes.
-    values : ndarray, shape (m,)
-        Values of the observations.
-
-    Returns
-    -------
-    ndarray, shape (b, r, 2 w, 1)
-        Sums for each block of w nodes.
-    """
-    shape = (grid.n_rows, grid.x_m.size)
-    place = lines.row * grid.x_m.size + system.before
-    weighted = (lines.sigma_rad**-2 * values)[:, None] * system.weights
-    sums = np.stack([np.bincount(place, weighted[:, i], shape[0] * shape[1]).reshape(shape) for i in range(4)], axis=2)
-    nodes = np.array(sums[..., :2], dtype=np.float64)
-    nodes[:, 1:] += sums[:, :-1, 2:]
-    return to_blocks(nodes, system.width)
-
-
-def to_blocks(nodes: FloatArray, width: int) -> FloatArray:
-    """Turn values at nodes into right sides.
-
-    Parameters
-    ----------
-    nodes : ndarray, shape (r, nx, 2)
-        Values for (s_x, s_y) of the nodes.
-    width : int
-        Number of nodes in a block, w.
-
-    Returns
-    -------
-    ndarray, shape (b, r, 2 w, 1)
-        The same in blocks; zeros fill the last one.
-    """
-    n_rows, n_nodes, _ = nodes.shape
-    count = -(-n_nodes // width)
-    if count * width > n_nodes:
-        nodes = np.concatenate([nodes, np.zeros((n_rows, count * width - n_nodes, 2))], axis=1)
-    return np.ascontiguousarray(np.swapaxes(nodes.reshape(n_rows, count, 2 * width), 0, 1))[..., None]
-
-
-def from_blocks(blocks: FloatArray, n_nodes: int) -> FloatArray:
-    """Turn solutions in blocks into values at nodes.
-
-    Parameters
-    ----------
-    blocks : ndarray, shape (b, r, 2 w)
-        Values of the blocks of w nodes.
-    n_nodes : int
-        Number of nodes of a row.
-
-    Returns
-    -------
-    ndarray, shape (r, nx, 2)
-        (s_x, s_y) at the nodes.
-    """
-    n_blocks, n_rows, size = blocks.shape
-    return np.swapaxes(blocks, 0, 1).reshape(n_rows, n_blocks * size // 2, 2)[:, :n_nodes]
-
-
-def prior_pull(bands: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Return the prior's precision times present slope errors.
-
-    Parameters
-    ----------
-    bands : ndarray, shape (order + 1, nx, 2)
-        From `prior_bands`.
-    slopes : ndarray, shape (r, nx, 2)
-        Present slope errors [rad].
-
-    Returns
-    -------
-    ndarray, shape (b, r, 2 order, 1)
-        In blocks.
-    """
-    product: FloatArray = np.array(bands[0] * slopes)
-    for reach in range(1, len(bands)):
-        product[:, :-reach] += bands[reach, :-reach] * slopes[:, reach:]
-        product[:, reach:] += bands[reach, :-reach] * slopes[:, :-reach]
-    return to_blocks(product, len(bands) - 1)
+    both = np.ascontiguousarray(np.moveaxis(bands, (0, 1, 2), (2, 1, 0)))
+    return float(factorise(both).log_determinant.sum())

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from heliogauge.validate import FloatArray
-from observer.joint_solution import derivatives_of, slope_derivatives
-from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, from_blocks, to_blocks
+from observer.reduction import derivatives_of
+from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
@@ -38,9 +38,9 @@ def sum_covariance(
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
     """
-    system = assemble(lines, grid, prior)
-    by_slopes, by_common = slope_derivatives(system, lines, grid), derivatives_of(lines, len(covariance_common))
-    weight = lines.sigma_rad[:, None] ** -2
+    rows = assemble(lines, grid)
+    system = rows.under(prior)
+    by_slopes, by_common = rows.derivatives(), derivatives_of(lines, len(covariance_common))
 
     def covariance(weights: FloatArray) -> FloatArray:
         count = len(weights)
@@ -48,11 +48,9 @@ def sum_covariance(
         nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
         for first in range(0, count, _AT_ONCE):
             some = slice(first, min(first + _AT_ONCE, count))
-            solved = system.factor.solve(np.concatenate([to_blocks(one, system.width) for one in nodes[some]], axis=3))
-            slopes = np.stack([from_blocks(one, grid.x_m.size) for one in np.moveaxis(solved, 3, 0)])
-            own[:, some] = np.tensordot(weights, slopes[..., 0], axes=((1, 2), (1, 2)))
-            seen = by_slopes @ solved.reshape(by_slopes.shape[1], -1)
-            shared[some] = (by_common.T @ (weight * seen)).T
+            solved = system.factor.solve(nodes[some].reshape(-1, grid.n_rows, 2 * grid.x_m.size))
+            own[:, some] = np.tensordot(weights, solved[..., 0::2], axes=((1, 2), (1, 2)))
+            shared[some] = (by_common.T @ (by_slopes @ solved.reshape(len(solved), -1).T)).T
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
 
     return covariance

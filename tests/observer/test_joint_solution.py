@@ -1,12 +1,14 @@
 """Slopes of many rows with common unknowns: against dense algebra, and scatter against sigma."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from observer.joint_solution import find_roughness, solve_jointly
-from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, from_blocks, prior_bands, right_sides
+from observer.reduction import Reduction
+from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, prior_bands
 
 
 def random_lines(rng: np.random.Generator, grid: RowGrid, m: int, n_common: int) -> TouchingLines:
@@ -27,13 +29,17 @@ def dense(
     grid: RowGrid, lines: TouchingLines, prior: Roughness, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve all rows and the common unknowns at once."""
-    system = assemble(lines, grid, prior)
     n, c = 2 * grid.x_m.size, len(covariance)
     jacobian = np.zeros((lines.row.size, grid.n_rows * n + c))
     for i in range(lines.row.size):
-        first = lines.row[i] * n + 2 * system.before[i]
-        jacobian[i, first : first + 4] = system.weights[i]
-        jacobian[i, grid.n_rows * n + lines.common_index[i, 0]] += lines.d_common[i, 0]
+        position = (lines.x_m[i] - grid.x_m[0]) / grid.step_m
+        before = min(int(position), grid.x_m.size - 2)
+        share = position - before if grid.joined[before] else round(position - before)
+        for node, part in ((before, 1 - share), (before + 1, share)):
+            first = lines.row[i] * n + 2 * node
+            jacobian[i, first : first + 2] += part * np.array([lines.d_slope_x[i], lines.d_slope_y[i]])
+        for k in range(lines.common_index.shape[1]):
+            jacobian[i, grid.n_rows * n + lines.common_index[i, k]] += lines.d_common[i, k]
     bands = prior_bands(grid, prior)
     precision = np.zeros((n, n))
     for reach in range(len(bands)):
@@ -55,7 +61,7 @@ def test_joint_solution_is_that_of_dense_algebra(order: int, across: float) -> N
     rng = np.random.default_rng(0)
     grid, prior, covariance = small_grid(), Roughness(across, order=order), np.diag([1e-6, 4e-6, 9e-6])
     lines = random_lines(rng, grid, 200, 3)
-    found = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
+    found = solve_jointly(lines, grid, prior, covariance)
     solution, inverse = dense(grid, lines, prior, covariance)
     np.testing.assert_allclose(found.slopes.reshape(-1), solution[:-3], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(found.common, solution[-3:], rtol=1e-8)
@@ -65,20 +71,58 @@ def test_joint_solution_is_that_of_dense_algebra(order: int, across: float) -> N
     np.testing.assert_allclose(variance.reshape(-1), np.diag(inverse)[:-3], rtol=1e-6)
 
 
-def test_a_second_step_from_the_solution_stays() -> None:
+def test_unknowns_shown_apart_are_what_they_do_with_the_others_following() -> None:
     rng = np.random.default_rng(1)
-    grid, prior, covariance = small_grid(), Roughness(1e-3), 4e-6 * np.eye(3)
+    grid, prior, covariance = small_grid(), Roughness(1e-3), np.diag([1e-6, 4e-6, 9e-6])
     lines = random_lines(rng, grid, 200, 3)
-    first = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
-    system = assemble(lines, grid, prior)
-    slopes = first.slopes[lines.row[:, None], system.before[:, None] + [0, 1]].reshape(-1, 4)
-    moved = lines.misfit_rad + (system.weights * slopes).sum(axis=1)
-    moved += lines.d_common[:, 0] * first.common[lines.common_index[:, 0]]
-    again = TouchingLines(lines.row, lines.x_m, moved, lines.d_slope_x, lines.d_slope_y, lines.sigma_rad,
-                          lines.common_index, lines.d_common)  # fmt: skip
-    second = solve_jointly(again, grid, prior, first.slopes, (first.common, covariance))
-    np.testing.assert_allclose(second.slopes, first.slopes, rtol=1e-6, atol=1e-10)
-    np.testing.assert_allclose(second.common, first.common, rtol=1e-6)
+    own = np.array([True, False, True])
+    found = solve_jointly(lines, grid, prior, covariance, with_shares=own)
+    _, inverse = dense(grid, lines, prior, covariance)
+    held = np.zeros((3, 3))
+    held[np.ix_(own, own)] = np.linalg.inv(np.linalg.inv(inverse[-3:, -3:])[np.ix_(own, own)])
+    by_common = np.linalg.lstsq(inverse[-3:, -3:], inverse[-3:, :-3], rcond=None)[0]
+    together = np.diag(by_common.T @ inverse[-3:, -3:] @ by_common).reshape(3, 20, 2)
+    others = np.diag(by_common.T @ held @ by_common).reshape(3, 20, 2)
+    np.testing.assert_allclose(found.shared, together, rtol=1e-5)
+    np.testing.assert_allclose(np.square(found.modes).sum(axis=0), others[..., 0], rtol=0.02, atol=0.02 * others.max())
+    apart = together[..., 0] - others[..., 0]
+    np.testing.assert_allclose(np.square(found.modes_apart).sum(axis=0), apart, rtol=1e-4, atol=1e-6 * apart.max())
+
+
+def test_patterns_beside_the_common_unknowns_are_found_as_unknowns_of_their_own_would_be() -> None:
+    rng = np.random.default_rng(6)
+    grid, prior, covariance = small_grid(), Roughness(1e-3), np.diag([1e-6, 4e-6, 9e-6])
+    lines = random_lines(rng, grid, 200, 3)
+    patterns, deviation = rng.normal(0, 1e-3, (200, 2)), np.array([3.0, 0.5])
+    found = Reduction(lines, grid, covariance).under(prior, beside=(patterns, deviation)).beside
+    more = replace(
+        lines,
+        common_index=np.column_stack([lines.common_index, np.tile([3, 4], (200, 1))]),
+        d_common=np.column_stack([lines.d_common, patterns]),
+    )
+    solution, inverse = dense(grid, more, prior, np.diag([1e-6, 4e-6, 9e-6, *deviation**2]))
+    np.testing.assert_allclose(found.amount, solution[-2:], rtol=1e-8)
+    np.testing.assert_allclose(found.covariance, inverse[-2:, -2:], rtol=1e-8)
+
+
+def test_evidence_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(7)
+    grid, covariance = small_grid(), np.diag([1e-6, 4e-6, 9e-6])
+    lines = random_lines(rng, grid, 200, 3)
+    reduction, found, expected = Reduction(lines, grid, covariance), [], []
+    for prior in (Roughness(1e-3), Roughness(1e-4, 1e-3)):
+        solution, inverse = dense(grid, lines, prior, covariance)
+        bands = prior_bands(grid, prior)
+        spread = np.zeros((40, 40))
+        for reach in range(3):
+            for i in range(20 - reach):
+                for f in range(2):
+                    spread[2 * i + f, 2 * (i + reach) + f] = spread[2 * (i + reach) + f, 2 * i + f] = bands[reach, i, f]
+        # log p = (log |prior| - log |normal| + b^T normal^-1 b) / 2, but for what no roughness changes.
+        determinant = 3 * np.linalg.slogdet(spread)[1] + np.linalg.slogdet(inverse)[1]
+        expected.append(0.5 * (determinant + solution @ np.linalg.solve(inverse, solution)))
+        found.append(reduction.under(prior).evidence)
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-7)
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -88,8 +132,8 @@ def test_panels_do_not_know_of_each_other(order: int) -> None:
     lines = random_lines(rng, grid, 80, 1)
     left = lines.chosen(lines.x_m < 0)
     for one in (lines, left):
-        system = assemble(one, grid, prior)
-        slopes = from_blocks(system.factor.solve(right_sides(system, one, grid, -one.misfit_rad))[..., 0], 20)
+        rows = assemble(one, grid)
+        slopes = rows.under(prior).factor.solve(rows.right_sides(-one.misfit_rad / one.sigma_rad)).reshape(1, 20, 2)
         if one is lines:
             whole = slopes
     np.testing.assert_allclose(slopes[:, :10], whole[:, :10], rtol=1e-12)
@@ -181,8 +225,7 @@ def measured(seed: int) -> tuple[float, float, float]:
     covariance = sigma_eye**2 * np.eye(n_photos)
     prior = find_roughness(lines, grid, Roughness(1.0, along_rad=1e-6), covariance)
     assert abs(np.log10(prior.across / truth_prior.across)) < 1.0
-    start = np.zeros((60, 100, 2))
-    found = solve_jointly(lines, grid, truth_prior, start, (np.zeros(n_photos), covariance))
+    found = solve_jointly(lines, grid, truth_prior, covariance)
     errors = found.common - eyes
     chi_square = float(errors @ np.linalg.solve(found.covariance_common, errors)) / n_photos
     sigma_slopes = np.sqrt(found.random[..., 0, 0] + found.shared[..., 0])

@@ -14,7 +14,7 @@ def test_sums_have_the_covariance_of_dense_algebra(order: int, across: float) ->
     rng = np.random.default_rng(5)
     grid, prior, covariance = small_grid(), Roughness(across, order=order), np.diag([1e-6, 4e-6, 9e-6])
     lines = random_lines(rng, grid, 200, 3)
-    found = solve_jointly(lines, grid, prior, np.zeros((3, 20, 2)), (np.zeros(3), covariance))
+    found = solve_jointly(lines, grid, prior, covariance)
     weights = rng.normal(0, 1, (12, 3, 20))
     flat = np.zeros((12, 123))
     flat[:, :120:2] = weights.reshape(12, 60)
