@@ -24,8 +24,15 @@ _SAMPLES, _LINES = 129, 96
 _MIDDLE_SHARE = 0.94
 #: The rim is clear where its median step is so many times the usual one beside it.
 _CLEAR_TIMES = 4.0
+#: ... and all others at other places are at most this share of it: beside a mirror that is as bright as what is behind
+#: it, targets and shadows have steps as large (0.7 to 1 at a reflectance of 0.7, 0.2 to 0.8 where the rim shows).
+_SECOND_SHARE = 0.8
+#: Samples around the largest step that belong to it.
+_OWN_SAMPLES = 6
 #: Fewest photos that must show a rim clearly.
 _FEWEST = 3
+#: ... at the same place, within this share of the distance from the middle (6 mm; a pixel of 12 mm leaves 2 to 3 mm).
+_ALIKE_SHARE = 2.5e-3
 #: Lines need some contrast to be scaled by it [DN].
 _LEAST_STEP_DN = 1.0
 
@@ -121,7 +128,10 @@ def _step_place(lines_dn: Float32Array, place_m: FloatArray) -> float:
     peak = int(np.argmax(usual))
     if usual[peak] < max(_CLEAR_TIMES * float(np.median(usual)), 0.2) or not 0 < peak < usual.size - 1:
         return float(np.nan)
-    near = np.abs(np.arange(usual.size) - peak) <= 4
+    from_peak = np.abs(np.arange(usual.size) - peak)
+    if usual[from_peak > _OWN_SAMPLES].max() > _SECOND_SHARE * usual[peak]:
+        return float(np.nan)
+    near = from_peak <= 4
     weight = np.where(near, np.maximum(usual - usual[peak] / 4, 0.0), 0.0)
     return float(weight @ middle / weight.sum())
 
@@ -142,7 +152,8 @@ def spans_of(rims_m: FloatArray) -> tuple[Span, Span]:
     places, sigmas = [], []
     for rim in rims_m.T:
         seen = rim[np.isfinite(rim)]
-        if len(seen) < _FEWEST:
+        alike = np.abs(seen - np.median(seen)) < _ALIKE_SHARE * np.abs(seen) if seen.size else np.zeros(0, dtype=bool)
+        if np.count_nonzero(alike) < max(_FEWEST, len(seen) / 2):
             places.append(np.nan)
             sigmas.append(np.inf)
             continue

@@ -49,6 +49,9 @@ def test_focal_length_that_mirror_and_absorber_contradict():
         (Found(1.4842, 5e-4), 1.4900, False),  # 0.4 %, and the absorber is where it belongs: the panels
         (Found(1.4751, 5e-4), 1.4900, True),  # 1 % is more than panels do
         (Found(1.4751, 5e-3), 1.4900, False),  # not known well enough
+        (Found(1.4950, 5e-4), 1.5043, True),  # 0.3 % by panels that are bent, 1 % by the absorber
+        (Found(1.4860, 5e-4), 1.4840, False),  # 0.3 %, and an absorber 6 mm too low
+        (Found(1.4860, 5e-4), 1.5040, False),  # the absorber says the opposite
     ],
 )
 def test_when_the_focal_length_is_doubted(mirror, height, doubted):
@@ -120,8 +123,15 @@ def camera_above(x_m: float) -> tuple[Camera, RigidTransform]:
     return CAMERA, RigidTransform(turn, -turn @ np.array([x_m, 0.0, 12.0]))
 
 
-def drawn_mirror(collector: Collector, view: tuple[Camera, RigidTransform], rng: np.random.Generator) -> np.ndarray:
-    """A bright mirror before dark ground, with dark squares for targets, found pixel by pixel on the parabola."""
+def drawn_mirror(
+    collector: Collector,
+    view: tuple[Camera, RigidTransform],
+    rng: np.random.Generator,
+    *,
+    behind: float = 70.0,
+    plate: float = 0.1,
+) -> np.ndarray:
+    """A bright mirror before dark ground, with dark plates for targets, found pixel by pixel on the parabola."""
     camera, pose = view
     height, width = camera.height_px, camera.width_px
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
@@ -134,9 +144,9 @@ def drawn_mirror(collector: Collector, view: tuple[Camera, RigidTransform], rng:
         reach = eye[2] - np.minimum(x**2 / (4 * collector.focal_length_m), 1.2)
     y = eye[1] + reach * rays[1] / -rays[2]
     bright = (np.abs(x) < collector.aperture_width_m / 2) & (np.abs(y) < collector.length_m / 2)
-    picture = np.where(bright, 190.0, 70.0)
+    picture = np.where(bright, 190.0, behind)
     for place in (-1.2, 0.1, 1.3):
-        picture[(np.abs(np.abs(x) - 2.6) < 0.1) & (np.abs(y - place) < 0.1)] = 10.0
+        picture[(np.abs(np.abs(x) - 2.6) < 0.1) & (np.abs(y - place) < plate)] = 10.0
     return np.clip(picture + rng.normal(0, 2, picture.size), 0, 255).astype(np.uint8).reshape(height, width)
 
 
@@ -165,6 +175,25 @@ def test_no_rim_in_a_photo_without_one(seven):
     grey = np.random.default_rng(1).normal(120, 5, images[0].shape).astype(np.uint8)
     rims = np.array([rims_in_photo(grey, view, SHORT) for view in views])
     assert outline_doubts(*spans_of(rims), SHORT) == ()
+
+
+def test_no_width_from_plates_beside_a_mirror_as_bright_as_what_is_behind_it(seven):
+    """Targets of half a metre leave steps at two places as large as each other, and none at the rim."""
+    _, views = seven
+    images = [drawn_mirror(SHORT, view, np.random.default_rng(5), behind=190.0, plate=0.5) for view in views]
+    rims = np.array([rims_in_photo(image, view, SHORT) for image, view in zip(images, views, strict=True)])
+    across, along = spans_of(rims)
+    assert np.isnan(across.value_m)
+    assert outline_doubts(across, along, SHORT) == ()
+
+
+def test_no_width_from_steps_that_are_elsewhere_in_each_photo():
+    rims = np.tile([-2.5, 2.5, -1.58, 1.58], (7, 1))
+    assert spans_of(rims)[0].value_m == pytest.approx(5.0)
+    rims[:, 1] += np.linspace(0.05, 0.15, 7)
+    across, along = spans_of(rims)
+    assert np.isnan(across.value_m)
+    assert along.value_m == pytest.approx(3.16)
 
 
 def test_share_at_full_scale(seven):
