@@ -8,18 +8,17 @@ axis passes it at b inside as well (Bouguer). Where the absorber is 6 mm off the
 by less than 0.05 mm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.camera import Camera
-from heliogauge.rigid import RigidTransform
-from heliogauge.surfaces import quadric
+from heliogauge.surfaces import Quadric, quadric
 from heliogauge.validate import BoolArray, FloatArray
 from observer.edges import Edges, find_edges
 from observer.glass import turned_rad
-from observer.rectify import rectified_strip
-from observer.reflection import AnyImage, Expectation
+from observer.rectify import Strip, rectified_strip
+from observer.reflection import Expectation, Shot
 from observer.sight import Sights, beside_axis
 from observer.silhouette import level_edges
 from observer.slope_field import IntArray
@@ -110,59 +109,97 @@ def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
     return np.arctan2(x_m - eyes_m[:, 0], eyes_m[:, 2] - z_m)
 
 
-def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransform], expected: Expectation) -> Bearings:
-    """Find the tube itself in one photo.
+def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings]:
+    """Find the tube itself in photos.
 
     Parameters
     ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    photo : int
-        Its number.
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
+    shots : sequence of Shot
+        The photos.
     expected : Expectation
         Collector, where the tube should be, and rows along the trough.
 
     Returns
     -------
-    Bearings
-        One for each row in which both edges were found, away from known supports.
+    list of Bearings
+        Of each photo one for each row in which both edges were found, away from known supports.
+
+    Notes
+    -----
+    Step by step for all photos, as `observer.reflection.reflection_edges`.
     """
-    camera, pose = view
-    eye = pose.inverse().translation_m
+    plane = quadric([0, 0, 0, 0, 0, float(np.mean(expected.absorber.z_m))], name="plane of the focal line")
+    lookouts = [_lookout(one, expected) for one in shots]
+    strips = [None if one is None else _strip(one, plane, expected) for one in lookouts]
+    edges = [None if strip is None else find_edges(strip, oversampling=_OVERSAMPLING) for strip in strips]
+    bearings = []
+    for one, strip, found in zip(lookouts, strips, edges, strict=True):
+        if one is None or strip is None or found is None:
+            bearings.append(_nothing())
+        else:
+            bearings.append(_bearings(one, strip, found, expected))
+    return bearings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lookout:
+    """From where a photo sees the tube: above the plane of the focal line, from what distance, with what pixels.
+
+    ``to_reflection_rad`` is from `_angle_to_reflection`.
+    """
+
+    shot: Shot
+    eye_m: FloatArray
+    height_m: float
+    distance_m: float
+    pixel_rad: float
+    to_reflection_rad: float
+
+
+def _lookout(shot: Shot, expected: Expectation) -> _Lookout | None:
+    """Return from where a photo sees the tube; None where it tells nothing of it."""
+    camera, eye = shot.view[0], shot.eye_m
     collector = expected.collector
-    radius = collector.absorber_diameter_m / 2
     level, middle = float(np.mean(expected.absorber.z_m)), float(np.mean(expected.absorber.x_m))
-    if eye[2] < level + 10 * radius:
+    height = float(eye[2]) - level
+    if height < 5 * collector.absorber_diameter_m:
         # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
-        return _nothing()
+        return None
     to_reflection = _angle_to_reflection(eye, expected)
     if to_reflection <= (0.0 if collector.glass is None else _PRISM_RAD):
         # The tube's reflection is its background; edges of both cannot be told apart.
-        return _nothing()
-    distance = float(np.hypot(eye[0] - middle, eye[2] - level))
-    pixel_rad = 1 / max(camera.focal_x_px, camera.focal_y_px)
-    pixel_m = distance * pixel_rad
-    reach = SEARCH_M + 2.5 * radius * distance / (eye[2] - level)
+        return None
+    distance = float(np.hypot(eye[0] - middle, height))
+    return _Lookout(shot, eye, height, distance, 1 / max(camera.focal_x_px, camera.focal_y_px), to_reflection)
+
+
+def _strip(seen: _Lookout, plane: Quadric, expected: Expectation) -> Strip:
+    """Return the part of the plane of the focal line in which the tube can be, resampled."""
+    middle, slant = float(np.mean(expected.absorber.x_m)), seen.distance_m / seen.height_m
+    reach = SEARCH_M + 1.25 * expected.collector.absorber_diameter_m * slant
+    pixel_m = seen.distance_m * seen.pixel_rad
     # Seen slantwise, a pixel is wider on the plane.
-    step = pixel_m * distance / (eye[2] - level) / _OVERSAMPLING
+    step = pixel_m * slant / _OVERSAMPLING
     x = np.arange(middle - reach, middle + reach + step, step)
-    rows_each = max(1, round(float(expected.y_m[1] - expected.y_m[0]) / pixel_m)) if expected.y_m.size > 1 else 1
-    plane = quadric([0, 0, 0, 0, 0, level], name="plane of the focal line")
-    strip = rectified_strip(image, view, plane, x, expected.y_m, rows_each=rows_each)
-    found = find_edges(strip, oversampling=_OVERSAMPLING)
-    seen = np.arctan2(found.x_m - eye[0], eye[2] - level)
-    first, second = paired_edges(found, seen, eye[2] - level, radius)
-    beside = _BESIDE_PX * pixel_rad + _BESIDE_M / distance
+    y_m = expected.y_m
+    rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
+    return rectified_strip(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
+
+
+def _bearings(one: _Lookout, strip: Strip, found: Edges, expected: Expectation) -> Bearings:
+    """Pair the edges that are the tube's, and say under what angle its axis is seen."""
+    eye, height, distance, collector = one.eye_m, one.height_m, one.distance_m, expected.collector
+    radius, pixel_m = collector.absorber_diameter_m / 2, one.distance_m * one.pixel_rad
+    seen = np.arctan2(found.x_m - eye[0], height)
+    first, second = paired_edges(found, seen, height, radius)
+    beside = _BESIDE_PX * one.pixel_rad + _BESIDE_M / distance
     strength = _strength(found, first, second)
     chosen = _continuous(found.row[first], 0.5 * (seen[first] + seen[second]), strength, beside)
     first, second = first[chosen], second[chosen]
     y = expected.y_m[found.row[first]]
-    height = eye[2] - level
     sigmas = np.stack([found.sigma_x_m[k] * np.cos(seen[k]) ** 2 / height for k in (first, second)])
     angle = 0.5 * (seen[first] + seen[second])
-    if collector.glass is not None and to_reflection < _LARGEST_PRISM_RAD:
+    if collector.glass is not None and one.to_reflection_rad < _LARGEST_PRISM_RAD:
         left, right = found.x_m[first], found.x_m[second]
         glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
         sides = level_edges(strip, found.row[first], 0.5 * (left + right), 0.5 * (right - left), glass, _OVERSAMPLING)
@@ -170,11 +207,10 @@ def tube_bearings(image: AnyImage, photo: int, view: tuple[Camera, RigidTransfor
     wide = 2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first]))
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
     pulled = PULLED_SHARE * np.maximum(np.abs(wide - 2 * radius) - _WIDER_PX * pixel_m, 0) / distance
-    nearness = 2 * turned_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / to_reflection
-    shared = _SHARED_PX * pixel_rad * max(1.0, nearness) ** _NEAR_POWER
-    bearings = Bearings(
-        np.full(first.size, photo, dtype=np.intp), y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared, pulled)
-    )  # fmt: skip
+    nearness = 2 * turned_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / one.to_reflection_rad
+    shared = _SHARED_PX * one.pixel_rad * max(1.0, nearness) ** _NEAR_POWER
+    photo = np.full(first.size, one.shot.number, dtype=np.intp)
+    bearings = Bearings(photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared, pulled))
     return bearings.chosen(np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m))
 
 

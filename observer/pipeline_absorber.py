@@ -23,7 +23,7 @@ from observer.absorber_product import (
 from observer.design import Collector
 from observer.pipeline_headline import absorber_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector
-from observer.reflection import Expectation
+from observer.reflection import Expectation, Shot
 from observer.reflector import Photos
 from photogrammetry import pipeline as photogrammetry_pipeline
 
@@ -136,14 +136,11 @@ def _bearings(
     y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
     expected = Expectation(collector, absorber_start(collector), y)
     names = bundle.problem.observations.photos
-    parts = [
-        tube_bearings(
-            read_luma(files[name]), k, (bundle.cameras[bundle.problem.camera_index[k]], bundle.cam_from_world[k]),
-            expected,
-        )
-        for k, name in enumerate(names)
-        if name in meant
-    ]  # fmt: skip
+    cameras = [bundle.cameras[k] for k in bundle.problem.camera_index]
+    parts = []
+    for k, (name, view) in enumerate(zip(names, zip(cameras, bundle.cam_from_world, strict=True), strict=True)):
+        if name in meant:
+            parts += tube_bearings([Shot(read_luma(files[name]), k, view)], expected)
     if not parts:
         raise EstimationError(
             "absorber: none of its photos shows enough targets to know where it was taken from; see rejected.csv of "

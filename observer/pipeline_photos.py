@@ -23,7 +23,7 @@ from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
 from observer.pipeline_tone import sizes_of, some_of, tone_of
-from observer.reflection import Expectation, ReflectionEdges, joined, reflection_edges
+from observer.reflection import Expectation, ReflectionEdges, Shot, joined, reflection_edges
 from observer.tone import Tone, linear_light
 from photogrammetry.ellipse import Ellipse
 from photogrammetry.network import StartValues
@@ -222,13 +222,13 @@ class _Run:
         """Find what photos show, step by step: what works on all of them in turn stays in the processor's caches."""
         expected = self.finder.expected
         known = [(one, (one.camera, pose)) for one, pose in photos if one.camera is not None and pose is not None]
-        for photo, view in known:
-            self.poses[photo.name] = view[1]
-            self.slices.take(photo.number, photo.image, view, expected.collector)
-        for photo, view in known:
-            self.edges[photo.name] = reflection_edges(photo.image, photo.number, view, expected)
-        for photo, view in known:
-            self.bearings[photo.name] = tube_bearings(photo.image, photo.number, view, expected)
+        shots = [Shot(photo.image, photo.number, view) for photo, view in known]
+        for one in shots:
+            self.slices.take(one.number, one.image, one.view, expected.collector)
+        names = [photo.name for photo, _ in known]
+        self.poses.update(zip(names, [pose for _, (_, pose) in known], strict=True))
+        self.edges.update(zip(names, reflection_edges(shots, expected), strict=True))
+        self.bearings.update(zip(names, tube_bearings(shots, expected), strict=True))
 
     def _searched(self, photo: _Photo) -> RigidTransform | None:
         name, camera = photo.name, photo.camera
@@ -453,10 +453,10 @@ def look_again(
     slices = replace(first.slices, brightness_dn=first.slices.brightness_dn[:, order])
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
-        image, view = finder.read(files[number]), views[number]
-        slices.take(number, image, view, expected.collector)
+        shot = Shot(finder.read(files[number]), number, views[number])
+        slices.take(number, shot.image, shot.view, expected.collector)
         stage.advance()
-        return reflection_edges(image, number, view, expected), tube_bearings(image, number, view, expected)
+        return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]
 
     with progress.stage("find the reflection", len(late)) as stage:
         found = dict(zip(late, _side_by_side(one, late, jobs), strict=True))

@@ -1,5 +1,6 @@
 """The absorber's reflection in one photo: where its two edges lie on the mirror, as far as geometry allows them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,6 +96,30 @@ class Expectation:
     slope_error_rad: float = 12e-3
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A photo of which it is known from where it was taken.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    number : int
+        Its number.
+    view : (Camera, RigidTransform)
+        Its camera and ``cam_from_frame``.
+    """
+
+    image: AnyImage
+    number: int
+    view: tuple[Camera, RigidTransform]
+
+    @property
+    def eye_m(self) -> FloatArray:
+        """Where the camera was, shape (3,) [m]."""
+        return self.view[1].inverse().translation_m
+
+
 def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:
     """Return the edges of many photos in one.
 
@@ -111,37 +136,35 @@ def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:
     return ReflectionEdges(*(np.concatenate([getattr(one, name) for one in parts]) for name in parts[0].__slots__))
 
 
-def reflection_edges(
-    image: AnyImage,
-    photo: int,
-    view: tuple[Camera, RigidTransform],
-    expected: Expectation,
-) -> ReflectionEdges:
-    """Find the edges of the absorber's reflection in one photo.
+def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[ReflectionEdges]:
+    """Find the edges of the absorber's reflection in photos.
 
     Parameters
     ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    photo : int
-        Its number.
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
+    shots : sequence of Shot
+        The photos.
     expected : Expectation
         Collector, absorber and rows.
 
     Returns
     -------
-    ReflectionEdges
-        Edges within the predicted window that neither a panel's edge nor the tube itself spoils.
+    list of ReflectionEdges
+        Of each photo the edges within the predicted window that neither a panel's edge nor the tube itself spoils.
+
+    Notes
+    -----
+    Step by step for all photos: code that has just run is in the processor's caches, where it takes half the time.
     """
-    pixel_m = _pixel_m(view)
-    strip = _strip(image, view, expected, pixel_m)
-    if strip is None:
-        return _nothing()
-    found = find_edges(strip)
-    eye = view[1].inverse().translation_m
-    return _plausible(found, photo, eye, expected, (pixel_m, strip))
+    sizes_m = [_pixel_m(one.view) for one in shots]
+    strips = [_strip(one.image, one.view, expected, size) for one, size in zip(shots, sizes_m, strict=True)]
+    found = [None if strip is None else find_edges(strip) for strip in strips]
+    edges = []
+    for one, size_m, strip, own in zip(shots, sizes_m, strips, found, strict=True):
+        if strip is None or own is None:
+            edges.append(_nothing())
+        else:
+            edges.append(_plausible(own, one.number, one.eye_m, expected, (size_m, strip)))
+    return edges
 
 
 def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation) -> FloatArray:

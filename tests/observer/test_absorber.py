@@ -13,7 +13,7 @@ from observer.absorber_bearings import Bearings, bearing, paired_edges, tube_bea
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, ls2
 from observer.edges import Edges
-from observer.reflection import Expectation
+from observer.reflection import Expectation, Shot
 from observer.reflector import Photos
 from tests.observer.drawn_tube import Axis, drawn_tube, looking
 
@@ -45,7 +45,7 @@ def measured(photos: Photos, axis: Axis, collector: Collector = SHORT, **drawn: 
     parts = []
     for number, pose in enumerate(photos.poses):
         image = drawn_tube((CAMERA, pose), axis, RADIUS_M, **drawn)
-        parts.append(tube_bearings(image, number, (CAMERA, pose), Expectation(collector, start, ROWS_M)))
+        parts += tube_bearings([Shot(image, number, (CAMERA, pose))], Expectation(collector, start, ROWS_M))
     return together(parts)
 
 
@@ -213,7 +213,7 @@ def test_a_stripe_as_wide_as_the_tube_is_not_taken_for_it() -> None:
     image[first:last] = np.minimum(image[first:last], decoy[first:last])
     middle = round(float(ends[2]))
     image[middle - 2 : middle + 2] = decoy[middle - 2 : middle + 2]
-    bearings = tube_bearings(image, 0, view, Expectation(SHORT, start, ROWS_M))
+    [bearings] = tube_bearings([Shot(image, 0, view)], Expectation(SHORT, start, ROWS_M))
     true = bearing(np.zeros(1), np.full(1, 1.49), pose.inverse().translation_m[None])[0]
     # 7.5 m away, the stripe 40 mm beside: rows that show a little of both are off by 2 mm, and fewer rows are missing
     # than were disturbed.
@@ -241,4 +241,4 @@ def test_photos_whose_camera_is_no_higher_than_the_tube_give_nothing() -> None:
     pose = looking(np.array([6.0, 0.0, 1.5]), np.array([0.0, 0.0, 1.49]))
     image = np.zeros((CAMERA.height_px, CAMERA.width_px), dtype=np.uint8)
     expected = Expectation(SHORT, AbsorberPath.straight(0.0, 1.49, 0.8), ROWS_M)
-    assert tube_bearings(image, 0, (CAMERA, pose), expected).y_m.size == 0
+    assert tube_bearings([Shot(image, 0, (CAMERA, pose))], expected)[0].y_m.size == 0
