@@ -39,6 +39,9 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
     ]
     sources: list[str] = []
     coefficients = []
+    # Where no edge is near, as behind supports, nothing hangs on cameras and absorber: the modes do not go on there.
+    noise = errors.random[errors.mode_rows][:, columns, 0, 0]
+    weight = 1 / np.sqrt(noise + np.median(noise))
     for source, modes, at_y in parts:
         if modes.shape[0] == 0:
             continue
@@ -48,7 +51,8 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
         terms = monomials(u, v, _DEGREE).reshape(-1, u.size)
         allowed = np.array([j <= degree for n in range(_DEGREE + 1) for j in range(n + 1)])
         fitted = np.zeros((modes.shape[0], 2, terms.shape[0]))
-        fitted[:, 0, allowed] = np.linalg.lstsq(terms[allowed].T, modes.reshape(len(modes), -1).T, rcond=None)[0].T
+        weighted = (terms[allowed] * weight.ravel()).T, (modes * weight).reshape(len(modes), -1).T
+        fitted[:, 0, allowed] = np.linalg.lstsq(*weighted, rcond=None)[0].T
         coefficients.append(fitted)
         sources += [source] * len(modes)
     whole = errors.shared[..., 0]
