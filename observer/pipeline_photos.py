@@ -26,6 +26,7 @@ from observer.pipeline_tone import sizes_of, some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, Shot, joined, reflection_edges
 from observer.tone import Tone, linear_light
 from photogrammetry.ellipse import Ellipse
+from photogrammetry.mirrored_codes import refuse_mirrored_codes
 from photogrammetry.network import StartValues
 from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.pipeline_cameras import build_cameras
@@ -333,7 +334,7 @@ def look_first_at_each(
     Raises
     ------
     InputError
-        A photo cannot be read.
+        A photo cannot be read, or its codes are mirrored.
     """
     slices = [empty_slices(one.expected.collector, one.expected.y_m, len(files)) for one in finders]
     names = tuple(file.name for file in files)
@@ -364,6 +365,9 @@ def look_first_at_each(
             return runs
 
         found = _side_by_side(some, first, jobs)
+    if leader.search.dictionary is not None:
+        read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
+        refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
     return [_put_together(names, runs, own, tone) for runs, own in zip(zip(*found, strict=True), slices, strict=True)]
 
 
