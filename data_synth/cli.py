@@ -167,9 +167,9 @@ def trough(
     preset: Annotated[
         str,
         typer.Option(
-            help="Scene: small (24 photos of a short piece), ls2 (100 photos of 2 megapixel), ls2-long (longitudinal "
-            "errors too), ls2-two-passes, displaced, sag, clouds, ground, mast, turning (before a fixed camera), "
-            "absorber (two photos from the sides)."
+            help="Scene: small (24 photos of a short piece), flight (two such pieces in one flight), ls2 (100 photos "
+            "of 2 megapixel), ls2-long (longitudinal errors too), ls2-two-passes, displaced, sag, clouds, ground, "
+            "mast, turning (before a fixed camera), absorber (two photos from the sides)."
         ),
     ] = "small",
     seed: Annotated[

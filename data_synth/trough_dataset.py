@@ -16,6 +16,7 @@ from data_synth.mirror import transform_to_json
 from data_synth.sensor import UnsignedArray
 from data_synth.surface_errors import SurfaceErrors
 from data_synth.target_dataset import TRUE_POINTS_FILE
+from data_synth.trough_field import single_of
 from data_synth.trough_mirror import SlopeGrid, TroughMirror
 from data_synth.trough_photo import Photographer, PhotoPoints
 from data_synth.trough_presets import DISTANCE_SIGMA_M, UNCODED
@@ -38,6 +39,8 @@ TARGETS_FILE = "targets.csv"
 UNCODED_FILE = "uncoded.csv"
 #: Step of the maps of the truth.
 _MAP_STEP_M = 0.02
+#: Truths of several troughs, a folder for each, in its own frame; beside it the first one's in the common frame.
+TRUTHS_FOLDER = "truth"
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 
 
@@ -225,7 +228,10 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
     }
     if purposes == {"reflection", "absorber"}:
         content["absorber"] = {"photos": photos["absorber"]}
-    content["scale_bar"] = _long_distances(scene)
+    if scene.troughs:
+        content["module"] = [{"name": one.name, "place_m": one.place_m.tolist()} for one in scene.troughs]
+    else:
+        content["scale_bar"] = _long_distances(scene)
     if not scene.world.mirror.is_shaped:
         # Its normals are turned on the design's surface: heights from its slopes would be of another mirror.
         content["evaluation"] = {"shape_from_slopes": False}
@@ -320,6 +326,13 @@ def _write_truth(working: Path, scene: TroughScene, photographer: Photographer, 
     write_json(working / TRUTH_FILE, {**trough_to_json(scene, suffix), "seed": seed})
     arrays: Mapping[str, Any] = truth_arrays(scene)
     np.savez_compressed(working / TRUTH_ARRAYS_FILE, **arrays)
+    for trough in scene.troughs:
+        folder = working / TRUTHS_FOLDER / trough.name
+        folder.mkdir(parents=True)
+        own = single_of(scene, trough)
+        write_json(folder / TRUTH_FILE, {**trough_to_json(own, suffix), "seed": seed})
+        maps: Mapping[str, Any] = truth_arrays(own)
+        np.savez_compressed(folder / TRUTH_ARRAYS_FILE, **maps)
 
 
 def truth_arrays(scene: TroughScene) -> dict[str, FloatArray]:

@@ -83,6 +83,33 @@ def straight_pass(
     )
 
 
+def level_pass(
+    camera: PinholeCamera, *, n_photos: int, from_x_m: float, to_x_m: float, height_m: float = 12.0
+) -> tuple[TroughView, ...]:
+    """Fly straight across several rows of troughs, looking straight down all the time.
+
+    Parameters
+    ----------
+    camera : PinholeCamera
+        The camera.
+    n_photos : int
+        Number of photos, evenly spaced.
+    from_x_m, to_x_m : float
+        Where the pass begins and ends [m].
+    height_m : float, optional
+        Height of the camera above the vertices [m].
+
+    Returns
+    -------
+    tuple of TroughView
+        The photos.
+    """
+    return numbered(
+        TroughView("", camera, look_at_trough(np.array([x, 0.0, height_m]), np.array([x, 0.0, 0.0])))
+        for x in np.linspace(from_x_m, to_x_m, n_photos)
+    )
+
+
 def several_passes(
     camera: PinholeCamera, y_m: tuple[float, ...], *, n_photos: int, height_m: float = 15.0, reach_m: float = 3.0
 ) -> tuple[TroughView, ...]:

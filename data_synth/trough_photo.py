@@ -12,6 +12,7 @@ from data_synth.pinhole import PinholeCamera
 from data_synth.sensor import UnsignedArray
 from data_synth.sheets import Sheet
 from data_synth.target_scene import STEEPEST_RAD, sheet_points
+from data_synth.trough_field import FieldTracer
 from data_synth.trough_mirror import RayArray, Rays
 from data_synth.trough_scene import TroughScene, TroughView
 from data_synth.trough_trace import Labels, Seen, Tracer
@@ -67,7 +68,7 @@ class Photographer:
         lattice = np.stack([(np.arange(n) + 0.5) / n, np.arange(n) * step / n % 1.0])
         self._lattice: RayArray = lattice.astype(dtype)
         self._corners = _corner_directions(scene.camera, dtype)
-        tracer = Tracer(scene.world, dtype)
+        tracer = FieldTracer(scene.troughs, dtype) if scene.troughs else Tracer(scene.world, dtype)
         self._tracers = {
             view.orientation_deg: tracer.turned(scene.surroundings_of(view))
             for view in {view.orientation_deg: view for view in scene.views}.values()
@@ -161,7 +162,7 @@ class Photographer:
         tracer = self._tracers[view.orientation_deg]
         return not bool(tracer.hides(view.position_m, sheet.outline_m).any())
 
-    def _look_at_corners(self, tracer: Tracer, rows: "_RowPoses") -> tuple[Float32Array, Labels]:
+    def _look_at_corners(self, tracer: Tracer | FieldTracer, rows: "_RowPoses") -> tuple[Float32Array, Labels]:
         x, y = self._corners
         light, label = np.empty(x.shape, dtype=np.float32), np.empty(x.shape, dtype=np.int32)
         step = max(_BLOCK_RAYS // x.shape[1], 1)
@@ -174,7 +175,7 @@ class Photographer:
         return light, label
 
     def _crossed_cells(
-        self, tracer: Tracer, rows: "_RowPoses", cells: Float32Array, pixels: tuple[Indices, Indices]
+        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", cells: Float32Array, pixels: tuple[Indices, Indices]
     ) -> tuple[Indices, Indices, Indices, Indices]:
         """Look at the corners of all cells of some pixels, fill in even cells and return where the others are."""
         n = self._cells + 1
@@ -194,7 +195,7 @@ class Photographer:
         return tuple(np.concatenate([none, *axes]) for axes in zip(*found, strict=True)) if found else (none,) * 4  # type: ignore[return-value]
 
     def _look_into(
-        self, tracer: Tracer, rows: "_RowPoses", where: tuple[Indices, ...], rng: np.random.Generator
+        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", where: tuple[Indices, ...], rng: np.random.Generator
     ) -> Float32Array:
         """Return the mean light of cells, by row of the pixel, row within it, column, column within it, shape (n,)."""
         row, down, column, right = where

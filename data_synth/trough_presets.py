@@ -1,6 +1,5 @@
 """Ready scenes of troughs: an LS-2 from a drone with slope errors, displaced or sagging absorber, clouds, ground."""
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,10 +9,19 @@ from data_synth.markers import marker_print
 from data_synth.pinhole import PinholeCamera
 from data_synth.prints import DotPrint, Print, RingPrint
 from data_synth.sheets import Sheet
-from data_synth.surface_errors import Ripple, SurfaceErrors
 from data_synth.target_scene import sheet_points
-from data_synth.trough_mirror import PanelErrors, TroughMirror
-from data_synth.trough_paths import absorber_pair, mast_pass, several_passes, straight_pass, turning_collector, wobbling
+from data_synth.trough_errors import random_mirror
+from data_synth.trough_field import field_of
+from data_synth.trough_mirror import TroughMirror
+from data_synth.trough_paths import (
+    absorber_pair,
+    level_pass,
+    mast_pass,
+    several_passes,
+    straight_pass,
+    turning_collector,
+    wobbling,
+)
 from data_synth.trough_receiver import Receiver, TubeAxis
 from data_synth.trough_scene import ListedTarget, Optics, TroughScene, TroughView, world_of
 from data_synth.trough_surroundings import Ground, Sky, Surroundings
@@ -28,6 +36,10 @@ VIDEO_CAMERA = PinholeCamera(1920, 1080, 1 / 4.2e-4, 1 / 4.2e-4, 959.5, 539.5)
 #: Nikon D300 with 20 mm: 4288 x 2848, 5.5 um (Owkes 2012, sec. 7.4).
 D300_CAMERA = PinholeCamera(4288, 2848, 20e-3 / 5.5e-6, 20e-3 / 5.5e-6, 2143.5, 1423.5)
 SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 241.0, 318.0, -0.06, 0.03)
+#: It looks straight down and sees 11 m across from 12 m.
+FLIGHT_CAMERA = PinholeCamera(480, 960, 1030.0, 1030.0, 241.0, 477.0, -0.06, 0.03)
+#: Distance of the rows of a field that is photographed in one flight [m].
+ROW_STEP_M = 7.0
 
 #: Stands for plain dots in the place of a dictionary.
 UNCODED = "circles"
@@ -90,6 +102,8 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
     chosen = TroughChoice() if choice is None else choice
     scene = _PRESETS[preset](chosen, np.random.default_rng([chosen.seed, 5]))
+    if scene.troughs and (chosen.orientation_deg is not None or chosen.n_ground_targets):
+        raise InputError(f"preset {preset!r}: several troughs; leave orientation and ground targets out")
     wants_orientation = chosen.orientation_deg is not None or chosen.n_ground_targets > 0
     if wants_orientation and any(view.orientation_deg is not None for view in scene.views):
         raise InputError(
@@ -152,7 +166,7 @@ def equal_arcs(collector: Collector, n: int) -> FloatArray:
 
 
 def rim_targets(
-    collector: Collector, dictionary: str, diameter_m: float, rng: np.random.Generator, *, n: int = 12
+    collector: Collector, dictionary: str, diameter_m: float, rng: np.random.Generator, *, n: int = 12, first: int = 0
 ) -> tuple[tuple[Sheet, ...], tuple[ListedTarget, ...]]:
     """Put targets along both rims, facing up, about where the list says.
 
@@ -168,6 +182,8 @@ def rim_targets(
         Draws how far each is from its listed place, its turn and tilt.
     n : int, optional
         Number of targets, even.
+    first : int, optional
+        Number of the first one.
 
     Returns
     -------
@@ -175,7 +191,7 @@ def rim_targets(
         The sheets and the list.
     """
     places = []
-    prints = target_prints(dictionary, diameter_m, n)
+    prints = target_prints(dictionary, diameter_m, n, first)
     reach = max(figure.half_size_m[0] for _, figure in prints)
     across = collector.aperture_width_m / 2 + reach + 0.03
     along = collector.length_m / 2 - reach
@@ -269,95 +285,6 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
     return [(code.name, RingPrint(code, diameter_m)) for code in codes[first : first + n]]
 
 
-def random_mirror(
-    collector: Collector,
-    rng: np.random.Generator,
-    *,
-    transverse_rad: float = 3e-3,
-    longitudinal_rad: float = 0.0,
-    is_shaped: bool = False,
-) -> TroughMirror:
-    """Return a mirror with tilted and bent panels and waves over all of them.
-
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    rng : numpy.random.Generator
-        Draws the errors.
-    transverse_rad : float, optional
-        RMS of theta_r over the aperture [rad].
-    longitudinal_rad : float, optional
-        RMS of the longitudinal slope error [rad].
-    is_shaped : bool, optional
-        Whether the surface deviates as the slopes say. Its waves then run across and along, because a surface that
-        waves in other directions has both slopes; each panel's mean height is the design's.
-
-    Returns
-    -------
-    TroughMirror
-        The mirror.
-    """
-    n = TroughMirror(collector).n_panels
-    across, along = _waves(rng, 7), _waves(rng, 7)
-    if is_shaped:
-        across, along = _directed(across, 0.0), _directed(along, np.pi / 2)
-    tilt_x, tilt_y, bend = rng.standard_normal((3, n)) * np.array([[1.0], [0.6], [1.3]])
-    x, y = np.meshgrid(
-        np.linspace(-0.5, 0.5, 301) * collector.aperture_width_m, np.linspace(-0.5, 0.5, 401) * collector.length_m
-    )
-    scale_x, scale_y = 1e-3 * transverse_rad / 3e-3, 1e-3 * (longitudinal_rad > 0)
-    mirror = TroughMirror(collector)
-    # theta_r is not quite linear in the slope; the third round changes nothing any more.
-    for _ in range(3):
-        focal = 1 / (1 / collector.focal_length_m + 2 * scale_x * bend)
-        waves = (_scaled(across, scale_x), _scaled(along, scale_y))
-        panels = PanelErrors(scale_x * tilt_x, scale_y * tilt_y, focal)
-        if is_shaped:
-            mirror = _at_mean_height(TroughMirror(collector, _joined(*waves), panels=panels, is_shaped=True))
-        else:
-            mirror = TroughMirror(collector, transverse=waves[0], longitudinal=waves[1], panels=panels)
-        scale_x *= transverse_rad / float(np.sqrt(np.nanmean(mirror.theta_r_rad(x, y) ** 2)))
-        if longitudinal_rad:
-            scale_y *= longitudinal_rad / float(np.sqrt(np.nanmean(mirror.deviation(x, y)[2] ** 2)))
-    return mirror
-
-
-def _waves(rng: np.random.Generator, n: int) -> tuple[Ripple, ...]:
-    """Draw waves of 0.5 to 3 m in all directions, of about slope 1 at 1 m and less where shorter."""
-    waves = []
-    for period in np.exp(rng.uniform(np.log(0.5), np.log(3.0), n)):
-        amplitude = float(rng.uniform(0.7, 1.3) * np.sqrt(period))
-        waves.append(Ripple(amplitude, float(period), float(rng.uniform(0, np.pi)), float(rng.uniform(0, 2 * np.pi))))
-    return tuple(waves)
-
-
-def _directed(waves: tuple[Ripple, ...], direction_rad: float) -> tuple[Ripple, ...]:
-    return tuple(replace(wave, direction_rad=direction_rad) for wave in waves)
-
-
-def _joined(first: SurfaceErrors, second: SurfaceErrors) -> SurfaceErrors:
-    return SurfaceErrors((*first.terms, *second.terms))
-
-
-def _at_mean_height(mirror: TroughMirror) -> TroughMirror:
-    """Lift or lower each panel of a shaped mirror so that its mean height is the design's."""
-    design = mirror.collector
-    lift = []
-    for first_y, last_y in itertools.pairwise(design.panel_edges_y_m):
-        for first_x, last_x in itertools.pairwise(design.panel_edges_x_m):
-            x, y = np.meshgrid(np.linspace(first_x, last_x, 61)[1:-1], np.linspace(first_y, last_y, 61)[1:-1])
-            lift.append(-float(np.nanmean(mirror.deviation(x, y)[0])))
-    panels = mirror.panels
-    return mirror if panels is None else replace(mirror, panels=replace(panels, height_m=np.array(lift)))
-
-
-def _scaled(waves: tuple[Ripple, ...], factor: float) -> SurfaceErrors:
-    if not factor:
-        return SurfaceErrors()
-    return SurfaceErrors(tuple(replace(wave, slope_amplitude_rad=wave.slope_amplitude_rad * factor) for wave in waves))
-
-
 def _drone(choice: TroughChoice, rng: np.random.Generator, usual: int = 100) -> tuple[TroughView, ...]:
     n = usual if choice.n_photos is None else choice.n_photos
     return wobbling(straight_pass(VIDEO_CAMERA, n_photos=n), rng)
@@ -372,15 +299,39 @@ def _scene(
 
 def _small(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw 24 photos of a short piece of an LS-2 with 2 by 4 panels, for quick tests."""
-    ends = np.array([-1.58, 0.0, 1.58])
-    collector = replace(ls2_panelled(), length_m=3.16, panel_edges_y_m=ends, support_y_m=ends[::2])
     n = 24 if choice.n_photos is None else choice.n_photos
     views = wobbling(straight_pass(SMALL_CAMERA, n_photos=n, height_m=12.0, reach_m=2.9), rng, position_m=0.05)
+    return _short_ls2(views, choice, rng)
+
+
+def _short_ls2(
+    views: tuple[TroughView, ...], choice: TroughChoice, rng: np.random.Generator, first: int = 0
+) -> TroughScene:
+    ends = np.array([-1.58, 0.0, 1.58])
+    collector = replace(ls2_panelled(), length_m=3.16, panel_edges_y_m=ends, support_y_m=ends[::2])
     mirror = random_mirror(collector, rng, is_shaped=choice.is_shaped)
-    sheets, targets = rim_targets(collector, choice.dictionary, 0.09, rng)
+    sheets, targets = rim_targets(collector, choice.dictionary, 0.09, rng, first=first)
     return TroughScene(
         "short LS-2", world_of(mirror), views, sheets, targets, dictionary=choice.dictionary, target_diameter_m=0.09
     )
+
+
+def _flight(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw one flight over two short pieces of LS-2 in rows 7 m apart, the second one with its tube too low."""
+    n = 64 if choice.n_photos is None else choice.n_photos
+    views = wobbling(level_pass(FLIGHT_CAMERA, n_photos=n, from_x_m=-2.9, to_x_m=ROW_STEP_M + 2.9), rng,
+                     position_m=0.05)  # fmt: skip
+    rows = []
+    for number, name in enumerate(("row-1", "row-2")):
+        scene = _short_ls2(views, choice, rng, first=12 * number)
+        world = scene.world
+        if number == 1:
+            world = replace(world, receiver=Receiver(scene.collector, TubeAxis.straight(2e-3, -4e-3)))
+        # The pattern of the ground goes on from row to row.
+        around = replace(world.surroundings, ground=Ground(size_m=ROW_STEP_M))
+        scene = replace(scene, world=replace(world, surroundings=around))
+        rows.append((name, np.array([number * ROW_STEP_M, 0.0, 0.0]), scene))
+    return field_of("two rows in one flight", tuple(rows), views)
 
 
 def _ls2(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
@@ -480,6 +431,7 @@ def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
 
 _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] = {
     "small": _small,
+    "flight": _flight,
     "ls2": _ls2,
     "ls2-long": _ls2_long,
     "ls2-two-passes": _ls2_two_passes,

@@ -186,8 +186,30 @@ class Optics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PlacedTrough:
+    """A trough among others.
+
+    Parameters
+    ----------
+    name : str
+        The trough.
+    world : TroughWorld
+        Collector and surroundings.
+    place_m : array_like, shape (3,)
+        Its origin in the common frame, to whose axes its own are parallel [m].
+    """
+
+    name: str
+    world: TroughWorld
+    place_m: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place_m", float_array(f"trough {self.name} place_m", self.place_m, (3,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TroughScene:
-    """A trough and the photos of it.
+    """A trough, or several, and the photos of it.
 
     Parameters
     ----------
@@ -207,6 +229,8 @@ class TroughScene:
         Name of the targets' dictionary, or ``circles``.
     target_diameter_m : float, optional
         Diameter of the dots, or side of square markers [m].
+    troughs : tuple of PlacedTrough, optional
+        Several troughs in one frame, that of views, sheets and targets; `world` is then the first one's.
 
     Raises
     ------
@@ -222,6 +246,7 @@ class TroughScene:
     optics: Optics = field(default_factory=Optics)
     dictionary: str = "aicon-12"
     target_diameter_m: float = 0.06
+    troughs: tuple[PlacedTrough, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.views:
@@ -314,7 +339,14 @@ class TroughScene:
         -------
         TroughScene
             The scene.
+
+        Raises
+        ------
+        InputError
+            Several troughs.
         """
+        if self.troughs:
+            raise InputError(f"scene {self.name}: one map of slopes for {len(self.troughs)} troughs")
         return replace(
             self, world=replace(self.world, mirror=TroughMirror(self.collector, errors=SurfaceErrors((slopes,))))
         )
