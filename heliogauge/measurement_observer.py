@@ -1,15 +1,16 @@
 """What measurement.toml of ``kind = "observer"`` may say."""
 
 import datetime
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from heliogauge.measurement_models import ImageFiles, Number, Positive, Section, Sigma, Text
 from heliogauge.measurement_network_camera import CameraSections, NetworkCameraSection
-from heliogauge.measurement_photogrammetry import DistanceSection, ScaleBarSection
+from heliogauge.measurement_photogrammetry import CoordinateSection, DistanceSection, ScaleBarSection
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.video_names import video_of
 
@@ -36,6 +37,27 @@ class TroughSection(Section):
         if (self.glass_outer_diameter_mm is None) != (self.glass_inner_diameter_mm is None):
             raise ValueError("glass_outer_diameter_mm and glass_inner_diameter_mm belong together")
         return self
+
+
+class ModuleSection(Section):
+    """One of several collectors in the same photos: where it is, what targets it has, how it differs from the others.
+
+    ``place_m`` is its origin in the frame of the common list of targets, ``turn_deg`` its turn there by the right hand
+    about +y; with a list of its own, which is in its own frame, they are for pictures only.
+    """
+
+    name: Text
+    place_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    turn_deg: Number = 0.0
+    targets_file: Text | None = None
+    collector: TroughSection | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _folder_name(cls, name: str) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name):
+            raise ValueError("letters, digits, - and _ are needed: the module's results get a folder of this name")
+        return name
 
 
 class PassSection(Section):
@@ -141,6 +163,19 @@ class ObserverModel(Section):
     sun: SunSection = SunSection()
     optics: OpticsSection = OpticsSection()
     evaluation: ObserverEvaluationSection = ObserverEvaluationSection()
+    module: tuple[ModuleSection, ...] = ()
+
+    @model_validator(mode="after")
+    def _several_modules(self) -> Self:
+        names = [one.name.lower() for one in self.module]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"module: the name {twice[0]} occurs twice; each module gets a folder of its name")
+        if self.module and (self.targets.dictionary is None or self.targets.tracked_from is not None):
+            raise ValueError("module: several modules are told apart by coded targets; give targets a dictionary")
+        if self.module and (self.absorber.file is not None or self.absorber.photos is not None):
+            raise ValueError("module: the absorbers of several modules are found in the common photos, or as designed")
+        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +194,8 @@ class ObserverMeasurement:
         Photos that are taken for the absorber's position alone.
     doubts : tuple of str, optional
         What is wrong with a video and was got round.
+    coordinates : tuple of CoordinateSection or None, optional
+        Known coordinates of targets in the trough's frame; None: as the list has them.
     """
 
     folder: Path
@@ -166,11 +203,15 @@ class ObserverMeasurement:
     photo_files: tuple[Path, ...]
     absorber_files: tuple[Path, ...]
     doubts: tuple[str, ...] = ()
+    coordinates: tuple[CoordinateSection, ...] | None = None
 
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         model = self.model
         named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
+        named += [one.targets_file for one in model.module]
+        if model.module and all(one.targets_file for one in model.module):
+            named.remove(model.targets.file)
         own = (self.folder / "measurement.toml", *(self.folder / name for name in named if name))
         return (*own, *dict.fromkeys(video_of(file) for file in (*self.photo_files, *self.absorber_files)))

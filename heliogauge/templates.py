@@ -406,6 +406,14 @@ file = "targets.csv"
 #: length_m = 7.52
 #: sigma_mm = 3.0
 
+# Several collectors in the same photos: a table for each; its results get a folder of its name, beside one overview.
+#: [[module]]
+#: name = "row-1"
+#: place_m = [0.0, 0.0, 0.0]    # its origin in the frame of the list of targets
+#: turn_deg = 0.0               # its turn there, right-handed about +y
+#: targets_file = "row-1.csv"   # instead: a list of its own, in its own frame
+#: [module.collector]           # where it is built otherwise: all keys of [collector]
+
 # Where the absorber is: measured in the same photos (default), in photos of its own, read, or taken from the design.
 #: [absorber]
 #: source = "photos"            # or "file" with file = "absorber.csv", or "design"

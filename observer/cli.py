@@ -32,22 +32,33 @@ def run_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Evaluate a measurement folder: slope_map.nc, angles.nc, absorber.csv, summary.json, report.html."""
+    """Evaluate a measurement folder: slope_map.nc, angles.nc, absorber.csv, summary.json, report.html.
+
+    A folder that names several modules gives a folder of results for each, and an overview.
+    """
     from heliogauge.measurement import load_observer
+    from heliogauge.report import build_report
+    from heliogauge.store import ResultFolder
     from heliogauge.terminal import terminal_progress
+    from observer import pipeline_modules, pipeline_overview
     from observer.pipeline import Options, run, summarise, write
     from observer.pipeline_headline import headline_text
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
-        out,
-        lambda: run(load_observer(folder), Options(jobs=jobs), progress),
-        write,
-        force=force,
-        progress=progress,
-        report=not no_report,
-    )
-    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+    progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
+    with ResultFolder(out, force=force) as working:
+        measurement = load_observer(folder)
+        if measurement.model.module:
+            flight = pipeline_modules.run(measurement, working, options, progress, report=not no_report)
+            warnings, said = flight.all_warnings, pipeline_overview.headline_text(flight)
+        else:
+            result = run(measurement, options, progress)
+            with progress.stage("write results"):
+                write(result, working)
+            if not no_report:
+                with progress.stage("report"):
+                    build_report(working)
+            warnings, said = result.warnings, headline_text(summarise(result))
+    tell(warnings, lambda: said, f"results: {out}", quiet=quiet)
 
 
 @app.command("align")
@@ -74,12 +85,13 @@ def overview_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT RESULT ...", help="Results of the modules.")],
     out: OutFolder,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
 ) -> None:
-    """Put the results of several modules, as of one flight over a field, into one table: overview.csv."""
+    """Put the results of several modules beside each other: overview.csv, report.html."""
     from observer.pipeline_overview import headline_text, run, write
 
-    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress())
+    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 

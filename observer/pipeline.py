@@ -8,12 +8,14 @@ import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError
+from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap
 from heliogauge.store import Summary, hash_files, write_cameras_json, write_points_csv, write_summary, write_table_csv
 from heliogauge.store_slope_map import write_slope_map
+from heliogauge.sun_shapes import SunShape
 from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
@@ -30,7 +32,14 @@ from observer.pipeline_headline import (
     surface_numbers,
     surface_text,
 )
-from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector, known_targets, read_absorber
+from observer.pipeline_inputs import (
+    absorber_start,
+    as_photogrammetry,
+    build_collector,
+    known_targets,
+    photos_with_poses,
+    read_absorber,
+)
 from observer.pipeline_intercept import (
     InterceptResult,
     build_sun,
@@ -38,7 +47,7 @@ from observer.pipeline_intercept import (
     intercept_numbers,
     write_intercept,
 )
-from observer.pipeline_photos import SeenInPhotos, build_finder, look_again, look_first
+from observer.pipeline_photos import Finder, FirstLook, SeenInPhotos, build_finder, look_again, look_first
 from observer.pipeline_slices import Overlay, overlay
 from observer.reflection import Expectation
 from observer.reflector import Photos, Reflector, solve_reflector
@@ -137,13 +146,35 @@ class Result:
     input_sha256: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """What is known before the photos are read.
+
+    Parameters
+    ----------
+    collector : Collector
+        The design.
+    sun : SunShape
+        What shines.
+    survey : PhotogrammetryMeasurement
+        The photo network.
+    finder : Finder
+        What is looked for in each photo.
+    """
+
+    collector: Collector
+    sun: SunShape
+    survey: PhotogrammetryMeasurement
+    finder: Finder
+
+
 def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Evaluate a measurement.
 
     Parameters
     ----------
     measurement : ObserverMeasurement
-        From `heliogauge.measurement.load_observer`.
+        From `heliogauge.measurement.load_observer`; of a single collector.
     options : Options, optional
         Choices.
     progress : Progress, optional
@@ -157,26 +188,86 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     Raises
     ------
     InputError
-        Photos, targets or camera that cannot be used.
+        Photos, targets or camera that cannot be used, or several modules.
     EstimationError
         The photos do not hang together, or too little of the reflection is seen.
     """
     options, progress = options or Options(), progress or SilentProgress()
-    model = measurement.model
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
+    prepared = prepare(measurement)
+    first = look_first(prepared.survey.photo_files, prepared.finder, jobs=options.jobs, progress=progress)
+    return replace(evaluate(measurement, prepared, first, options, progress), input_sha256=hashes)
+
+
+def prepare(measurement: ObserverMeasurement) -> Prepared:
+    """Check a measurement and say what is looked for in its photos.
+
+    Parameters
+    ----------
+    measurement : ObserverMeasurement
+        Of a single collector.
+
+    Returns
+    -------
+    Prepared
+        Collector, sun, photo network and what is looked for.
+
+    Raises
+    ------
+    InputError
+        Targets, camera or dimensions that cannot be used.
+    """
+    model = measurement.model
     collector = build_collector(model.collector)
     sun = build_sun(model.sun, measurement.folder)
-    start = absorber_start(collector)
     step = 1e-3 * model.evaluation.row_step_mm
     rows = max(2, round(collector.length_m / step))
     y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
-    expected = Expectation(collector, start, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
+    largest_rad = 1e-3 * model.evaluation.largest_slope_error_mrad
     survey = as_photogrammetry(measurement)
-    finder = build_finder(survey, known_targets(survey), expected)
+    finder = build_finder(
+        survey, known_targets(survey), Expectation(collector, absorber_start(collector), y, largest_rad)
+    )
     if model.images.encoding != "auto":
         finder = replace(finder, tone=Tone(model.images.encoding))
-    first = look_first(survey.photo_files, finder, jobs=options.jobs, progress=progress)
+    return Prepared(collector, sun, survey, finder)
+
+
+def evaluate(
+    measurement: ObserverMeasurement, prepared: Prepared, first: FirstLook, options: Options, progress: Progress
+) -> Result:
+    """Solve for cameras, mirror and absorber from what was found in the photos.
+
+    Parameters
+    ----------
+    measurement : ObserverMeasurement
+        The measurement.
+    prepared : Prepared
+        From `prepare`.
+    first : FirstLook
+        What was found when the photos were read.
+    options : Options
+        Choices.
+    progress : Progress
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Slope errors, absorber and cameras; without the hashes of the inputs.
+
+    Raises
+    ------
+    InputError
+        Photos that cannot be used.
+    EstimationError
+        The photos do not hang together, or too little of the reflection is seen.
+    """
+    model, collector, finder = measurement.model, prepared.collector, prepared.finder
+    survey, first, left_out = photos_with_poses(prepared.survey, first, finder.known)
+    expected = finder.expected
+    y = expected.y_m
     network = photogrammetry_pipeline.run(
         survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
         measured=gathered(first.targets) if first.targets else None, start=first.start,
@@ -203,7 +294,9 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
             raise EstimationError(f"reflection: {sparse_doubt(0.0, photos.eyes_m)}")
         angles = angle_maps(slope_map, absorber, collector)
     with progress.stage("intercept factor"):
-        intercept = evaluate_intercept(sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance())
+        intercept = evaluate_intercept(
+            prepared.sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance()
+        )
     with progress.stage("picture"):
         clearest = _clearest_photo(seen, reflector)
         tubes = (absorber_start(collector), absorber)
@@ -220,13 +313,13 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     shadows = unchecked_doubt(reflector.fate)
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
     shape = shape_doubt(reflector.shape, model.evaluation.shape_from_slopes, usual_sigma)
-    said = (*measurement.doubts, *design, *absorber_doubts, coverage, slanting, shape, shadows)
+    said = (*measurement.doubts, left_out, *design, *absorber_doubts, coverage, slanting, shape, shadows)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
         model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,
         intercept, photos, picture, (*network.warnings, *doubts, *intercept.warnings),
-        dict(progress.durations_s), hashes,
+        dict(progress.durations_s),
     )  # fmt: skip
 
 

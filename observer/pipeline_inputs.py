@@ -1,5 +1,6 @@
 """From what measurement.toml says to a collector, a list of targets and a start for the absorber."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -19,11 +20,14 @@ from heliogauge.store_tables import read_table_csv
 from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube
+from observer.module_targets import spans_an_area
+from observer.pipeline_photos import FirstLook
+from photogrammetry.resection import LEAST_TARGETS
 from photogrammetry.target_following import KnownTargets
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1
-_AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
 
 
 def build_collector(section: TroughSection) -> Collector:
@@ -77,7 +81,7 @@ def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
     """
     table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
     one_for_all = "sigma_mm" in table
-    wanted = ["sigma_mm"] if one_for_all else [f"sigma_{axis}_mm" for axis in _AXES]
+    wanted = ["sigma_mm"] if one_for_all else [f"sigma_{axis}_mm" for axis in AXES]
     missing = [name for name in wanted if name not in table]
     if missing:
         raise InputError(f"{path}: there is no column {', '.join(missing)}; say how well the coordinates are known")
@@ -87,7 +91,7 @@ def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
         if target in seen:
             raise InputError(f"{path}, line {line}: target {target} stands in line {seen[target]} already")
         seen[target] = line
-        for axis in _AXES:
+        for axis in AXES:
             value = _number(path, line, f"{axis}_m", table[f"{axis}_m"][line - 2])
             name = "sigma_mm" if one_for_all else f"sigma_{axis}_mm"
             sigma = _number(path, line, name, table[name][line - 2])
@@ -129,15 +133,23 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
     Raises
     ------
     InputError
-        A list of targets that cannot be used.
+        A list of targets that cannot be used, or several modules.
     """
     model = measurement.model
+    if model.module:
+        raise InputError(
+            f"module: a flight over {len(model.module)} collectors; `heliogauge observer FOLDER -o OUT`, or "
+            "observer.pipeline_modules, evaluates it"
+        )
     files = (*measurement.photo_files, *(file for file in measurement.absorber_files
                                          if file not in measurement.photo_files))  # fmt: skip
     targets = TargetsSection.model_validate(model.targets.model_dump(exclude={"file"}, exclude_unset=True))
     if targets.dictionary is not None and not targets.is_listed and targets.find_uncoded is None:
         # Dots that nobody lists add nothing to poses that a dozen known targets tell, and cost time in every photo.
         targets = targets.model_copy(update={"find_uncoded": False})
+    known = measurement.coordinates
+    if known is None:
+        known = target_constraints(measurement.folder / model.targets.file)
     network = PhotogrammetryModel(
         kind="photogrammetry",
         name=model.name,
@@ -145,7 +157,7 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
         images=PhotosSection(photos=tuple(str(file.relative_to(measurement.folder)) for file in files)),
         targets=targets,
         scale_bar=model.scale_bar,
-        constraint=(*target_constraints(measurement.folder / model.targets.file), *model.distance),
+        constraint=(*known, *model.distance),
         datum=DatumSection(kind="inner"),
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
@@ -168,8 +180,8 @@ def known_targets(network: PhotogrammetryMeasurement) -> KnownTargets:
     for one in network.model.constraint:
         if isinstance(one, CoordinateSection) and 1e-3 * one.sigma_mm <= _LARGEST_SIGMA_M:
             values.setdefault(one.target, {})[one.axis] = (one.value_m, 1e-3 * one.sigma_mm)
-    whole = {name: [axes[axis] for axis in _AXES] for name, axes in values.items() if len(axes) == len(_AXES)}
-    table = np.array(list(whole.values()), dtype=np.float64).reshape(-1, len(_AXES), 2)
+    whole = {name: [axes[axis] for axis in AXES] for name, axes in values.items() if len(axes) == len(AXES)}
+    table = np.array(list(whole.values()), dtype=np.float64).reshape(-1, len(AXES), 2)
     return KnownTargets(tuple(whole), np.ascontiguousarray(table[..., 0]), table[..., 1].max(axis=1, initial=0.0))
 
 
@@ -221,3 +233,45 @@ def read_absorber(path: Path) -> AbsorberPath:
     return AbsorberPath(
         columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]])))
     )
+
+
+def photos_with_poses(
+    survey: PhotogrammetryMeasurement, first: FirstLook, known: KnownTargets
+) -> tuple[PhotogrammetryMeasurement, FirstLook, str | None]:
+    """Leave out photos whose targets are all on one line, as those of one rim: the camera may be anywhere around it.
+
+    Parameters
+    ----------
+    survey : PhotogrammetryMeasurement
+        The photo network.
+    first : FirstLook
+        What was found in the photos.
+    known : KnownTargets
+        Those whose coordinates are listed.
+
+    Returns
+    -------
+    survey : PhotogrammetryMeasurement
+        Without those photos. A photo with targets that are not listed is kept, since others may tell them.
+    first : FirstLook
+        What the others show.
+    doubt : str or None
+        Which were left out.
+    """
+    place = dict(zip(known.names, known.points_m, strict=True))
+    on_line = set()
+    for one in first.targets:
+        names = one.detections.names
+        listed = np.array([place[name] for name in names if name in place]).reshape(-1, 3)
+        if len(listed) == len(names) >= LEAST_TARGETS and not spans_an_area(listed):
+            on_line.add(one.detections.photo)
+    if not on_line:
+        return survey, first, None
+    targets = tuple(one for one in first.targets if one.detections.photo not in on_line)
+    poses = {name: pose for name, pose in first.poses.items() if name not in on_line}
+    files = tuple(file for file in survey.photo_files if file.name not in on_line)
+    doubt = (
+        f"{len(on_line)} photos show targets along one line only, as those of one rim, which tell no pose, and were "
+        f"left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}"
+    )
+    return replace(survey, photo_files=files), replace(first, targets=targets, poses=poses), doubt
