@@ -66,7 +66,9 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughne
                 best += way
         # Slopes that do not matter have no length either.
         if stride == 2 and best > lowest + 1:
-            length = max(_LENGTHS_M, key=lambda each: evidence(best, each))
+            likely = max(_LENGTHS_M, key=lambda each: evidence(best, each))
+            # What hardly any edge tells is not believed: along 3 m slopes of chance would move the whole map.
+            length = likely if evidence(best, likely) > evidence(best, length) + _EVIDENCE_LOSS else length
     largest = best
     while largest < max(best, 0) and evidence(largest + 1, length) > evidence(best, length) - _EVIDENCE_LOSS:
         largest += 1

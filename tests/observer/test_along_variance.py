@@ -50,3 +50,15 @@ def test_where_the_edges_say_nothing_what_was_assumed_stays() -> None:
         row, x, rng.normal(0, 1e-4, 90), np.full(90, -2.0), np.zeros(90), np.full(90, 1e-4), none.astype(int), none
     )
     assert find_along(lines, grid, ASSUMED).along_rad == ASSUMED.along_rad
+
+
+def test_the_length_of_slopes_that_hardly_any_edge_tells_stays_as_assumed() -> None:
+    """By chance a length of metres is a little more probable; slopes alike along it would move the whole map."""
+    grid = RowGrid(np.linspace(-1, 1, 40), np.ones(39, dtype=bool), 8)
+    for weak, own_rad, seed in ((0.05, 1e-3, 7), (0.1, 0.5e-3, 7), (0.1, 0.5e-3, 6)):
+        rng = np.random.default_rng(seed)
+        x, row, none = rng.uniform(-1, 1, 200), np.repeat(np.arange(8), 25), np.zeros((200, 0))
+        by_y = rng.choice([-weak, weak], 200)
+        found = rng.normal(0, 1e-4, 200) + by_y * rng.normal(0, own_rad, 200)
+        lines = TouchingLines(row, x, found, np.full(200, -2.0), by_y, np.full(200, 1e-4), none.astype(int), none)
+        assert find_along(lines, grid, ASSUMED).along_length_m == ASSUMED.along_length_m
