@@ -22,7 +22,7 @@ from heliogauge.rigid import RigidTransform
 from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
-from observer.pipeline_tone import sizes_of, some_of, tone_of
+from observer.pipeline_tone import Sample, sizes_of, some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, Shot, joined, reflection_edges
 from observer.tone import Tone, linear_light
 from photogrammetry.ellipse import Ellipse
@@ -46,7 +46,7 @@ _Part = TypeVar("_Part", ReflectionEdges, Bearings)
 _Result = TypeVar("_Result")
 
 #: Photos that are followed through; each run begins with a search of the whole photo and is one thread's work.
-_FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 12, 50, 8
+_FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 25, 100, 4
 #: Photos that are read, and whose targets are centred, together: each step is then one operation on some twenty
 #: thousand pixels, and a step that follows itself takes half the time.
 _TOGETHER = 8
@@ -384,18 +384,16 @@ def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
     """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does."""
     if finder.tone is not None or not finder.camera_of:
         return finder.tone
-    views, sizes = [], []
-    for number in some_of(len(files)):
-        run = _Run(finder, empty_slices(finder.expected.collector, finder.expected.y_m, len(files)))
-        name = files[number].name
-        run.take(number, name, finder.read(files[number]))
-        if name in run.poses:
-            view = (finder.camera_of[name], run.poses[name])
-            views.append((files[number], view))
-            image, stated = read_luma(files[number]), finder.section.diameter_mm
+    samples, sizes, stated = [], [], finder.section.diameter_mm
+    for file in (files[number] for number in some_of(len(files))):
+        image, camera = read_luma(file), finder.camera_of[file.name]
+        found = measure_photo(image, file.name, finder.section, finder.search)
+        pose = provisional_pose(found.detections, finder.known, camera)
+        if pose is not None:
+            samples.append(Sample(image, (camera, pose)))
             size_m = None if stated is None else 1e-3 * stated
-            sizes.append(sizes_of(image, run.targets[name], view, finder.known, finder.search, size_m))
-    return tone_of(views, finder.expected, sizes) if views else None
+            sizes.append(sizes_of(samples[-1], found, finder.known, finder.search, size_m))
+    return tone_of(samples, finder.expected, sizes) if samples else None
 
 
 def look_again(
@@ -437,7 +435,7 @@ def look_again(
     expected = finder.expected
     tone = first.tone
     if tone is None:
-        tone = tone_of([(files[number], views[number]) for number in some_of(len(files))], expected)
+        tone = tone_of([Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))], expected)
     finder = replace(finder, tone=tone)
     if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
         raise InputError(

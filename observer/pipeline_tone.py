@@ -1,11 +1,11 @@
 """How the photos of a trough are encoded, from a few of them."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from heliogauge.images import Image, read_luma
+from heliogauge.images import Image
 from heliogauge.validate import FloatArray
 from observer.carried import View
 from observer.reflection import Expectation, edge_profiles
@@ -36,19 +36,42 @@ def some_of(count: int) -> list[int]:
     return sorted({round(share * (count - 1)) for share in np.linspace(*_INNER, _PHOTOS)})
 
 
-def sizes_of(
-    image: Image, found: OnePhoto, view: View, known: KnownTargets, search: TargetSearch, diameter_m: float | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return how large targets look over what their stated diameter lets expect, as stored and taken for sRGB.
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """A photo that tells.
 
     Parameters
     ----------
     image : ndarray, shape (height, width)
         The photo as stored [DN].
-    found : OnePhoto
-        Its targets.
     view : (Camera, RigidTransform)
         Its camera and pose.
+
+    Attributes
+    ----------
+    decoded : ndarray of float32, shape (height, width)
+        The photo taken for sRGB and turned into light [DN].
+    """
+
+    image: Image
+    view: View
+    decoded: Image = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "decoded", linear_light(self.image, Tone.SRGB))
+
+
+def sizes_of(
+    sample: Sample, found: OnePhoto, known: KnownTargets, search: TargetSearch, diameter_m: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return how large targets look over what their stated diameter lets expect, as stored and taken for sRGB.
+
+    Parameters
+    ----------
+    sample : Sample
+        The photo.
+    found : OnePhoto
+        Its targets.
     known : KnownTargets
         Listed coordinates.
     search : TargetSearch
@@ -61,14 +84,14 @@ def sizes_of(
     ndarray, ndarray
         Ratios of listed targets; empty where no diameter is stated.
     """
-    camera, pose = view
+    camera, pose = sample.view
     place = dict(zip(known.names, known.points_m, strict=True))
     table = found.detections
     rows = [k for k, name in enumerate(table.names) if name in place and np.isfinite(found.ellipses_px2[k]).all()]
     if diameter_m is None or not rows:
         return np.zeros(0), np.zeros(0)
     starts = {table.names[k]: Ellipse(table.pixels_px[k], found.ellipses_px2[k]) for k in rows}
-    decoded = measure_at([linear_light(image, Tone.SRGB)], [table.photo], [starts], search)[0][0]
+    decoded = measure_at([sample.decoded], [table.photo], [starts], search)[0][0]
     # Targets on the rims look along the optical axis; three points of each tell how large the lens shows it.
     middle = np.array([place[name] for name in starts])
     aside = [middle + 0.5 * diameter_m * np.eye(3)[axis] for axis in range(2)]
@@ -83,7 +106,7 @@ def sizes_of(
 
 
 def tone_of(
-    photos: Sequence[tuple[Path, View]],
+    samples: Sequence[Sample],
     expected: Expectation,
     sizes: Sequence[tuple[FloatArray, FloatArray]] = (),
 ) -> Tone:
@@ -91,8 +114,8 @@ def tone_of(
 
     Parameters
     ----------
-    photos : sequence of (Path, (Camera, RigidTransform))
-        Some of them, with camera and pose.
+    samples : sequence of Sample
+        Some of them.
     expected : Expectation
         Collector, absorber and rows.
     sizes : sequence of (ndarray, ndarray), optional
@@ -103,17 +126,11 @@ def tone_of(
     Tone
         The encoding under which targets are as large as stated and edges of the reflection are even; linear where too
         few are seen.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read.
     """
     profiles: list[list[FloatArray]] = [[], []]
-    for file, view in photos:
-        image = read_luma(file)
-        for tone, found in zip((Tone.LINEAR, Tone.SRGB), profiles, strict=True):
-            found.append(edge_profiles(linear_light(image, tone), view, expected))
+    for one in samples:
+        for image, found in zip((one.image, one.decoded), profiles, strict=True):
+            found.append(edge_profiles(image, one.view, expected))
     ratios = None
     if sizes:
         ratios = (np.concatenate([one[0] for one in sizes]), np.concatenate([one[1] for one in sizes]))
