@@ -105,24 +105,43 @@ def pose_derivatives(
     ndarray, shape (m, 6)
         Derivatives with respect to the steps of `RigidTransform.moved` [rad/rad, rad/m].
     """
-    rotations = np.array([pose.rotation for pose in poses])[photo]
-    shifts = np.array([pose.translation_m for pose in poses])[photo]
     points, sight = sights.points_m, sights.eyes_m - sights.points_m
     gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
     # A ray that moves by r moves the point where it meets the mirror by r - s (n.r) / (n.s), s the line of sight.
     across = (np.einsum("mi,mi->m", gradient, sight)) / (
         sight[:, 2] - points[:, 0] / (2 * focal_length_m) * sight[:, 0]
     )
-    by_ray = gradient.copy()
+    by_ray = gradient
     by_ray[:, 0] += across * points[:, 0] / (2 * focal_length_m)
     by_ray[:, 2] -= across
-    # A step (w, d) moves the eye by -R^T ([t]x w + d) and the ray by R^T ([R p]x w - d).
-    eye_turned, ray_turned = (
-        np.einsum("mij,mj->mi", rotations, one) for one in (found.d_angle_d_eye, by_ray)
-    )  # fmt: skip
-    turned = np.einsum("mij,mj->mi", rotations, points)
-    by_turn = np.cross(ray_turned, turned) - np.cross(eye_turned, shifts)
-    return np.concatenate([by_turn, -(eye_turned + ray_turned)], axis=1)
+    # A step (w, d) moves the eye by -R^T ([t]x w + d) and the ray by R^T ([R p]x w - d) = (R^T w) x p - R^T d.
+    (r_x, r_y, r_z), (p_x, p_y, p_z) = by_ray.T, points.T
+    local = np.empty((len(points), 9))
+    local[:, 0], local[:, 1], local[:, 2] = r_z * p_y - r_y * p_z, r_x * p_z - r_z * p_x, r_y * p_x - r_x * p_y
+    local[:, 3:6], local[:, 6:] = found.d_angle_d_eye, by_ray
+    return _by_photo(local, photo, np.array([_turned_into_steps(pose) for pose in poses]))
+
+
+def _turned_into_steps(pose: RigidTransform) -> FloatArray:
+    """Return what turns derivatives by turn, eye and ray in the frame, one row, into those by a step of the pose."""
+    back, (t_x, t_y, t_z) = pose.rotation.T, pose.translation_m
+    table = np.zeros((9, 6))
+    table[:3, :3] = -back
+    table[3:6, :3] = back @ np.array([[0.0, t_z, -t_y], [-t_z, 0.0, t_x], [t_y, -t_x, 0.0]])
+    table[3:6, 3:] = table[6:, 3:] = -back
+    return table
+
+
+def _by_photo(values: FloatArray, photo: IntArray, tables: FloatArray) -> FloatArray:
+    """Multiply each row of values, shape (m, k), with the table, (n, k, l), of its photo."""
+    result = np.empty((len(values), tables.shape[2]))
+    order = np.argsort(photo, kind="stable")
+    bounds = np.searchsorted(photo[order], np.arange(len(tables) + 1))
+    is_sorted = bool((np.diff(photo) >= 0).all())
+    for k, table in enumerate(tables):
+        some = slice(bounds[k], bounds[k + 1]) if is_sorted else order[bounds[k] : bounds[k + 1]]
+        result[some] = values[some] @ table
+    return result
 
 
 def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> CameraModes:
@@ -144,26 +163,23 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
     """
     count = len(covariance) // 6
     index = MODES_PER_PHOTO * photo[:, None] + np.arange(MODES_PER_PHOTO)
-    derivative = np.zeros((photo.size, MODES_PER_PHOTO))
-    steps = np.zeros((count, 6, MODES_PER_PHOTO))
-    reading = np.zeros((count, MODES_PER_PHOTO, 6))
+    blocks = covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
+    scale = np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 1e-30))
+    values, vectors = np.linalg.eigh(blocks / (scale[:, :, None] * scale[:, None, :]))
+    values = np.maximum(values, 1e-12 * values.max(axis=1, keepdims=True))
+    root = scale[:, :, None] * vectors * np.sqrt(values)[:, None, :]
+    back = np.swapaxes(vectors / np.sqrt(values)[:, None, :], 1, 2) / scale[:, None, :]
+    effect = _by_photo(derivatives, photo, root)
+    products = np.zeros((count, 6, 6))
     order = np.argsort(photo, kind="stable")
-    first = np.searchsorted(photo[order], np.arange(count + 1))
+    bounds = np.searchsorted(photo[order], np.arange(count + 1))
     for k in range(count):
-        rows = order[first[k] : first[k + 1]]
-        block = covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
-        scale = np.sqrt(np.maximum(np.diagonal(block), 1e-30))
-        values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
-        values = np.maximum(values, 1e-12 * values.max())
-        root = scale[:, None] * vectors * np.sqrt(values)
-        back = (vectors / np.sqrt(values)).T / scale
-        effect = derivatives[rows] @ root
-        strongest = np.linalg.eigh(effect.T @ effect)[1][:, ::-1][:, :MODES_PER_PHOTO]
-        steps[k] = root @ strongest
-        derivative[rows] = derivatives[rows] @ steps[k]
-        reading[k] = strongest.T @ back
+        some = effect[order[bounds[k] : bounds[k + 1]]]
+        products[k] = some.T @ some
+    strongest = np.linalg.eigh(products)[1][:, :, ::-1][:, :, :MODES_PER_PHOTO]
+    steps, reading = root @ strongest, np.swapaxes(strongest, 1, 2) @ back
     # Each photo's unknowns read its own six movements only: blocks, not a product of whole matrices.
     half = reading @ covariance.reshape(count, 6, 6 * count)
     joint = reading @ np.swapaxes(half.reshape(-1, 6 * count), 0, 1).reshape(count, 6, -1)
     joint = joint.reshape(MODES_PER_PHOTO * count, -1)
-    return CameraModes(index, derivative, 0.5 * (joint + joint.T), steps, reading)
+    return CameraModes(index, _by_photo(derivatives, photo, steps), 0.5 * (joint + joint.T), steps, reading)

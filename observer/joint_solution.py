@@ -7,13 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray
-from observer.reduction import Reduced, Reduction
+from observer.reduction import Reduced, Reduction, inverse_of, root_of
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
 #: many photos fewer rows do, because each mirror point is seen by more of them.
 _MOST_ROWS_FOR_COMMON, _FEWEST_ROWS_FOR_COMMON = 48, 12
 _ROWS_TIMES_COMMON = 18000
+#: Rows with less than this share of the usual number of lines are no sample of the others.
+_FEW_LINES = 0.5
 #: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
 _ROWS_FOR_ROUGHNESS = 16
 #: Photos whose lines suffice for that.
@@ -97,7 +99,7 @@ def find_roughness(
     which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is near
     after the first round, and found by bisection.
     """
-    some, fewer = _sampled(lines, grid, sample_rows(grid, _ROWS_FOR_ROUGHNESS))
+    some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
     some, own_covariance = _fewer_common(some, covariance)
     reduction = Reduction(some, fewer, own_covariance)
 
@@ -193,30 +195,23 @@ def solve_jointly(
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
     count = len(covariance)
-    rows = common_rows(grid, count)
+    rows = common_rows(lines, grid, count)
     is_shown = with_shares is not None and with_shares is not False
     columns = share_columns(grid) if is_shown else None
-    # The unknowns that are shown apart are the last to be eliminated: the root then splits what both do.
-    apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
-    order = np.argsort(apart, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(count)
     own, fewer = _sampled(lines, grid, rows)
-    ordered = covariance if not apart.any() else covariance[np.ix_(order, order)]
-    reduced = Reduction(replace(own, common_index=place[own.common_index]), fewer, ordered).under(
-        prior, columns=columns
-    )
-    common = reduced.common[place]
+    reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
+    common = reduced.common
     all_rows = assemble(lines, grid)
     system = all_rows.under(prior)
     moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, common[lines.common_index])
     slopes = system.factor.solve(all_rows.right_sides(-moved / lines.sigma_rad)).reshape(grid.n_rows, -1, 2)
     random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
-    posterior = np.zeros((0, 0)) if with_shares is None else reduced.covariance()[np.ix_(place, place)]
+    posterior = np.zeros((0, 0)) if with_shares is None else inverse_of(reduced.root)
     nothing = np.zeros((0, rows.size, grid.x_m.size))
     if columns is None:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
-    variance, modes = _shares(reduced, int(np.count_nonzero(~apart)))
+    apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
+    variance, modes = _shares(reduced, apart)
     shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
     shown, shown_apart = (_between_columns(np.moveaxis(one, 0, -1), columns, grid) for one in modes)
     return SlopeErrors(
@@ -253,11 +248,13 @@ def share_columns(grid: RowGrid) -> IntArray:
     return np.unique(np.concatenate([even, edges, edges + 1]))
 
 
-def common_rows(grid: RowGrid, count: int) -> IntArray:
+def common_rows(lines: TouchingLines, grid: RowGrid, count: int) -> IntArray:
     """Return the rows that some number of common unknowns are estimated from, shape (s,).
 
     Parameters
     ----------
+    lines : TouchingLines
+        Observations of all rows.
     grid : RowGrid
         All rows.
     count : int
@@ -269,14 +266,16 @@ def common_rows(grid: RowGrid, count: int) -> IntArray:
         Ascending numbers of rows.
     """
     wanted = _ROWS_TIMES_COMMON // max(count, 1)
-    return sample_rows(grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
+    return sample_rows(lines, grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
 
 
-def sample_rows(grid: RowGrid, most: int) -> IntArray:
-    """Return rows spread over the mirror, shape (s,).
+def sample_rows(lines: TouchingLines, grid: RowGrid, most: int) -> IntArray:
+    """Return rows spread over the part of the mirror that has lines, shape (s,).
 
     Parameters
     ----------
+    lines : TouchingLines
+        Observations of all rows.
     grid : RowGrid
         All rows.
     most : int
@@ -287,7 +286,10 @@ def sample_rows(grid: RowGrid, most: int) -> IntArray:
     ndarray of int, shape (s,)
         Ascending numbers of rows.
     """
-    return np.unique(np.linspace(0, grid.n_rows - 1, min(grid.n_rows, most)).round().astype(np.intp))
+    number = np.bincount(lines.row, minlength=grid.n_rows)
+    # The rows at the ends of the trough have few lines, or none: they say little of the others.
+    told = np.nonzero(number >= _FEW_LINES * float(np.median(number)))[0]
+    return told[np.unique(np.linspace(0, told.size - 1, min(told.size, most)).round().astype(np.intp))]
 
 
 def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[TouchingLines, RowGrid]:
@@ -298,20 +300,26 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     return replace(some, row=number[some.row]), RowGrid(grid.x_m, grid.joined, rows.size)
 
 
-def _shares(reduced: Reduced, first: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+def _shares(reduced: Reduced, apart: BoolArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
     """Return what the slopes have from the common unknowns.
 
     That is the variance, shape (r, n, 2), and the strongest independent changes of dz/dx, shape (k, r, n) each, by the
-    first unknowns with the others held, and by the others, the first following along.
+    unknowns that are not apart with the others held, and by these, the former following along.
     """
     from scipy.linalg import blas
 
     n_rows, n_columns, _, count = reduced.carried.shape
+    root, carried = reduced.root, reduced.carried.reshape(-1, count)
+    if apart.any():
+        # Those that are apart as the last ones: the root then splits what both do.
+        order = np.argsort(apart, kind="stable")
+        root, carried = root_of(reduced.normal[np.ix_(order, order)])[0], carried[:, order]
     # In single precision, which is a millionth of a variance; these products are the most expensive of all.
-    root = np.asfortranarray(reduced.root, dtype=np.float32)
-    carried = reduced.carried.reshape(-1, count).astype(np.float32).T
-    flat = np.asarray(blas.strsm(1.0, root, carried, lower=1)) if count else carried
+    flat = carried.astype(np.float32).T
+    if count:
+        flat = np.asarray(blas.strsm(1.0, np.asfortranarray(root, dtype=np.float32), flat, lower=1))
     variance = np.einsum("ck,ck->k", flat, flat).astype(np.float64).reshape(n_rows, n_columns, 2)
+    first = int(np.count_nonzero(~apart))
     modes = (_strongest(one.reshape(-1, n_rows * n_columns, 2)[..., 0]) for one in (flat[:first], flat[first:]))
     both = [one.reshape(-1, n_rows, n_columns) for one in modes]
     return variance, (both[0], both[1])
@@ -341,10 +349,11 @@ def _between_columns(values: FloatArray, columns: IntArray, grid: RowGrid) -> Fl
 
 
 def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
-    """Interpolate values of sampled rows, shape (s, ...), to all rows."""
+    """Interpolate values of sampled rows, shape (s, ...), to all rows; beyond the last they stay."""
     if rows.size == 1:
         return np.repeat(values, n_rows, axis=0)
     place = np.arange(n_rows)
     before = np.clip(np.searchsorted(rows, place, side="right") - 1, 0, rows.size - 2)
-    share = ((place - rows[before]) / (rows[before + 1] - rows[before])).reshape(-1, *[1] * (values.ndim - 1))
+    share = np.clip((place - rows[before]) / (rows[before + 1] - rows[before]), 0.0, 1.0)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1 - share) * values[before] + share * values[before + 1])

@@ -15,10 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heliogauge.validate import FloatArray
+from observer.banded import BandedFactor
 from observer.slope_field import IntArray, Roughness, RowGrid, RowSystem, TouchingLines, assemble
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+
+#: Entries of a table of some rows' lines against all unknowns: 16 MB, which the allocator hands out again.
+_ENTRIES_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +50,10 @@ class Reduced:
     ----------
     common : ndarray, shape (c,)
         Their estimates.
+    normal : ndarray, shape (c, c)
+        Their normal matrix, the slopes eliminated.
     root : ndarray, shape (c, c)
-        Lower Cholesky root of their normal matrix.
+        Its lower Cholesky root.
     evidence : float
         Logarithm of how probable the lines are with slopes and common unknowns integrated out, but for a constant.
     carried : ndarray, shape (r, n, 2, c)
@@ -57,14 +64,11 @@ class Reduced:
     """
 
     common: FloatArray
+    normal: FloatArray
     root: FloatArray
     evidence: float
     carried: FloatArray
     beside: Beside
-
-    def covariance(self) -> FloatArray:
-        """Return the covariance of the common unknowns, shape (c, c)."""
-        return inverse_of(self.root)
 
 
 class Reduction:
@@ -136,16 +140,18 @@ class Reduction:
         count, by_slopes = len(self._covariance), self._rows.derivatives()
         left = self._values - by_slopes @ solved.reshape(-1)
         if count == 0:
-            root, common, carried = np.zeros((0, 0)), np.zeros(0), np.zeros((self._rows.grid.n_rows, 0, 2, 0))
+            normal, root, common = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+            carried = np.zeros((self._rows.grid.n_rows, 0, 2, 0))
         else:
-            projected, carried = self._projected(system, np.zeros(0, dtype=np.intp) if columns is None else columns)
+            normal, carried = self._projected(system, np.zeros(0, dtype=np.intp) if columns is None else columns)
             precision, spread = _precision(self._covariance)
-            root, narrowed = root_of(precision + self._derivatives.T @ projected)
+            normal += precision
+            root, narrowed = root_of(normal)
             gradient = self._derivatives.T @ left
             common = -solve_with(root, gradient)
             evidence -= 0.5 * (narrowed + spread + float(gradient @ common))
         if beside is None:
-            return Reduced(common, root, evidence, carried, Beside(np.zeros(0), np.zeros((0, 0))))
+            return Reduced(common, normal, root, evidence, carried, Beside(np.zeros(0), np.zeros((0, 0))))
         patterns = beside[0][self._order] / self._sigma[:, None]
         pulls = np.stack([self._rows.right_sides(one) for one in patterns.T])
         seen = patterns - (by_slopes @ system.factor.solve(pulls).reshape(len(pulls), -1).T)
@@ -153,29 +159,48 @@ class Reduction:
         normal = patterns.T @ seen + np.diag(beside[1] ** -2.0) - coupling.T @ solve_with(root, coupling)
         spread_beside = np.linalg.inv(normal)
         amount = -spread_beside @ (patterns.T @ left + coupling.T @ common)
-        return Reduced(common, root, evidence, carried, Beside(amount, spread_beside))
+        return Reduced(common, normal, root, evidence, carried, Beside(amount, spread_beside))
 
     def _projected(self, system: RowSystem, columns: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the lines' derivatives against common unknowns, the slopes following along, and what these do.
+        """Return the normal matrix of the common unknowns by the lines, the slopes following along, and what these do.
 
-        Shapes (m, c) and (r, n, 2, c).
+        Shapes (c, c) and (r, n, 2, c).
         """
-        count, (n_rows, size, _) = len(self._covariance), system.factor.root.shape
-        number = np.diff(self._first)
+        count, grid = len(self._covariance), self._rows.grid
+        normal = np.zeros((count, count))
+        carried = np.zeros((grid.n_rows, columns.size, 2, count))
+        # Memory that the processor's caches and the allocator keep: some rows at a time.
+        most = max(1, _ENTRIES_AT_ONCE // (int(np.diff(self._first).max(initial=1)) * max(count, 2 * grid.x_m.size)))
+        for first in range(0, grid.n_rows, most):
+            last = min(first + most, grid.n_rows)
+            solved = self._solved(system, first, last)
+            some = slice(self._first[first], self._first[last])
+            projected = np.empty((some.stop - some.start, count))
+            done = 0
+            for i in range(first, last):
+                by_slopes, by_common = self._by_row[i]
+                lines = by_slopes.shape[0]
+                own = -(by_slopes @ solved[i - first, :, :lines])
+                own.flat[:: lines + 1] += 1.0
+                projected[done : done + lines] = (by_common.T @ own).T
+                done += lines
+                if columns.size:
+                    chosen = solved[i - first, :, :lines].reshape(-1, 2, lines)[columns].reshape(-1, lines)
+                    carried[i] = (by_common.T @ chosen.T).T.reshape(columns.size, 2, count)
+            normal += self._derivatives[some].T @ projected
+        return normal, carried
+
+    def _solved(self, system: RowSystem, first: int, last: int) -> FloatArray:
+        """Return by how much the slopes of some rows change with each of their lines, shape (r, 2 nx, k)."""
+        lines = np.diff(self._first)[first:last]
+        some = slice(self._first[first], self._first[last])
+        size = system.factor.root.shape[1]
         # One right side for each line, as it stands in the normal equations.
-        right = np.zeros((n_rows, size, int(number.max(initial=0))))
-        place = np.arange(self._values.size) - np.repeat(self._first[:-1], number)
-        right.reshape(n_rows * size, -1)[self._rows.place[:, None] + np.arange(4), place[:, None]] = self._rows.weights
-        solved = system.factor.solve_many(right)
-        projected = np.empty((self._values.size, count))
-        carried = np.zeros((n_rows, 2 * columns.size, count))
-        chosen = (2 * columns[:, None] + np.arange(2)).ravel()
-        for i, (by_slopes, by_common) in enumerate(self._by_row):
-            own = -(by_slopes @ solved[i, :, : number[i]])
-            own.flat[:: number[i] + 1] += 1.0
-            projected[self._first[i] : self._first[i + 1]] = (by_common.T @ own).T
-            carried[i] = (by_common.T @ solved[i, chosen, : number[i]].T).T
-        return projected, carried.reshape(n_rows, columns.size, 2, count)
+        right = np.zeros((last - first, size, int(lines.max(initial=0))))
+        number = np.arange(some.start, some.stop) - np.repeat(self._first[first:last], lines)
+        place = self._rows.place[some, None] - first * size + np.arange(4)
+        right.reshape((last - first) * size, -1)[place, number[:, None]] = self._rows.weights[some]
+        return BandedFactor(system.factor.root[first:last]).solve_many(right)
 
 
 def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":

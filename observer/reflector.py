@@ -18,7 +18,7 @@ from observer.mirror_shape import at_points, beside_chord, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
 from observer.shadows import borne_out, pulled_curves
 from observer.shape_share import ShapeShare, find_shape_share
-from observer.sight import Sights, change_across, misfit
+from observer.sight import Sights, change_across, misfit_with_slopes
 from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slope_sums import sum_covariance
 from observer.tube_unknowns import CommonUnknowns, common_unknowns
@@ -43,8 +43,6 @@ _MOST_LEVERAGE = 0.98
 
 #: No mirror bends more than this beside its design; what does is noise [1/m].
 _MOST_BEND_PER_M = 0.05
-#: Way aside by which derivatives across the mirror are taken, with its own slopes [m].
-_ASIDE_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +66,7 @@ class Photos:
     @property
     def eyes_m(self) -> FloatArray:
         """Centres of the cameras, shape (n, 3) [m]."""
-        return np.array([pose.inverse().translation_m for pose in self.poses])
+        return -np.array([pose.rotation.T @ pose.translation_m for pose in self.poses])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,16 +220,17 @@ def solve_reflector(
             # its place moves an edge by 0.1 mrad more.
             nominal = _nominal(edges, photos, expected, _bends(edges, present, grid))
             unknowns = nominal.unknowns
-        lines = _lines(nominal, expected, present, grid)
+        lines, covariance = _in_round(_lines(nominal, expected, present, grid), unknowns, noise, allowance)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
-        sigma = np.hypot(noise * lines.sigma_rad, allowance)
-        used = replace(lines, sigma_rad=sigma).chosen(keep)
-        roughness = find_roughness(used, grid, roughness, unknowns.covariance, any_order=allowance == 0.0)
-        errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=None)
+        used = lines.chosen(keep)
+        roughness = find_roughness(used, grid, roughness, covariance, any_order=allowance == 0.0)
+        errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
+        factor = 1.0
         if allowance == 0.0:
-            noise *= _noise_factor(residuals[keep] / sigma[keep], predicted[keep] / sigma[keep] ** 2)
-        limit = _REJECT_TIMES * np.sqrt((noise * lines.sigma_rad) ** 2 + allowance**2 + predicted)
+            factor = _noise_factor(residuals[keep] / used.sigma_rad, predicted[keep] / used.sigma_rad**2)
+            noise *= factor
+        limit = _REJECT_TIMES * np.sqrt((factor * lines.sigma_rad) ** 2 + predicted)
         fate[is_bold] = np.where(np.abs(residuals) < limit, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
         whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
@@ -272,22 +271,10 @@ def _shape_told(
     flat = replace(whole, height_m=np.zeros_like(whole.height_m))
     both = [_lines(nominal, expected, surface, grid) for surface in (whole, flat)]
     # Where all edges are a little too far to one side, the mirror point moves across.
-    edges, step = nominal.edges, np.array([_ASIDE_M, 0.0, 0.0])
-    aside = [
-        _lines(replace(nominal, edges=replace(edges, points_m=edges.points_m + way * step)), expected, flat, grid)
-        for way in (1.0, -1.0)
-    ]
-    moved = [_with_slopes(one, flat, grid) for one in aside]
-    by_edge = edges.side * (moved[0] - moved[1]) / (2 * _ASIDE_M)
+    by_edge = nominal.edges.side * nominal.across_rad_per_m
     keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
     shaped, plain = (replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in both)
     return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
-
-
-def _with_slopes(lines: TouchingLines, present: "_Surface", grid: RowGrid) -> FloatArray:
-    """Return the misfits with the present slopes."""
-    slopes = at_points(present.slopes, lines.row, lines.x_m, grid)
-    return np.asarray(lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1])
 
 
 def _without_shadows(
@@ -331,8 +318,28 @@ def _is_pulled(
 
 def _apart(lines: TouchingLines, errors: SlopeErrors) -> TouchingLines:
     """Return lines from whose misfits the common unknowns, as found, are taken off."""
-    moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index])
-    return replace(lines, misfit_rad=moved, common_index=lines.common_index[:, :0], d_common=lines.d_common[:, :0])
+    return lines.alone(lines.misfit_rad + _moved(lines, errors), lines.sigma_rad)
+
+
+def _moved(lines: TouchingLines, errors: SlopeErrors) -> FloatArray:
+    """Return by how much the common unknowns, as found, move the lines."""
+    return np.asarray(np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index]))
+
+
+def _in_round(
+    lines: TouchingLines, unknowns: CommonUnknowns, noise: float, allowance_rad: float
+) -> tuple[TouchingLines, FloatArray]:
+    """Return lines with the sigma of a round, and the covariance of the common unknowns that it solves for.
+
+    As long as more scatter is allowed than the common unknowns make, they are part of it.
+    """
+    square = (noise * lines.sigma_rad) ** 2 + allowance_rad**2
+    if allowance_rad > 0:
+        # Correlations of the unknowns do not matter here.
+        common = np.einsum("mc,mc->m", unknowns.derivative**2, np.diagonal(unknowns.covariance)[unknowns.index])
+        if float(np.mean(common)) < allowance_rad**2:
+            return lines.alone(lines.misfit_rad, np.sqrt(square + common)), np.zeros((0, 0))
+    return replace(lines, sigma_rad=np.sqrt(square)), unknowns.covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,22 +355,27 @@ class _Nominal:
     """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
 
     edges: ReflectionEdges
-    eyes_m: FloatArray
-    sigma_rad: FloatArray
+    sights: Sights
+    across_rad_per_m: FloatArray
     unknowns: CommonUnknowns
+
+    @property
+    def sigma_rad(self) -> FloatArray:
+        """Noise of the edges' angles, shape (m,) [rad]."""
+        return np.abs(self.across_rad_per_m) * self.edges.sigma_x_m
 
 
 def _nominal(
     edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
 ) -> _Nominal:
-    eyes = photos.eyes_m[edges.photo]
+    eyes, focal = photos.eyes_m[edges.photo], expected.collector.focal_length_m
     found = design_misfit(edges.points_m, eyes, edges.side, expected.collector, expected.absorber)
     sights = Sights(edges.points_m, eyes, edges.side)
-    focal = expected.collector.focal_length_m
-    sigma = np.abs(change_across(sights, found, focal, bend_per_m)) * edges.sigma_x_m
     derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal, bend_per_m)
+    # Where the mirror bends beside the design other movements of a camera matter: its modes are chosen anew.
     modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
-    return _Nominal(edges, eyes, sigma, common_unknowns(edges, sights, found, modes, expected, photos.with_tube))
+    unknowns = common_unknowns(edges, sights, found, modes, expected, photos.with_tube)
+    return _Nominal(edges, sights, change_across(sights, found, focal, bend_per_m), unknowns)
 
 
 def _bends(edges: ReflectionEdges, present: _Surface, grid: RowGrid) -> FloatArray:
@@ -383,18 +395,19 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     """Turn edges into observations of the slopes, linearised at the present surface but counted from the design."""
     edges, collector = nominal.edges, expected.collector
     focal = collector.focal_length_m
-    points = on_surface(edges.points_m, nominal.eyes_m, edges.row, present.height_m, grid, focal)
+    points, eyes = edges.points_m, nominal.sights.eyes_m
+    if present.height_m.any():
+        points = on_surface(points, eyes, edges.row, present.height_m, grid, focal)
     slopes = at_points(present.slopes, edges.row, points[:, 0], grid)
-    sights = Sights(points, nominal.eyes_m, edges.side)
+    sights = Sights(points, eyes, edges.side)
     # Observations are those of the nodes beside them; what the mirror departs from the chord is known by now.
     curved = slopes[:, 0] + beside_chord(present.slopes[..., 0], edges.row, points[:, 0], grid)
-    found = misfit(
+    angle, by_x, by_y = misfit_with_slopes(
         sights, (points[:, 0] / (2 * focal) + curved, slopes[:, 1]), expected.absorber,
         collector.absorber_diameter_m / 2,
     )  # fmt: skip
-    by_x, by_y = found.d_angle_d_slope_x, found.d_angle_d_slope_y
     return TouchingLines(
-        edges.row, points[:, 0], found.angle_rad - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
+        edges.row, points[:, 0], angle - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
         nominal.sigma_rad, nominal.unknowns.index, nominal.unknowns.derivative,
     )  # fmt: skip
 
@@ -416,10 +429,10 @@ def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tupl
     nearest = before + (share > 0.5)
     slopes = at_points(errors.slopes, lines.row, lines.x_m, grid)
     residuals = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
-    residuals += np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index])
-    gradient = np.stack([lines.d_slope_x, lines.d_slope_y], axis=1)
-    predicted = np.einsum("mi,mij,mj->m", gradient, errors.random[lines.row, nearest], gradient)
-    return residuals, predicted
+    residuals += _moved(lines, errors)
+    x_x, x_y, y_y = (errors.random[..., i, j][lines.row, nearest] for i, j in ((0, 0), (0, 1), (1, 1)))
+    by_x, by_y = lines.d_slope_x, lines.d_slope_y
+    return residuals, by_x * (by_x * x_x + 2 * by_y * x_y) + by_y**2 * y_y
 
 
 def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:

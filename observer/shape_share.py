@@ -86,7 +86,7 @@ def find_shape_share(
     ShapeShare
         The factor, its sigma, and what it matters.
     """
-    rows = common_rows(grid, len(covariance))
+    rows = common_rows(both[0], grid, len(covariance))
     number = np.full(grid.n_rows, -1)
     number[rows] = np.arange(rows.size)
     chosen = number[both[0].row] >= 0

@@ -86,50 +86,93 @@ def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: Abso
     Misfit
         Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
     """
-    slope_x, slope_y = slopes
-    points = sights.points_m
-    away = sights.eyes_m - points
-    distance = np.sqrt(np.einsum("mi,mi->m", away, away))
-    sight = away / distance[:, None]
-    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=1)
-    square = np.einsum("mi,mi->m", normal, normal)
-    height = np.einsum("mi,mi->m", normal, sight) / square
-    ray = 2 * height[:, None] * normal - sight
-
-    across = ray[:, 0] ** 2 + ray[:, 2] ** 2
-
-    def turn(change: FloatArray) -> FloatArray:
-        """Return the change of psi for a change of the reflected ray."""
-        return np.asarray((ray[:, 2] * change[:, 0] - ray[:, 0] * change[:, 2]) / across)
-
-    d_slopes = []
-    for axis in (0, 1):
-        # dn has one component, -1 along the axis.
-        d_height = -(sight[:, axis] - 2 * height * normal[:, axis]) / square
-        change = 2 * d_height[:, None] * normal
-        change[:, axis] -= 2 * height
-        d_slopes.append(turn(change))
-    # r is linear in v; psi does not change with the length of r, so v need not stay of unit length.
-    d_eye = np.empty_like(points)
-    for axis in range(3):
-        change = (2 * normal[:, axis] / square)[:, None] * normal
-        change[:, axis] -= 1.0
-        d_eye[:, axis] = turn(change) / distance
-
+    ray = _Ray(sights, slopes)
+    angle, half, (to_x, to_z), passing = _beside_tube(sights, ray, absorber, radius_m)
+    by_x, by_y = ray.turns_with_slopes()
     with np.errstate(divide="ignore", invalid="ignore"):
-        passing = _passing_y(points, ray, absorber)
-        axis_x, axis_z = absorber.at(passing)
-        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
         range_square = to_x**2 + to_z**2
-        reach = np.sqrt(range_square)
-        sine = radius_m / reach
-        half = np.arcsin(np.where(sine < 1, sine, np.nan))
-        angle = np.arctan2(ray[:, 0], ray[:, 2]) - np.arctan2(to_x, to_z) + sights.side * half
         # d asin(a / R) = -tan(w) dR / R
         shrink = -sights.side * np.tan(half) / range_square
         d_absorber = np.stack([-to_z / range_square + shrink * to_x, to_x / range_square + shrink * to_z], axis=1)
-        d_radius = sights.side / (reach * np.cos(half))
-    return Misfit(angle, d_slopes[0], d_slopes[1], d_eye, d_absorber, d_radius, passing)
+        d_radius = sights.side / (np.sqrt(range_square) * np.cos(half))
+    return Misfit(angle + sights.side * half, by_x, by_y, ray.turns_with_eye(), d_absorber, d_radius, passing)
+
+
+def misfit_with_slopes(
+    sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Evaluate what `misfit` does, with derivatives with respect to the slopes alone: half the time.
+
+    Parameters
+    ----------
+    sights : Sights
+        Mirror points, cameras and sides.
+    slopes : (ndarray, ndarray), shape (m,) each
+        dz/dx and dz/dy of the mirror at the points.
+    absorber : AbsorberPath
+        The tube's axis.
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    angle_rad : ndarray, shape (m,)
+        Angle by which the edge is missed; NaN where the ray does not reach the tube [rad].
+    d_slope_x, d_slope_y : ndarray, shape (m,)
+        Its derivatives with respect to the slopes [rad].
+    """
+    ray = _Ray(sights, slopes)
+    angle, half, _, _ = _beside_tube(sights, ray, absorber, radius_m)
+    return angle + sights.side * half, *ray.turns_with_slopes()
+
+
+class _Ray:
+    """Reflected lines of sight r = 2 (n.v) n / n.n - v, one array for each component; v need not be of unit length."""
+
+    def __init__(self, sights: Sights, slopes: tuple[FloatArray, FloatArray]) -> None:
+        self.slope_x, self.slope_y = slopes
+        away_x, away_y, away_z = (sights.eyes_m - sights.points_m).T
+        self.square = 1.0 + self.slope_x**2 + self.slope_y**2
+        self.twice = 2 * (away_z - self.slope_x * away_x - self.slope_y * away_y) / self.square
+        self.x = -self.twice * self.slope_x - away_x
+        self.y = -self.twice * self.slope_y - away_y
+        self.z = self.twice - away_z
+        self.across = self.x**2 + self.z**2
+
+    def turns_with_slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Return by how much psi changes with both slopes, shape (m,) each.
+
+        With h = (n.v) / n.n a slope changes it by ``r_i / n.n``, and r by ``2 n`` times that and by -2 h along i.
+        """
+        level = self.z * self.slope_x + self.x
+        by_x = -(self.twice * self.z + 2 * self.x * level / self.square) / self.across
+        return by_x, -2 * self.y * level / (self.square * self.across)
+
+    def turns_with_eye(self) -> FloatArray:
+        """Return by how much psi changes with the camera's place, shape (m, 3) [rad/m].
+
+        r is linear in v: v along i changes it by ``2 n_i n / n.n`` less v itself.
+        """
+        level = self.z * self.slope_x + self.x
+        part = 2 / (self.square * self.across)
+        by_x = part * self.slope_x * level - self.z / self.across
+        by_z = self.x / self.across - part * level
+        return np.stack([by_x, part * self.slope_y * level, by_z], axis=1)
+
+
+def _beside_tube(
+    sights: Sights, ray: _Ray, absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray], FloatArray]:
+    """Return angle beside the axis, half the tube's width, the way from mirror to axis (x, z) and where rays pass."""
+    points = sights.points_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passing = _passing_y(points, ray.y, ray.z, absorber)
+        axis_x, axis_z = absorber.at(passing)
+        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
+        sine = radius_m / np.sqrt(to_x**2 + to_z**2)
+        half = np.arcsin(np.where(sine < 1, sine, np.nan))
+        angle = np.arctan2(ray.x, ray.z) - np.arctan2(to_x, to_z)
+    return angle, half, (to_x, to_z), passing
 
 
 def beside_axis(
@@ -157,25 +200,17 @@ def beside_axis(
     passing_y_m : ndarray, shape (m,)
         Where along the trough the ray passes the tube [m].
     """
-    points = sights.points_m
-    away = sights.eyes_m - points
-    twice = 2 * (away[:, 2] - slope_x * away[:, 0]) / (1 + slope_x * slope_x)
-    ray = np.stack([-twice * slope_x - away[:, 0], -away[:, 1], twice - away[:, 2]], axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        passing = _passing_y(points, ray, absorber)
-        axis_x, axis_z = absorber.at(passing)
-        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
-        sine = radius_m / np.hypot(to_x, to_z)
-        half = np.arcsin(np.where(sine < 1, sine, np.nan))
-        angle = np.arctan2(ray[:, 0], ray[:, 2]) - np.arctan2(to_x, to_z)
+    ray = _Ray(sights, (slope_x, np.zeros_like(slope_x)))
+    angle, half, _, passing = _beside_tube(sights, ray, absorber, radius_m)
     return angle, half, passing
 
 
-def _passing_y(points_m: FloatArray, ray: FloatArray, absorber: AbsorberPath) -> FloatArray:
+def _passing_y(points_m: FloatArray, ray_y: FloatArray, ray_z: FloatArray, absorber: AbsorberPath) -> FloatArray:
     """Return where along the trough the reflected rays come to the absorber's height."""
-    upward = np.where(ray[:, 2] > 1e-6, ray[:, 2], np.nan)
-    passing = np.asarray(points_m[:, 1] + (np.mean(absorber.z_m) - points_m[:, 2]) * ray[:, 1] / upward)
-    return np.asarray(points_m[:, 1] + (absorber.at(passing)[1] - points_m[:, 2]) * ray[:, 1] / upward)
+    along = ray_y / np.where(ray_z > 1e-6, ray_z, np.nan)
+    passing = points_m[:, 1] + (float(np.mean(absorber.z_m)) - points_m[:, 2]) * along
+    height = np.interp(passing, absorber.y_m, absorber.z_m)
+    return np.asarray(points_m[:, 1] + (height - points_m[:, 2]) * along)
 
 
 def gradient_on_mirror(

@@ -110,6 +110,13 @@ class TouchingLines:
         """Return some of them, by whether they are wanted or by their numbers."""
         return TouchingLines(*(getattr(self, name)[which] for name in self.__slots__))
 
+    def alone(self, misfit_rad: FloatArray, sigma_rad: FloatArray) -> "TouchingLines":
+        """Return them with other misfits and sigmas, and without common unknowns."""
+        return TouchingLines(
+            self.row, self.x_m, misfit_rad, self.d_slope_x, self.d_slope_y, sigma_rad,
+            self.common_index[:, :0], self.d_common[:, :0],
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from observer.joint_solution import find_roughness, solve_jointly
+from observer.joint_solution import find_roughness, sample_rows, solve_jointly
 from observer.reduction import Reduction
 from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble, prior_bands
 
@@ -188,6 +188,17 @@ def test_waves_are_told_from_kinks(kinks: bool) -> None:
         prior = Roughness(1e-2, along_rad=1e-6, order=start)
         assert find_roughness(lines, grid, prior, np.zeros((0, 0)), any_order=True).order == (2 if kinks else 3)
         assert find_roughness(lines, grid, prior, np.zeros((0, 0))).order == start
+
+
+def test_rows_without_lines_are_no_sample() -> None:
+    rng = np.random.default_rng(8)
+    grid = RowGrid(np.linspace(-1, 1, 20), np.ones(19, dtype=bool), 12)
+    lines = random_lines(rng, grid, 1200, 1)
+    middle = lines.chosen((lines.row >= 2) & (lines.row < 11))
+    np.testing.assert_array_equal(sample_rows(middle, grid, 3), [2, 6, 10])
+    found = solve_jointly(middle, grid, Roughness(1e-3), np.array([[1e-6]]))
+    # Beyond the last of them the share of what all rows have in common is that of the last.
+    assert (found.shared[[0, 1, 11], :, 0].mean(axis=1) > 0.5 * found.shared[5, :, 0].mean()).all()
 
 
 def drawn(rng: np.random.Generator, grid: RowGrid, prior: Roughness) -> np.ndarray:

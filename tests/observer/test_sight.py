@@ -7,7 +7,7 @@ import pytest
 
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, ls2
-from observer.sight import Sights, beside_axis, misfit
+from observer.sight import Sights, beside_axis, misfit, misfit_with_slopes
 
 LS2 = ls2()
 RADIUS_M = LS2.absorber_diameter_m / 2
@@ -96,6 +96,16 @@ def test_derivatives_are_those_of_differences() -> None:
     np.testing.assert_allclose(
         found.d_angle_d_radius, change(at(radius_m=RADIUS_M + h), at(radius_m=RADIUS_M - h)), **near
     )
+
+
+def test_misfit_with_slopes_is_that_with_all_derivatives() -> None:
+    sights, slope_x, slope_y = random_sights()
+    absorber = AbsorberPath.straight(0.003, 1.485, 9.0)
+    found = misfit(sights, (slope_x, slope_y), absorber, RADIUS_M)
+    angle, by_x, by_y = misfit_with_slopes(sights, (slope_x, slope_y), absorber, RADIUS_M)
+    np.testing.assert_allclose(angle, found.angle_rad, rtol=1e-14)
+    np.testing.assert_allclose(by_x, found.d_angle_d_slope_x, rtol=1e-14)
+    np.testing.assert_allclose(by_y, found.d_angle_d_slope_y, rtol=1e-14)
 
 
 def test_angle_beside_the_axis_and_half_the_width_are_the_misfits_of_both_edges() -> None:
