@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from heliogauge.flags import SampleFlag
 from heliogauge.images import Image
 from heliogauge.validate import FloatArray
 from observer.carried import View
@@ -87,7 +88,9 @@ def sizes_of(
     camera, pose = sample.view
     place = dict(zip(known.names, known.points_m, strict=True))
     table = found.detections
-    rows = [k for k, name in enumerate(table.names) if name in place and np.isfinite(found.ellipses_px2[k]).all()]
+    # White that is overexposed grows into the black, as in numbers encoded for the eye.
+    fit = np.isfinite(found.ellipses_px2).all(axis=(1, 2)) & ((table.flags & np.uint32(SampleFlag.CLIPPED)) == 0)
+    rows = [k for k, name in enumerate(table.names) if name in place and fit[k]]
     if diameter_m is None or not rows:
         return np.zeros(0), np.zeros(0)
     starts = {table.names[k]: Ellipse(table.pixels_px[k], found.ellipses_px2[k]) for k in rows}

@@ -83,6 +83,8 @@ def test_overexposed_paper_is_flagged_and_used() -> None:
     assert found.names == ("52",)
     assert found.flags[0] == SampleFlag.CLIPPED
     assert found.usable[0]
+    # The luminance of a photo in colour, and light of one that was encoded for the eye.
+    assert measured(bright.astype(np.float32)).detections.flags[0] == SampleFlag.CLIPPED
     assert measured(image_of("52", diameter_px=20.0)).detections.flags[0] == 0
 
 
