@@ -7,6 +7,7 @@ listed; the adjustment of all photos comes later, and what was found is carried 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -45,8 +46,8 @@ from photogrammetry.target_following import (
 _Part = TypeVar("_Part", ReflectionEdges, Bearings)
 _Result = TypeVar("_Result")
 
-#: Photos that are followed through; each run begins with a search of the whole photo and is one thread's work.
-_FEWEST_IN_RUN, _MOST_IN_RUN, _RUNS = 25, 100, 4
+#: Most photos that are followed through: each run begins with a search of the whole photo and is one thread's work.
+_MOST_IN_RUN = 125
 #: Photos that are read, and whose targets are centred, together: each step is then one operation on some twenty
 #: thousand pixels, and a step that follows itself takes half the time.
 _TOGETHER = 8
@@ -341,34 +342,45 @@ def look_first_at_each(
     leader = finders[0]
     if not leader.measures_alone:
         return [FirstLook(names, (), {}, {}, {}, own, leader.tone) for own in slices]
+    searched: dict[str, OnePhoto] = {}
     with progress.stage("look how photos are encoded"):
         # One flight, one camera: the first trough that tells is believed.
-        tone = next((told for one in finders if (told := _tone_of_some(files, one)) is not None), None)
+        tone = next((told for one in finders if (told := _tone_of_some(files, one, searched)) is not None), None)
         finders = [replace(one, tone=tone) for one in finders]
-    length = min(max(-(-len(files) // _RUNS), _FEWEST_IN_RUN), _MOST_IN_RUN) if leader.follows else 1
-    first = range(0, len(files), length)
+    if tone is Tone.SRGB:
+        searched.clear()  # They were searched as they are stored.
+    leader = finders[0]
+    parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
     with progress.stage("measure photos", len(files)) as stage:
 
-        def some(start: int) -> list[_Run]:
-            searched: dict[str, OnePhoto] = {}
-            runs = [_Run(finder, own, searched=searched) for finder, own in zip(finders, slices, strict=True)]
-            numbers = range(start, min(start + length, len(files)))
-            for few in (numbers[k : k + _TOGETHER] for k in range(0, len(numbers), _TOGETHER)):
+        def one_run(k: int) -> list[_Run]:
+            own = [_Run(finder, part, searched=dict(searched)) for finder, part in zip(finders, slices, strict=True)]
+            for few in (parts[k][first : first + _TOGETHER] for first in range(0, len(parts[k]), _TOGETHER)):
                 # Decoding drives all other code out of the processor's caches: several photos, then the rest.
-                images = [linear_light(read_luma(files[number]), tone or Tone.LINEAR) for number in few]
+                images = [leader.read(files[number]) for number in few]
                 for number, image in zip(few, images, strict=True):
-                    for run in runs:
+                    for run in own:
                         run.take(number, files[number].name, image)
                     stage.advance()
-            for run in runs:
+            for run in own:
                 run.finish()
-            return runs
+            return own
 
-        found = _side_by_side(some, first, jobs)
+        found = _side_by_side(one_run, range(len(parts)), jobs)
     if leader.search.dictionary is not None:
         read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
         refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
     return [_put_together(names, runs, own, tone) for runs, own in zip(zip(*found, strict=True), slices, strict=True)]
+
+
+def _runs_of(count: int) -> list[range]:
+    """Divide photos into runs that begin, after the first, with those searched to tell how all are encoded."""
+    ends = [*sorted({0, *some_of(count)}), count]
+    runs = []
+    for first, end in pairwise(ends):
+        length = -(-(end - first) // -(-(end - first) // _MOST_IN_RUN))
+        runs += [range(k, min(k + length, end)) for k in range(first, end, length)]
+    return runs
 
 
 def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, tone: Tone | None) -> FirstLook:
@@ -380,14 +392,19 @@ def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, 
     return FirstLook(names, targets, poses, edges, bearings, slices, tone)
 
 
-def _tone_of_some(files: Sequence[Path], finder: Finder) -> Tone | None:
-    """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does."""
+def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, OnePhoto]) -> Tone | None:
+    """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does.
+
+    What is found in them, as they are stored, is put down.
+    """
     if finder.tone is not None or not finder.camera_of:
         return finder.tone
     samples, sizes, stated = [], [], finder.section.diameter_mm
     for file in (files[number] for number in some_of(len(files))):
         image, camera = read_luma(file), finder.camera_of[file.name]
-        found = measure_photo(image, file.name, finder.section, finder.search)
+        found = searched.get(file.name)
+        if found is None:
+            found = searched[file.name] = measure_photo(image, file.name, finder.section, finder.search)
         pose = provisional_pose(found.detections, finder.known, camera)
         if pose is not None:
             samples.append(Sample(image, (camera, pose)))
