@@ -28,6 +28,12 @@ from observer.tube_unknowns import CommonUnknowns, common_unknowns
 _ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
 #: Times the standard deviation beyond which an edge is not the tube's.
 _REJECT_TIMES = 4.0
+#: What observations lack besides the noise of their edge, which counts where the reflection moves quickly [rad]: the
+#: mirror between nodes, its height, slopes along the trough.
+_MODEL_RAD = 6e-6
+#: An edge that steps the other way because the mirror bends so much is the tube's where its angle is known that well
+#: [rad].
+_TURNED_KNOWN_RAD = 1e-3
 #: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
 _STEEPEST_RAD = 0.04
 #: Where the slope along the trough is measured better than this, and better than this share of what it usually is, it
@@ -210,7 +216,8 @@ def solve_reflector(
             f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
             "collector's dimensions and the targets right?"
         )
-    is_bold = fate == EdgeFate.USED
+    is_bold, shadows = fate == EdgeFate.USED, has_shadows(fate)
+    wrong = (fate == EdgeFate.WRONG_STEP) & (not shadows)
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
@@ -231,7 +238,10 @@ def solve_reflector(
             factor = _noise_factor(residuals[keep] / used.sigma_rad, predicted[keep] / used.sigma_rad**2)
             noise *= factor
         limit = _REJECT_TIMES * np.sqrt((factor * lines.sigma_rad) ** 2 + predicted)
-        fate[is_bold] = np.where(np.abs(residuals) < limit, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
+        fits = np.abs(residuals) < limit
+        fate[is_bold] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
+        turned = wrong & nominal.turned & (predicted < _TURNED_KNOWN_RAD**2)
+        fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
         whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable = fate == EdgeFate.USED
@@ -242,7 +252,6 @@ def solve_reflector(
     lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
-    shadows = has_shadows(fate)
     if shadows:
         fate, errors, roughness, agreed = _without_shadows(
             lines, edges, (fate, errors, roughness), unknowns.covariance, grid
@@ -362,7 +371,12 @@ class _Nominal:
     @property
     def sigma_rad(self) -> FloatArray:
         """Noise of the edges' angles, shape (m,) [rad]."""
-        return np.abs(self.across_rad_per_m) * self.edges.sigma_x_m
+        return np.hypot(self.across_rad_per_m * self.edges.sigma_x_m, _MODEL_RAD)
+
+    @property
+    def turned(self) -> BoolArray:
+        """Which edges lie where the mirror bends so much that the reflection moves the other way on it, shape (m,)."""
+        return np.asarray(self.across_rad_per_m * np.median(self.across_rad_per_m) < 0)
 
 
 def _nominal(

@@ -20,9 +20,10 @@ _PRIOR = 3.0
 #: An error of all edges towards the tube that is common to the photos, as a standard deviation [m]: a tenth of a pixel.
 _EDGE_PRIOR_M = 1e-3
 #: The factor comes out too large, the more so the further edges are apart: heights and what lies between edges come
-#: from the same slopes. In drawn photos of both kinds by 0.27 with edges of one side 6 cm apart, by 0.5 with 10 cm and
-#: by 2.5 with 26 cm. So much is taken off, and half of it is uncertain.
-_EXCESS, _EXCESS_STEP_M, _EXCESS_POWER = 0.27, 0.06, 1.5
+#: from the same slopes, and what a spline leaves of waves between edges looks like heights. In drawn photos of both
+#: kinds by 0.2 with edges of one side 6 cm apart, by 0.4 to 0.9 with 10 cm. So much is taken off, and half of it is
+#: uncertain.
+_EXCESS, _EXCESS_STEP_M, _EXCESS_POWER = 0.20, 0.06, 1.5
 #: Between normals that are turned and a mirror that is shaped; what is nearer than so many sigmas is doubtful.
 _BORDER, _DECIDED_TIMES = 0.5, 2.0
 #: With a larger sigma the factor says nothing.

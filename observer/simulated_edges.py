@@ -105,7 +105,7 @@ def _edges_of_photo(scene: Scene, lattice: _Lattice, photo: int, noise: EdgeNois
     truth, collector = scene.truth, scene.truth.collector
     pixel_m = float(np.linalg.norm(eye)) / max(camera.focal_x_px, camera.focal_y_px)
     margin = _SPOILT_PX * pixel_m
-    row, side, place = _touching(scene, lattice, eye)
+    row, side, place, turned = _touching(scene, lattice, eye)
     points = _on_mirror(collector.focal_length_m, place, truth.y_m[row])
     sights = Sights(points, np.tile(eye, (row.size, 1)), side)
     passing = misfit(sights, _slopes(scene, points), truth.absorber, collector.absorber_diameter_m / 2)
@@ -114,7 +114,8 @@ def _edges_of_photo(scene: Scene, lattice: _Lattice, photo: int, noise: EdgeNois
     keep &= ~_behind_receiver(sights, truth, margin)
     keep &= in_image(scene.views[photo], points)
     sigma = np.full(row.size, noise.reflection_px * pixel_m)
-    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, -0.5 * side, 0 * side).chosen(keep)
+    step = np.where(turned, 0.5, -0.5) * side
+    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, step, 0 * side).chosen(keep)
 
 
 def _near(eye_m: FloatArray, x_m: FloatArray, truth: Expectation) -> BoolArray:
@@ -137,8 +138,11 @@ def _slopes(scene: Scene, points_m: FloatArray) -> tuple[FloatArray, FloatArray]
     return points_m[:, 0] / (2 * scene.truth.collector.focal_length_m) + error_x, error_y
 
 
-def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Solve for the places of all rows where lines of sight touch the tube: rows, sides, places [m]."""
+def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
+    """Solve for the places of all rows where lines of sight touch the tube.
+
+    Returns rows, sides, places [m] and where the mirror bends so much that the tube lies on the edge's other side.
+    """
     truth, collector = scene.truth, scene.truth.collector
     radius, focal = collector.absorber_diameter_m / 2, collector.focal_length_m
     near = np.nonzero(_near(eye_m, lattice.x_m, truth))[0]
@@ -158,6 +162,7 @@ def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntAr
         found.append((row, np.full(row.size, side), *ends[0], *ends[1]))
     row, sides, low, at_low, high, at_high = (np.concatenate(part) for part in zip(*found, strict=True))
     eyes = np.tile(eye_m, (row.size, 1))
+    turned = at_low > 0
     place, rest = low, at_low
     for _ in range(_STEPS):
         place = low - at_low * (high - low) / (at_high - at_low)
@@ -170,7 +175,7 @@ def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntAr
             break
     # What does not close is a step of the slope at a panel's edge.
     closed = np.abs(rest) < 1e3 * _CLOSE_RAD
-    return row[closed], sides[closed], place[closed]
+    return row[closed], sides[closed], place[closed], turned[closed]
 
 
 def _behind_receiver(sights: Sights, truth: Expectation, margin_m: float) -> BoolArray:
