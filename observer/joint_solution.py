@@ -287,8 +287,10 @@ def sample_rows(lines: TouchingLines, grid: RowGrid, most: int) -> IntArray:
         Ascending numbers of rows.
     """
     number = np.bincount(lines.row, minlength=grid.n_rows)
-    # The rows at the ends of the trough have few lines, or none: they say little of the others.
-    told = np.nonzero(number >= _FEW_LINES * float(np.median(number)))[0]
+    usual = float(np.median(number[number > 0])) if number.any() else 0.0
+    # The rows at the ends of the trough have few lines, and shadows may leave most rows without any: these say little
+    # of the others.
+    told = np.nonzero((number > 0) & (number >= _FEW_LINES * usual))[0]
     return told[np.unique(np.linspace(0, told.size - 1, min(told.size, most)).round().astype(np.intp))]
 
 

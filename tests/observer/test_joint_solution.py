@@ -190,6 +190,18 @@ def test_waves_are_told_from_kinks(kinks: bool) -> None:
         assert find_roughness(lines, grid, prior, np.zeros((0, 0))).order == start
 
 
+def test_rows_without_lines_are_no_sample_where_most_have_none() -> None:
+    rng = np.random.default_rng(2)
+    grid, covariance = small_grid(7), np.diag([1e-6, 4e-6, 9e-6])
+    # Shadows may leave most rows without any edge.
+    lines = random_lines(rng, grid, 200, 3)
+    lines = lines.chosen((lines.row == 1) | (lines.row == 4))
+    assert sample_rows(lines, grid, 5).tolist() == [1, 4]
+    found = solve_jointly(lines, grid, Roughness(1e-3), covariance)
+    assert np.abs(found.slopes[[0, 2, 3, 5, 6]]).max() == 0
+    assert np.isfinite(found.shared).all()
+
+
 def test_rows_without_lines_are_no_sample() -> None:
     rng = np.random.default_rng(8)
     grid = RowGrid(np.linspace(-1, 1, 20), np.ones(19, dtype=bool), 12)
