@@ -94,6 +94,25 @@ class RigidTransform:
         rotation = _orthonormal(rotation_from_vector(step[:3]) @ self.rotation)
         return RigidTransform(rotation, self.translation_m + step[3:])
 
+    def origin_covariance(self, covariance: npt.ArrayLike) -> FloatArray:
+        """Return how well the origin of frame b is known in frame a: a camera's place, with ``cam_from_world``.
+
+        Parameters
+        ----------
+        covariance : array_like, shape (6, 6)
+            Covariance of the steps of `moved` [rad, m].
+
+        Returns
+        -------
+        ndarray, shape (3, 3)
+            Covariance of the origin, ``-rotation.T @ translation_m`` [m^2].
+        """
+        given = float_array("covariance", covariance, (6, 6))
+        x, y, z = self.translation_m
+        # A turn w takes the origin along by R^T (t x w), a shift d by -R^T d.
+        by_step = -self.rotation.T @ np.hstack([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.eye(3)])
+        return np.asarray(by_step @ given @ by_step.T)
+
 
 def _is_rotation(matrix: FloatArray) -> bool:
     """Return whether rows are orthonormal and right-handed; nine numbers are faster one by one than as arrays."""

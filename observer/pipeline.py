@@ -13,9 +13,18 @@ from heliogauge.measurement_observer import ObserverMeasurement
 from heliogauge.progress import Progress, SilentProgress
 from heliogauge.rigid import RigidTransform
 from heliogauge.slope_map import SlopeMap
-from heliogauge.store import Summary, hash_files, write_cameras_json, write_points_csv, write_summary, write_table_csv
+from heliogauge.store import (
+    PhotoPose,
+    Summary,
+    hash_files,
+    write_cameras_json,
+    write_points_csv,
+    write_summary,
+    write_table_csv,
+)
 from heliogauge.store_slope_map import write_slope_map
 from heliogauge.sun_shapes import SunShape
+from heliogauge.validate import FloatArray
 from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
@@ -116,7 +125,11 @@ class Result:
     intercept : InterceptResult
         What mirror and absorber collect.
     photos : Photos
-        Poses of the photos with their joint covariance.
+        Poses of the photos with their joint covariance, as the targets tell them.
+    poses : tuple of RigidTransform
+        The same as the reflection has refined them, ``cam_from_frame``.
+    pose_covariances : ndarray, shape (n, 6, 6)
+        Of the steps of each [rad, m].
     overlay : Overlay
         One photo with what design and result predict of the reflection.
     warnings : tuple of str
@@ -140,6 +153,8 @@ class Result:
     angles: AngleMaps
     intercept: InterceptResult
     photos: Photos
+    poses: tuple[RigidTransform, ...]
+    pose_covariances: FloatArray
     overlay: Overlay
     warnings: tuple[str, ...]
     durations_s: dict[str, float]
@@ -300,7 +315,11 @@ def evaluate(
     with progress.stage("picture"):
         clearest = _clearest_photo(seen, reflector)
         tubes = (absorber_start(collector), absorber)
-        picture = overlay(clearest, files[clearest], views[clearest], slope_map, tubes, collector)
+        poses, pose_covariances = reflector.unknowns.moved_poses(
+            photos.poses, photos.covariance, reflector.errors.common, reflector.errors.covariance_common
+        )
+        view = (views[clearest][0], poses[clearest])
+        picture = overlay(clearest, files[clearest], view, slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     with progress.stage("check the design"):
         design = (
@@ -318,7 +337,7 @@ def evaluate(
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
         model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,
-        intercept, photos, picture, (*network.warnings, *doubts, *intercept.warnings),
+        intercept, photos, poses, pose_covariances, picture, (*network.warnings, *doubts, *intercept.warnings),
         dict(progress.durations_s),
     )  # fmt: skip
 
@@ -386,14 +405,31 @@ def write(result: Result, folder: Path) -> None:
     write_table_csv(folder / "absorber.csv", absorber_columns(*tube))
     write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(*tube, turn)))
     write_points_csv(folder / "points.csv", result.network.points)
-    poses = photogrammetry_pipeline.photo_poses(result.network)
-    write_cameras_json(folder / "cameras.json", result.network.cameras, poses)
+    write_cameras_json(folder / "cameras.json", result.network.cameras, refined_poses(result))
     write_table_csv(folder / "reflection_edges.csv", _edge_columns(result))
     refused = result.network.refused
     write_table_csv(
         folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
     )
     write_summary(folder / "summary.json", summarise(result))
+
+
+def refined_poses(result: Result) -> dict[str, PhotoPose]:
+    """Return the poses of all photos as targets and reflection together have them.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+
+    Returns
+    -------
+    dict of str to PhotoPose
+        By the photo's name; residuals are those of the targets.
+    """
+    before = photogrammetry_pipeline.photo_poses(result.network)
+    both = zip(before.items(), result.poses, result.pose_covariances, strict=True)
+    return {name: replace(one, cam_from_world=pose, covariance=covariance) for (name, one), pose, covariance in both}
 
 
 def _edge_columns(result: Result) -> dict[str, Any]:

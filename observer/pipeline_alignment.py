@@ -79,7 +79,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     InputError
         Not such a folder, or mounts that cannot be.
     """
-    files = [folder / name for name in ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "network/cameras.json")]
+    files = [folder / name for name in ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json")]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise InputError(f"{folder}: there is no {missing[0]}; give the folder that `heliogauge observer` wrote")

@@ -13,6 +13,7 @@ from heliogauge.progress import Progress, SilentProgress
 from heliogauge.slope_map import SlopeMap
 from heliogauge.store import PhotoPose, Summary, hash_files, write_cameras_json, write_summary, write_table_csv
 from heliogauge.store_slope_map import read_slope_map, write_slope_map
+from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
 from observer.figures_of_merit import FlightFigures, flight_figures
@@ -317,11 +318,17 @@ def write(result: PlanResult, folder: Path) -> None:
     write_summary(folder / "summary.json", summarise(result))
 
 
+def _place_variances(result: PlanResult) -> FloatArray:
+    """Return the mean variance of the three coordinates of each camera's place, shape (n,) [m^2]."""
+    both = zip(result.network.poses, result.bundle.covariance.poses, strict=True)
+    return np.array([np.trace(pose.origin_covariance(one)) / 3 for pose, one in both])
+
+
 def _station_columns(result: PlanResult) -> dict[str, Any]:
     table = result.bundle.problem.observations
     inverse = [pose.inverse() for pose in result.network.poses]
     eyes, looks = (np.array([getattr(one, name) for one in inverse]) for name in ("translation_m", "rotation"))
-    sigma = np.sqrt(np.array([np.trace(one[3:, 3:]) / 3 for one in result.bundle.covariance.poses]))
+    sigma = np.sqrt(_place_variances(result))
     columns: dict[str, Any] = {"name": list(table.photos)}
     columns |= {f"{axis}_m": eyes[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"direction_{axis}": looks[:, i, 2] for i, axis in enumerate("xyz")}
@@ -370,7 +377,7 @@ def summarise(result: PlanResult) -> Summary:
     valid = slope_map.valid
     sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
     sigma_x, sigma_z = path.sigma_at(path.y_m)
-    eyes = np.array([np.trace(one[3:, 3:]) / 3 for one in result.bundle.covariance.poses])
+    eyes = _place_variances(result)
     figures, spread = result.figures, result.spread
     numbers: dict[str, float | int | None] = {
         "photos_count": len(result.network.poses),

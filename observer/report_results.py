@@ -65,7 +65,9 @@ class TroughResults:
     photos : tuple of str
         Names of the photos.
     poses : dict of str to PhotoPose
-        Their poses.
+        Their poses, from targets and reflection together.
+    poses_by_targets : dict of str to PhotoPose
+        Their poses from the targets alone.
     targets : PointTable
         The targets.
     edges : EdgeTable
@@ -79,6 +81,7 @@ class TroughResults:
     angles: dict[str, npt.NDArray[np.float64]]
     photos: tuple[str, ...]
     poses: dict[str, PhotoPose]
+    poses_by_targets: dict[str, PhotoPose]
     targets: PointTable
     edges: EdgeTable
     slices: StoredSlices
@@ -115,7 +118,8 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
     folder = Path(folder)
     names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a")
     angles, _ = read_arrays(folder / ANGLES, names)
-    _, poses = read_cameras_json(folder / "network" / "cameras.json")
+    _, poses = read_cameras_json(folder / "cameras.json")
+    _, by_targets = read_cameras_json(folder / "network" / "cameras.json")
     photos = tuple(poses)
     return TroughResults(
         base=open_results(folder),
@@ -123,6 +127,7 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
         angles={name: angles[name].astype(np.float64) for name in names},
         photos=photos,
         poses=poses,
+        poses_by_targets=by_targets,
         targets=read_points_csv(folder / "points.csv"),
         edges=_read_edges(folder / "reflection_edges.csv", photos),
         slices=read_slices(folder / SLICES),

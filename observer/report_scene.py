@@ -1,10 +1,13 @@
 """A trough, its targets and the cameras' way in space, for its report."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from heliogauge.figures_canvas import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.report_html import Html, join
 from heliogauge.report_scene import SceneGroup, scene
+from heliogauge.store import PhotoPose
 from heliogauge.validate import FloatArray
 from observer.report_results import TroughResults, numbers
 
@@ -24,7 +27,10 @@ def network(results: TroughResults) -> Html:
     """
     eyes, names = results.eyes_m, results.photos
     counts = np.bincount(results.edges.photo[results.edges.used], minlength=len(names))
-    sigma = np.array([np.sqrt(np.trace(results.poses[name].covariance[3:, 3:])) for name in names])
+    sigma, by_targets = (
+        np.array([place_sigma_m(poses[name]) for name in names]) for poses in (results.poses, results.poses_by_targets)
+    )
+    moved = np.linalg.norm(eyes - eyes_of(results.poses_by_targets, names), axis=1)
     labels = [
         f"{name}: {count} edges of the reflection, position known to {1e3 * one:.1f} mm"
         for name, count, one in zip(names, counts, sigma, strict=True)
@@ -41,13 +47,37 @@ def network(results: TroughResults) -> Html:
         SceneGroup("cameras", eyes, [LINE_X if count else "#c9cdd2" for count in counts], labels=labels, size_px=6),
     ]  # fmt: skip
     words = (
-        f"<p>{len(names)} photos, {int(known.sum())} targets. Median sigma of a camera's position from the targets "
-        f"alone: {1e3 * float(np.median(sigma)):.1f} mm; the reflection then ties the cameras to each other. The "
-        "adjustment of cameras and targets has its own report: <code>heliogauge report network</code> in this "
-        "folder.</p>"
+        f"<p>{len(names)} photos, {int(known.sum())} targets. Median sigma of a camera's position: "
+        f"{1e3 * float(np.median(by_targets)):.2f} mm from the targets alone, {1e3 * float(np.median(sigma)):.2f} mm "
+        f"with the reflection, which moved it by {1e3 * float(np.median(moved)):.2f} mm and ties the cameras to each "
+        "other (cameras.json). The adjustment of cameras and targets has its own report: <code>heliogauge report "
+        "network</code> in this folder.</p>"
     )
     note = "Grey cameras: none of their edges was used."
     return join(Html(words), scene(groups, name="trough", note=note))
+
+
+def eyes_of(poses: dict[str, PhotoPose], names: Sequence[str]) -> FloatArray:
+    """Return the centres of cameras.
+
+    Parameters
+    ----------
+    poses : dict of str to PhotoPose
+        Poses of the photos.
+    names : sequence of str
+        Which.
+
+    Returns
+    -------
+    ndarray, shape (k, 3)
+        Centres [m].
+    """
+    return np.array([poses[name].cam_from_world.inverse().translation_m for name in names])
+
+
+def place_sigma_m(pose: PhotoPose) -> float:
+    """Return the standard deviation of a camera's place, its three coordinates together [m]."""
+    return float(np.sqrt(np.trace(pose.cam_from_world.origin_covariance(pose.covariance))))
 
 
 def mirror_lines(results: TroughResults) -> tuple[FloatArray, tuple[int, ...]]:

@@ -15,10 +15,12 @@ What is left out of these comes back as wrong poses: with the glass 6 mm beside 
 standard deviation, and slopes by 0.1 mrad.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.camera_modes import CameraModes
@@ -56,6 +58,8 @@ class CommonUnknowns:
         Stations of the tube whose place is unknown; 0 where it is held.
     units : ndarray, shape (4,)
         Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
+    steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
+        Step of each photo's pose (`RigidTransform.moved`) for one unit of its first unknowns [rad, m].
     """
 
     index: IntArray
@@ -64,6 +68,7 @@ class CommonUnknowns:
     n_photo: int
     n_stations: int
     units: FloatArray
+    steps: FloatArray
 
     @property
     def place(self) -> slice:
@@ -81,6 +86,45 @@ class CommonUnknowns:
         which = np.zeros(len(self.covariance), dtype=bool)
         which[self.place] = True
         return which
+
+    def moved_poses(
+        self, poses: Sequence[RigidTransform], covariance: FloatArray, common: FloatArray, covariance_common: FloatArray
+    ) -> tuple[tuple[RigidTransform, ...], FloatArray]:
+        """Return the poses as the solution has them.
+
+        Parameters
+        ----------
+        poses : sequence of RigidTransform
+            As they were before, ``cam_from_frame``.
+        covariance : ndarray, shape (6 n, 6 n)
+            Joint covariance of their steps before.
+        common : ndarray, shape (k,)
+            The solution.
+        covariance_common : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        poses : tuple of RigidTransform
+            The poses.
+        covariance : ndarray, shape (n, 6, 6)
+            Of the steps of each one [rad, m].
+
+        Notes
+        -----
+        A photo's unknowns m are combinations of its step s with unit covariance, so that ``s = S m + rest`` with S the
+        `steps` and a rest that is independent of m. The edges tell m and, but for what m has in common with it, not
+        the rest: its expectation stays zero and its covariance ``P - S S^T``.
+        """
+        count, modes = len(self.steps), self.steps.shape[2]
+        own = common[: count * modes].reshape(count, modes)
+        numbers = np.arange(count * modes).reshape(count, modes)
+        known = covariance_common[numbers[:, :, None], numbers[:, None, :]]
+        before = covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
+        told = self.steps @ (np.eye(modes) - known) @ np.swapaxes(self.steps, 1, 2)
+        after = before - 0.5 * (told + np.swapaxes(told, 1, 2))
+        steps = np.einsum("nij,nj->ni", self.steps, own)
+        return tuple(pose.moved(step) for pose, step in zip(poses, steps, strict=True)), after
 
     def moved(self, path: AbsorberPath, common: FloatArray, covariance: FloatArray) -> AbsorberPath:
         """Return the tube's path as the solution has it.
@@ -158,7 +202,7 @@ def common_unknowns(
         if with_poses is not None:
             covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
             covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
-    return CommonUnknowns(index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units)
+    return CommonUnknowns(index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units, modes.steps)
 
 
 def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:

@@ -90,7 +90,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
         assert len(measurement.model.scale_bar) == (name == "A")
         if name == "B":
             raise EstimationError("reflection: only 0 edges")
-        return pipeline.Result(name, *([None] * 13), (), {})
+        return pipeline.Result(name, *([None] * 15), (), {})
 
     def write(result, folder):
         write_summary(folder / "summary.json", Summary(

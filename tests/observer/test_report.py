@@ -1,5 +1,7 @@
 """The report of a trough: what is stored comes back, and the pictures say what the geometry says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -226,6 +228,11 @@ def result_folder(folder) -> None:
         for k, name in enumerate("ab")
     }
     write_cameras_json(folder / "network" / "cameras.json", {"camera": camera}, poses)
+    nearer = {
+        name: replace(one, cam_from_world=one.cam_from_world.moved([0, 0, 0, 0, 0, 3e-3]), covariance=np.eye(6) / 4)
+        for name, one in poses.items()
+    }
+    write_cameras_json(folder / "cameras.json", {"camera": camera}, nearer)
     numbers = {
         "sdx_rad": 1e-3, "sigma_sdx_rad": 1e-5, "sdx_tilt_removed_rad": None, "median_sigma_slope_x_rad": 1e-4,
         "measured_share": 0.97, "absorber_mean_x_m": 1e-3, "absorber_mean_z_offset_m": 1e-3, "rms_theta_ra_rad": 1e-3,
@@ -249,7 +256,10 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
     assert report.residuals(results).text.count("<img") == 2
     assert "1.5" in report.panels(results).text
     assert "too few targets" in report.refused(results).text
-    assert "photos" in report.network(results).text
+    # sqrt(3 + 2 * 15.04^2) m: a turn of 1 rad swings the camera by its distance.
+    assert "21315.48 mm from the targets alone, 10659.85 mm with the reflection, which moved it by 3.00 mm" in (
+        report.network(results).text
+    )
     assert "&lt;trough&gt;" in report.head(results).text
     words = report.overview(results).text
     assert "not determined: a reason" in words
