@@ -9,7 +9,7 @@ by less than 0.05 mm.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -130,15 +130,10 @@ def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings
     """
     plane = quadric([0, 0, 0, 0, 0, float(np.mean(expected.absorber.z_m))], name="plane of the focal line")
     lookouts = [_lookout(one, expected) for one in shots]
-    strips = [None if one is None else _strip(one, plane, expected) for one in lookouts]
-    edges = [None if strip is None else find_edges(strip, oversampling=_OVERSAMPLING) for strip in strips]
-    bearings = []
-    for one, strip, found in zip(lookouts, strips, edges, strict=True):
-        if one is None or strip is None or found is None:
-            bearings.append(_nothing())
-        else:
-            bearings.append(_bearings(one, strip, found, expected))
-    return bearings
+    seen = [one for one in lookouts if one is not None]
+    strips = [_strip(one, plane, expected) for one in seen]
+    bearings = iter(_bearings(seen, strips, expected))
+    return [_nothing() if one is None else next(bearings) for one in lookouts]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,32 +181,44 @@ def _strip(seen: _Lookout, plane: Quadric, expected: Expectation) -> Strip:
     return rectified_strip(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
 
 
-def _bearings(one: _Lookout, strip: Strip, found: Edges, expected: Expectation) -> Bearings:
-    """Pair the edges that are the tube's, and say under what angle its axis is seen."""
-    eye, height, distance, collector = one.eye_m, one.height_m, one.distance_m, expected.collector
-    radius, pixel_m = collector.absorber_diameter_m / 2, one.distance_m * one.pixel_rad
-    seen = np.arctan2(found.x_m - eye[0], height)
-    first, second = paired_edges(found, seen, height, radius)
-    beside = _BESIDE_PX * one.pixel_rad + _BESIDE_M / distance
-    strength = _strength(found, first, second)
-    chosen = _continuous(found.row[first], 0.5 * (seen[first] + seen[second]), strength, beside)
-    first, second = first[chosen], second[chosen]
-    y = expected.y_m[found.row[first]]
-    sigmas = np.stack([found.sigma_x_m[k] * np.cos(seen[k]) ** 2 / height for k in (first, second)])
-    angle = 0.5 * (seen[first] + seen[second])
-    if collector.glass is not None and one.to_reflection_rad < _LARGEST_PRISM_RAD:
-        left, right = found.x_m[first], found.x_m[second]
-        glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
-        sides = level_edges(strip, found.row[first], 0.5 * (left + right), 0.5 * (right - left), glass, _OVERSAMPLING)
-        angle = 0.5 * (np.arctan2(sides[0] - eye[0], height) + np.arctan2(sides[1] - eye[0], height))
-    wide = 2 * height / np.cos(angle) * np.sin(0.5 * (seen[second] - seen[first]))
+def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expectation) -> list[Bearings]:
+    """Pair the edges that are the tube's, and say under what angle its axis is seen; those of all photos together."""
+    if not seen:
+        return []
+    collector, radius = expected.collector, expected.collector.absorber_diameter_m / 2
+    eye_x, heights, distances, pixels_rad = np.array(
+        [[one.eye_m[0], one.height_m, one.distance_m, one.pixel_rad] for one in seen]
+    ).T
+    found, which = find_edges(strips, oversampling=_OVERSAMPLING)
+    angles = np.arctan2(found.x_m - eye_x[which], heights[which])
+    # Rows of all photos in one order, too far apart to be neighbours.
+    lined = replace(found, row=found.row + which * (expected.y_m.size + 2 * _ROWS_AROUND))
+    first, second = paired_edges(lined, angles, heights[which], radius)
+    beside = (_BESIDE_PX * pixels_rad + _BESIDE_M / distances)[which[first]]
+    middle = 0.5 * (angles[first] + angles[second])
+    chosen = _continuous(lined.row[first], middle, _strength(found, first, second), beside)
+    first, second, angle = first[chosen], second[chosen], middle[chosen]
+    which, row = which[first], found.row[first]
+    height, distance, y = heights[which], distances[which], expected.y_m[row]
+    sigmas = [found.sigma_x_m[k] * np.cos(angles[k]) ** 2 / height for k in (first, second)]
+    shared, ends = np.empty(len(seen)), np.searchsorted(which, np.arange(len(seen) + 1))
+    for k, (one, strip) in enumerate(zip(seen, strips, strict=True)):
+        own = slice(ends[k], ends[k + 1])
+        if collector.glass is not None and one.to_reflection_rad < _LARGEST_PRISM_RAD:
+            left, right = found.x_m[first[own]], found.x_m[second[own]]
+            glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
+            sides = level_edges(strip, row[own], 0.5 * (left + right), 0.5 * (right - left), glass, _OVERSAMPLING)
+            angle[own] = 0.5 * np.sum([np.arctan2(side - one.eye_m[0], one.height_m) for side in sides], axis=0)
+        turned = 2 * turned_rad(collector, 1 + _NEAR_PX * one.distance_m * one.pixel_rad / radius)
+        shared[k] = _SHARED_PX * one.pixel_rad * max(1.0, turned / one.to_reflection_rad) ** _NEAR_POWER
+    wide = 2 * height / np.cos(angle) * np.sin(0.5 * (angles[second] - angles[first]))
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
-    pulled = PULLED_SHARE * np.maximum(np.abs(wide - 2 * radius) - _WIDER_PX * pixel_m, 0) / distance
-    nearness = 2 * turned_rad(collector, 1 + _NEAR_PX * pixel_m / radius) / one.to_reflection_rad
-    shared = _SHARED_PX * one.pixel_rad * max(1.0, nearness) ** _NEAR_POWER
-    photo = np.full(first.size, one.shot.number, dtype=np.intp)
-    bearings = Bearings(photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared, pulled))
-    return bearings.chosen(np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m))
+    too_wide = np.abs(wide - 2 * radius) - _WIDER_PX * distance * pixels_rad[which]
+    pulled = PULLED_SHARE * np.maximum(too_wide, 0) / distance
+    photo = np.array([one.shot.number for one in seen], dtype=np.intp)[which]
+    bearings = Bearings(photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared[which], pulled))
+    kept = np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m)
+    return [bearings.chosen(np.flatnonzero(kept & (which == k))) for k in range(len(seen))]
 
 
 def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
@@ -258,7 +265,9 @@ def _nothing() -> Bearings:
     return Bearings(np.zeros(0, dtype=np.intp), empty, empty, empty, empty)
 
 
-def paired_edges(found: Edges, seen_rad: FloatArray, height_m: float, radius_m: float) -> tuple[IntArray, IntArray]:
+def paired_edges(
+    found: Edges, seen_rad: FloatArray, height_m: FloatArray | float, radius_m: float
+) -> tuple[IntArray, IntArray]:
     """Return all pairs of edges of one row that are as far apart as the tube is wide and step opposite ways.
 
     Parameters
@@ -267,7 +276,7 @@ def paired_edges(found: Edges, seen_rad: FloatArray, height_m: float, radius_m: 
         Edges on the plane of the focal line.
     seen_rad : ndarray, shape (n,)
         Angle across the trough under which each is seen [rad].
-    height_m : float
+    height_m : float or ndarray, shape (n,)
         Height of the camera above that plane [m].
     radius_m : float
         The tube's radius [m].
@@ -298,7 +307,7 @@ def _strength(found: Edges, first: IntArray, second: IntArray) -> FloatArray:
     return np.minimum(np.abs(found.rise_dn[first]), np.abs(found.rise_dn[second]))
 
 
-def _continuous(row: IntArray, angle_rad: FloatArray, strength: FloatArray, beside_rad: float) -> IntArray:
+def _continuous(row: IntArray, angle_rad: FloatArray, strength: FloatArray, beside_rad: FloatArray) -> IntArray:
     """Choose one pair for each row: the one nearest to where the strongest pairs of the rows around it lie.
 
     Tube, seams and reflections may look alike in one row; along many only the tube is at one place.
@@ -318,4 +327,4 @@ def _continuous(row: IntArray, angle_rad: FloatArray, strength: FloatArray, besi
     beside = np.abs(angle_rad - usual[np.searchsorted(row[strongest], row)])
     order = np.lexsort((-beside, row))
     nearest = order[np.flatnonzero(np.diff(row[order], append=-1))]
-    return np.asarray(nearest[beside[nearest] < beside_rad], dtype=np.intp)
+    return np.asarray(nearest[(beside < beside_rad)[nearest]], dtype=np.intp)

@@ -1,5 +1,6 @@
 """Edges across a rectified strip: where brightness changes fastest, to a fraction of a sample."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -52,21 +53,62 @@ class Edges:
         return Edges(*(getattr(self, name)[which] for name in self.__slots__))
 
 
-def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
-    """Find all edges across a strip.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Filter:
+    """The derivative of a Gaussian, and by how much it and its own derivative pass noise."""
+
+    weights: FloatArray
+    noise: float
+    noise_of_slope: float
+
+    @classmethod
+    def of_width(cls, width: float) -> "_Filter":
+        reach = int(np.ceil(4 * width))
+        place = np.arange(-reach, reach + 1)
+        bell = np.exp(-0.5 * (place / width) ** 2)
+        bell /= bell.sum()
+        first, second = place / width**2 * bell, (place**2 / width**4 - 1 / width**2) * bell
+        return cls(first, float(np.sqrt((first**2).sum())), float(np.sqrt((second**2).sum())))
+
+    @property
+    def reach(self) -> int:
+        """Samples on each side."""
+        return self.weights.size // 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Peaks:
+    """Where the brightness of one strip changes fastest, n places.
+
+    Row and column of each, logarithms of the size of the derivative before, at and after it, shape (3, n), the
+    derivative itself, the brightness beside it on both sides, shape (2, n); noise of the strip [DN].
+    """
+
+    row: IntArray
+    column: IntArray
+    logs: FloatArray
+    height_dn: FloatArray
+    sides_dn: FloatArray
+    noise_dn: float
+
+
+def find_edges(strips: Sequence[Strip], *, oversampling: int = 1) -> tuple[Edges, IntArray]:
+    """Find all edges across strips.
 
     Parameters
     ----------
-    strip : Strip
+    strips : sequence of Strip
         Rectified brightness.
     oversampling : int, optional
-        Samples of the strip for each pixel of the photo. With one, interpolation between pixels moves an edge by up to
-        0.025 px with its place among them; with two by less than 0.002 px.
+        Samples of the strips for each pixel of their photo. With one, interpolation between pixels moves an edge by up
+        to 0.025 px with its place among them; with two by less than 0.002 px.
 
     Returns
     -------
-    Edges
-        In the order of the rows.
+    edges : Edges
+        In the order of the strips and their rows.
+    strip : ndarray of int, shape (n,)
+        Number of the strip of each.
 
     Notes
     -----
@@ -74,44 +116,56 @@ def find_edges(strip: Strip, *, oversampling: int = 1) -> Edges:
     the logarithms of three values, exact for an edge blurred by a Gaussian. A linear change of the background adds a
     constant to the derivative and leaves its peak where it is, other than a crossing of a level.
     """
-    width = _FILTER_SAMPLES * oversampling
-    reach = int(np.ceil(4 * width))
-    place = np.arange(-reach, reach + 1)
-    bell = np.exp(-0.5 * (place / width) ** 2)
-    bell /= bell.sum()
-    derivative = place / width**2 * bell
+    derivative = _Filter.of_width(_FILTER_SAMPLES * oversampling)
+    parts = [_peaks(strip, derivative, oversampling) for strip in strips]
+    if not parts:
+        none, empty = np.zeros(0, dtype=np.intp), np.zeros(0)
+        return Edges(none, empty, empty, empty, empty), none
+    counts = [part.row.size for part in parts]
+    before, here, after = np.concatenate([part.logs for part in parts], axis=1)
+    bend = np.minimum(before - 2 * here + after, -1e-3)
+    shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+    first_m, step_m, noise_dn = np.repeat(
+        [[strip.x_m[0], strip.x_m[1] - strip.x_m[0], part.noise_dn] for strip, part in zip(strips, parts, strict=True)],
+        counts, axis=0,
+    ).T  # fmt: skip
+    height = np.concatenate([part.height_dn for part in parts])
+    # The derivative's noise moves its peak by noise of the second derivative over the peak's curvature.
+    wander = noise_dn * derivative.noise_of_slope / (np.abs(height) * np.abs(bend))
+    sigma = step_m * np.hypot(wander, _FLOOR_SAMPLES)
+    rise = height * np.sqrt(-1 / bend) * np.sqrt(2 * np.pi)
+    sides = np.concatenate([part.sides_dn for part in parts], axis=1)
+    brighter = np.maximum(np.maximum(*sides), np.abs(rise))
+    row, column = (np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "column"))
+    edges = Edges(row, first_m + step_m * (column + shift), sigma, rise, rise / np.maximum(brighter, 1e-6))
+    return edges, np.repeat(np.arange(len(parts)), counts)
+
+
+def _peaks(strip: Strip, derivative: _Filter, oversampling: int) -> _Peaks:
+    """Return where the brightness of a strip changes fastest: more than by noise, and than by most of what it shows."""
+    reach = derivative.reach
     is_whole = bool(strip.seen.all())
     image = strip.image_dn if is_whole else np.where(strip.seen, strip.image_dn, np.float32(0))
-    gradient = cv2.sepFilter2D(image, cv2.CV_32F, derivative, np.ones(1), borderType=cv2.BORDER_REPLICATE)
+    gradient = cv2.sepFilter2D(image, cv2.CV_32F, derivative.weights, np.ones(1), borderType=cv2.BORDER_REPLICATE)
     size = np.abs(gradient)
     # Samples between the same pixels share their noise.
     noise_dn = _noise(strip, oversampling, is_whole) * float(np.sqrt(oversampling))
-    noise = noise_dn * float(np.sqrt((derivative**2).sum()))
     strongest = float(np.median(size.max(axis=1)))
-    peak = _peaks(size, max(_NOISE_TIMES * noise, _LEAST_SHARE * strongest, 1e-6), reach)
+    least = max(_NOISE_TIMES * noise_dn * derivative.noise, _LEAST_SHARE * strongest, 1e-6)
+    peak = _highest(size, least, reach)
     # A filter that reaches beyond the photo, or the strip, sees its border.
     if not is_whole:
         kernel = np.ones((1, 2 * reach + 1), np.uint8)
         peak = peak[cv2.erode(strip.seen.astype(np.uint8), kernel, borderValue=0).ravel()[peak] > 0]
     row, column = np.divmod(peak, size.shape[1])
-    flat = size.ravel()
-    before, here, after = (np.log(np.maximum(flat[peak + i], 1e-6)).astype(np.float64) for i in (-1, 0, 1))
-    bend = np.minimum(before - 2 * here + after, -1e-3)
-    shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
-    step = float(strip.x_m[1] - strip.x_m[0])
-    height = gradient.ravel()[peak].astype(np.float64)
-    # The derivative's noise moves its peak by noise of the second derivative over the peak's curvature.
-    second = (place**2 / width**4 - 1 / width**2) * bell
-    wander = noise_dn * np.sqrt((second**2).sum()) / (np.abs(height) * np.abs(bend))
-    sigma = step * np.hypot(wander, _FLOOR_SAMPLES)
-    rise = height * np.sqrt(-1 / bend) * np.sqrt(2 * np.pi)
-    last = strip.x_m.size - 1
-    sides = [strip.image_dn[row, np.clip(column + way * _BESIDE_SAMPLES * oversampling, 0, last)] for way in (-1, 1)]
-    brighter = np.maximum(np.maximum(*sides), np.abs(rise)).astype(np.float64)
-    return Edges(row, strip.x_m[column] + step * shift, sigma, rise, rise / np.maximum(brighter, 1e-6))
+    logs = np.log(np.maximum(size.ravel()[peak + np.arange(-1, 2)[:, None]], 1e-6)).astype(np.float64)
+    # The filter reaches as far, so what is beside lies in the same row.
+    beside = min(_BESIDE_SAMPLES * oversampling, reach)
+    sides = strip.image_dn.ravel()[peak + np.array([[-beside], [beside]])].astype(np.float64)
+    return _Peaks(row, column, logs, gradient.ravel()[peak].astype(np.float64), sides, noise_dn)
 
 
-def _peaks(size: Float32Array, least: float, margin: int) -> IntArray:
+def _highest(size: Float32Array, least: float, margin: int) -> IntArray:
     """Return where rows have their peaks above a level, away from the ends of the rows, as numbers of ``size.ravel()``.
 
     Numbers in one line of memory are found three times as fast as rows and columns.

@@ -9,7 +9,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.images import Image
 from heliogauge.validate import FloatArray
 from observer.carried import View
-from observer.reflection import Expectation, edge_profiles
+from observer.reflection import Expectation, Shot, edge_profiles
 from observer.tone import Tone, find_tone, linear_light
 from photogrammetry.ellipse import Ellipse
 from photogrammetry.photo_targets import TargetSearch, measure_at
@@ -133,7 +133,7 @@ def tone_of(
     profiles: list[list[FloatArray]] = [[], []]
     for one in samples:
         for image, found in zip((one.image, one.decoded), profiles, strict=True):
-            found.append(edge_profiles(image, one.view, expected))
+            found.append(edge_profiles(Shot(image, 0, one.view), expected))
     ratios = None
     if sizes:
         ratios = (np.concatenate([one[0] for one in sizes]), np.concatenate([one[1] for one in sizes]))

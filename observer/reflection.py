@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -155,27 +156,20 @@ def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[Refle
     -----
     Step by step for all photos: code that has just run is in the processor's caches, where it takes half the time.
     """
-    sizes_m = [_pixel_m(one.view) for one in shots]
-    strips = [_strip(one.image, one.view, expected, size) for one, size in zip(shots, sizes_m, strict=True)]
-    found = [None if strip is None else find_edges(strip) for strip in strips]
-    edges = []
-    for one, size_m, strip, own in zip(shots, sizes_m, strips, found, strict=True):
-        if strip is None or own is None:
-            edges.append(_nothing())
-        else:
-            edges.append(_plausible(own, one.number, one.eye_m, expected, (size_m, strip)))
-    return edges
+    looks = [_look(one, expected) for one in shots]
+    seen = [one for one in looks if one is not None]
+    found, which = find_edges([one.strip for one in seen])
+    edges = iter(_plausible(found, which, seen, expected))
+    return [_nothing() if one is None else next(edges) for one in looks]
 
 
-def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation) -> FloatArray:
+def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
     """Return the brightness across edges of the reflection, from the darker to the brighter side.
 
     Parameters
     ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
+    shot : Shot
+        The photo.
     expected : Expectation
         Collector, absorber and rows.
 
@@ -184,13 +178,12 @@ def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected
     ndarray, shape (n, 13)
         Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
     """
-    pixel_m = _pixel_m(view)
-    strip = _strip(image, view, expected, pixel_m)
+    look = _look(shot, expected)
     place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
-    if strip is None:
+    if look is None:
         return np.zeros((0, place.size))
-    found = find_edges(strip)
-    edges = _plausible(found, 0, view[1].inverse().translation_m, expected, (pixel_m, strip))
+    strip, pixel_m = look.strip, look.pixel_m
+    [edges] = _plausible(*find_edges([strip]), [look], expected)
     edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN))
     step = float(strip.x_m[1] - strip.x_m[0])
     at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
@@ -204,16 +197,21 @@ def edge_profiles(image: AnyImage, view: tuple[Camera, RigidTransform], expected
     return np.asarray(values, dtype=np.float64)
 
 
-def _pixel_m(view: tuple[Camera, RigidTransform]) -> float:
-    """Return the size of a pixel on the mirror [m]."""
-    camera, pose = view
-    eye = pose.inverse().translation_m
-    return float(np.linalg.norm(eye)) / max(camera.focal_x_px, camera.focal_y_px)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """A photo, where its camera was, the size of a pixel on the mirror, and the part that can show the reflection."""
+
+    number: int
+    eye_m: FloatArray
+    pixel_m: float
+    strip: Strip
 
 
-def _strip(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expectation, pixel_m: float) -> Strip | None:
-    """Return the part of the mirror in which the reflection can be, resampled."""
-    window = _window(view[1].inverse().translation_m, expected)
+def _look(shot: Shot, expected: Expectation) -> _Look | None:
+    """Resample the part of the mirror in which the reflection can be; None where there is none."""
+    camera, eye_m = shot.view[0], shot.eye_m
+    pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
+    window = _window(eye_m, expected)
     if window is None:
         return None
     step = pixel_m / _SAMPLES_PER_PIXEL
@@ -222,7 +220,8 @@ def _strip(image: AnyImage, view: tuple[Camera, RigidTransform], expected: Expec
         return None
     y_m = expected.y_m
     rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
-    return rectified_strip(image, view, expected.collector.surface, x, y_m, rows_each=rows_each)
+    strip = rectified_strip(shot.image, shot.view, expected.collector.surface, x, y_m, rows_each=rows_each)
+    return _Look(shot.number, eye_m, pixel_m, strip)
 
 
 def _nothing() -> ReflectionEdges:
@@ -271,48 +270,50 @@ def _window(eye_m: FloatArray, expected: Expectation) -> tuple[float, float] | N
     return float(x[max(near[0] - 1, 0)]), float(x[min(near[-1] + 1, x.size - 1)])
 
 
-def _plausible(
-    found: Edges, photo: int, eye_m: FloatArray, expected: Expectation, seen: tuple[float, Strip]
-) -> ReflectionEdges:
-    """Keep edges that can be the tube's, and say which of its two edges each is."""
+def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: Expectation) -> list[ReflectionEdges]:
+    """Keep edges that can be the tube's, and say which of its two edges each is; edges of all photos in their order."""
+    if not looks:
+        return []
     collector, absorber = expected.collector, expected.absorber
-    pixel_m, strip = seen
-    spoilt_m = _SPOILT_PX * pixel_m
-    points = np.stack([found.x_m, expected.y_m[found.row], found.x_m**2 / (4 * collector.focal_length_m)], axis=1)
-    eyes = np.tile(eye_m, (len(points), 1))
-    slope, radius = points[:, 0] / (2 * collector.focal_length_m), collector.absorber_diameter_m / 2
-    middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(len(points))), slope, absorber, radius)
+    x, slope, radius = found.x_m, found.x_m / (2 * collector.focal_length_m), collector.absorber_diameter_m / 2
+    points = np.stack([x, expected.y_m[found.row], 0.5 * x * slope], axis=1)
+    eyes = np.array([one.eye_m for one in looks])[which]
+    middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(x.size)), slope, absorber, radius)
     side = np.where(np.abs(middle + half) < np.abs(middle - half), 1.0, -1.0)
-    angle = middle + side * half
-    near = np.flatnonzero(np.abs(angle) < 2 * expected.slope_error_rad)
-    found, points, side = found.chosen(near), points[near], side[near]
+    near = np.flatnonzero(np.abs(middle + side * half) < 2 * expected.slope_error_rad)
+    found, which, points, side = found.chosen(near), which[near], points[near], side[near]
     free_m = np.minimum(
-        _inside_panels_m(collector, points[:, 0], points[:, 1]), _beside_receiver_m(points, eye_m, collector, absorber)
+        _inside_panels_m(collector, points[:, 0], points[:, 1]),
+        _beside_receiver_m(points, eyes[near], collector, absorber),
     )
-    keep = free_m > spoilt_m
-    keep &= _is_tube_dark(found, side, keep)
-    keep &= sees_tube(passing[near], collector, spoilt_m + _END_MARGIN_M)
+    pixel_m = np.array([one.pixel_m for one in looks])[which]
+    spoilt_m = _SPOILT_PX * pixel_m
+    keep = (free_m > spoilt_m) & sees_tube(passing[near], collector, spoilt_m + _END_MARGIN_M)
     judged = free_m > spoilt_m + _EVEN_PX[1] * pixel_m
-    edges = ReflectionEdges(
-        np.full(len(points), photo, dtype=np.intp), found.row, side, points, found.sigma_x_m, found.contrast,
-        np.where(judged, _unevenness(strip, found, pixel_m), 0.0),
-    )  # fmt: skip
-    return edges.chosen(keep)
+    ends = np.searchsorted(which, np.arange(len(looks) + 1))
+    edges = []
+    for one, own in zip(looks, (slice(*pair) for pair in pairwise(ends)), strict=True):
+        part = Edges(*(getattr(found, name)[own] for name in Edges.__slots__))
+        dark = _is_tube_dark(part, side[own], free_m[own] > spoilt_m[own])
+        left = np.flatnonzero(keep[own] & dark)
+        uneven = np.where(judged[own], _unevenness(one, part), 0.0)
+        photo = np.full(left.size, one.number, dtype=np.intp)
+        edges.append(ReflectionEdges(
+            photo, part.row[left], side[own][left], points[own][left], part.sigma_x_m[left], part.contrast[left],
+            uneven[left],
+        ))  # fmt: skip
+    return edges
 
 
-def _unevenness(strip: Strip, found: Edges, pixel_m: float) -> FloatArray:
+def _unevenness(look: _Look, found: Edges) -> FloatArray:
     """Return by what share of its step the brightness changes some pixels beside each edge, on the worse side."""
-    step = float(strip.x_m[1] - strip.x_m[0])
-    column = (found.x_m - strip.x_m[0]) / step
-    last = strip.x_m.size - 1
-    changes = []
-    for way in (-1, 1):
-        near, far = (
-            strip.image_dn[found.row, np.clip(np.rint(column + way * px * pixel_m / step), 0, last).astype(np.intp)]
-            for px in _EVEN_PX
-        )
-        changes.append(np.abs(far - near))
-    return np.asarray(np.maximum(*changes) / np.maximum(np.abs(found.rise_dn), 1e-6), dtype=np.float64)
+    strip = look.strip
+    step, last = float(strip.x_m[1] - strip.x_m[0]), strip.x_m.size - 1
+    offsets = look.pixel_m / step * np.array([-_EVEN_PX[1], -_EVEN_PX[0], _EVEN_PX[0], _EVEN_PX[1]])
+    column = np.clip(np.rint((found.x_m - strip.x_m[0]) / step + offsets[:, None]), 0, last).astype(np.intp)
+    left_far, left, right, right_far = strip.image_dn.ravel()[column + found.row * strip.x_m.size]
+    change = np.maximum(np.abs(left_far - left), np.abs(right_far - right))
+    return np.asarray(change / np.maximum(np.abs(found.rise_dn), 1e-6), dtype=np.float64)
 
 
 def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray:
@@ -365,7 +366,7 @@ def _inside_panels_m(collector: Collector, x_m: FloatArray, y_m: FloatArray) -> 
     return np.asarray(inside - collector.panel_gap_m / 2)
 
 
-def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) -> BoolArray:
+def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: FloatArray | float) -> BoolArray:
     """Return which reflected lines pass the tube itself, neither beyond its ends nor at a support.
 
     Parameters
@@ -374,7 +375,7 @@ def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) ->
         Where the lines pass the tube [m].
     collector : Collector
         Its length and supports.
-    margin_m : float
+    margin_m : float or ndarray, shape (m,)
         Margin [m].
 
     Returns
@@ -389,11 +390,11 @@ def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: float) ->
 
 
 def _beside_receiver_m(
-    points_m: FloatArray, eye_m: FloatArray, collector: Collector, absorber: AbsorberPath
+    points_m: FloatArray, eyes_m: FloatArray, collector: Collector, absorber: AbsorberPath
 ) -> FloatArray:
     """Return how far lines of sight to mirror points pass beside the receiver, negative where it hides them [m]."""
     outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
     axis_x, axis_z = absorber.at(points_m[:, 1])
-    way_x, way_z = eye_m[0] - points_m[:, 0], eye_m[2] - points_m[:, 2]
+    way_x, way_z = eyes_m[:, 0] - points_m[:, 0], eyes_m[:, 2] - points_m[:, 2]
     beside = (axis_x - points_m[:, 0]) * way_z - (axis_z - points_m[:, 2]) * way_x
     return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) - outer / 2)

@@ -35,7 +35,7 @@ def drawn_strip(
 )
 def test_edges_are_where_they_were_drawn(blur: float, noise: float, shading: float) -> None:
     strip, edges = drawn_strip(np.random.default_rng(0), blur_px=blur, noise_dn=noise, shading=shading)
-    found = find_edges(strip)
+    found, _ = find_edges([strip])
     falling = found.rise_dn < 0
     assert np.count_nonzero(falling) == np.count_nonzero(~falling) == 200
     for which, column in ((falling, 0), (~falling, 1)):
@@ -50,8 +50,8 @@ def test_edges_are_where_they_were_drawn(blur: float, noise: float, shading: flo
 def test_no_edges_in_noise_or_outside_the_photo() -> None:
     rng = np.random.default_rng(1)
     strip, _ = drawn_strip(rng, blur_px=0.5, noise_dn=3.0, shading=0.2, contrast_dn=0.0)
-    assert find_edges(strip).row.size <= 2
+    assert find_edges([strip])[0].row.size <= 2
     strip, _ = drawn_strip(rng, blur_px=0.5, noise_dn=1.0, shading=0.0)
     seen = np.ones(strip.seen.shape, dtype=bool)
     seen[:, 100:] = False
-    assert (find_edges(Strip(strip.image_dn, strip.x_m, seen)).x_m < 100 * STEP_M).all()
+    assert (find_edges([Strip(strip.image_dn, strip.x_m, seen)])[0].x_m < 100 * STEP_M).all()

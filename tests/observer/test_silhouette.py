@@ -59,7 +59,7 @@ def test_clouds_that_end_within_the_glass_hardly_move_the_middle() -> None:
 def test_the_steepest_place_would_be_pulled() -> None:
     rng = np.random.default_rng(1)
     strip = strip_with_stripe(rng, np.zeros(200), 40.0)
-    found = find_edges(strip)
+    found, _ = find_edges([strip])
     left, right = (found.x_m[np.abs(found.x_m - side * HALF_M) < 4e-3].mean() for side in (-1, 1))
     assert abs(0.5 * (left + right)) > 0.15e-3
 
