@@ -16,7 +16,7 @@ tube is read beside the metal. Bisectors of all photos from one side were wrong 
 import cv2
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import Float32Array, FloatArray
 from observer.rectify import Strip
 from observer.slope_field import IntArray
 
@@ -24,6 +24,8 @@ from observer.slope_field import IntArray
 _LEVEL = 0.5
 #: So many neighbouring rows are averaged.
 _ROWS_TOGETHER = 8
+#: From the middle to the left, and to the right.
+_WAYS = np.array([[-1.0], [1.0]])
 #: Samples of a strip between places at which brightness is read.
 _STEP_SAMPLES = 0.25
 #: Numbers that are read on the tube and beyond the glass, of which the median counts; odd.
@@ -67,10 +69,12 @@ def level_edges(
     left_m, right_m : ndarray, shape (m,)
         Edges at the smaller and at the larger x; NaN where the brightness does not cross the level near the edge [m].
     """
+    if row.size == 0:
+        return np.zeros(0), np.zeros(0)
     step = oversampling * float(strip.x_m[1] - strip.x_m[0])
     _, group = np.unique(row // _ROWS_TOGETHER, return_inverse=True)
     # Means over the rows of each group.
-    mean = (group == np.arange(group.max(initial=-1) + 1)[:, None]).astype(np.float64)
+    mean = (group == np.arange(group.max() + 1)[:, None]).astype(np.float64)
     mean /= mean.sum(axis=1, keepdims=True)
     half = mean @ half_width_m
     beyond = glass_ratio * half[:, None] + step * np.linspace(*_BEYOND_SAMPLES, _LEVEL_SAMPLES)
@@ -78,25 +82,24 @@ def level_edges(
     across = np.linspace(-0.5, 0.5, _LEVEL_SAMPLES) * half[:, None]
     offsets = np.stack([-beyond, -beside, across, beside, beyond], axis=1)[group]
     before, near_before, inside, near_after, after = (mean @ _plateaus(strip, row, middle_m, offsets)).T
-    before, after = (inside + _as_beside(*pair) for pair in ((before - inside, near_before - inside),
-                                                             (after - inside, near_after - inside)))  # fmt: skip
-    n_steps = int(np.ceil((1.5 * float(half.max(initial=0.0)) / step + 1) / _STEP_SAMPLES))
-    outward = _STEP_SAMPLES * step * np.arange(n_steps)
-    edges: list[FloatArray] = []
-    for way, outside in ((-1, before), (1, after)):
-        profile = mean @ _outward(strip, row, middle_m, way, n_steps, _STEP_SAMPLES * oversampling)
-        share = (profile - inside[:, None]) / (outside - inside)[:, None]
-        # The last place below the level on the way out, within the tube's half width.
-        above = (share > _LEVEL) & (outward > 0.5 * half[:, None])
-        first = np.argmax(above, axis=1)
-        found = above.any(axis=1) & (first > 0)
-        rows = np.arange(inside.size)
-        low, high = share[rows, np.maximum(first - 1, 0)], share[rows, first]
-        part = (_LEVEL - low) / np.where(high > low, high - low, np.nan)
-        place = outward[np.maximum(first - 1, 0)] + part * (outward[1] - outward[0])
-        near = np.abs(place - half) < 2 * step
-        edges.append(middle_m + way * np.where(found & near, place, np.nan)[group])
-    return edges[0], edges[1]
+    contrast = np.stack(
+        [_as_beside(before - inside, near_before - inside), _as_beside(after - inside, near_after - inside)]
+    )
+    # The level is crossed where the tube ends: nothing is read far within it.
+    skipped = max(int(0.5 * float(half.min()) / (_STEP_SAMPLES * step)) - 1, 0)
+    outward = _STEP_SAMPLES * step * np.arange(skipped, (1.5 * float(half.max()) / step + 1) / _STEP_SAMPLES)
+    profile = mean @ _outward(strip, row, middle_m, outward / step * oversampling)
+    share = (profile - inside[:, None]) / contrast[:, :, None]
+    # The last place below the level on the way out, within the tube's half width.
+    above = (share > _LEVEL) & (outward > 0.5 * half[:, None])
+    first = np.argmax(above, axis=2)
+    last = np.maximum(first - 1, 0)
+    low, high = (np.take_along_axis(share, place[..., None], axis=2)[..., 0] for place in (last, first))
+    part = (_LEVEL - low) / np.where(high > low, high - low, np.nan)
+    place = outward[last] + part * (outward[1] - outward[0])
+    found = above.any(axis=2) & (first > 0) & (np.abs(place - half) < 2 * step)
+    left, right = middle_m + _WAYS * np.where(found, place, np.nan)[:, group]
+    return left, right
 
 
 def _as_beside(far: FloatArray, near: FloatArray) -> FloatArray:
@@ -123,33 +126,32 @@ def _plateaus(strip: Strip, row: IntArray, middle_m: FloatArray, offsets_m: Floa
     return np.partition(np.asarray(values).reshape(offsets_m.shape), middle, axis=2)[..., middle].astype(np.float64)
 
 
-def _outward(
-    strip: Strip, row: IntArray, middle_m: FloatArray, way: int, n_steps: int, step_samples: float
-) -> FloatArray:
-    """Interpolate the brightness from the middles of rows outwards, shape (m, n_steps), by cubic convolution.
+def _outward(strip: Strip, row: IntArray, middle_m: FloatArray, places: FloatArray) -> Float32Array:
+    """Interpolate the brightness of m rows outwards by cubic convolution to both sides, shape (2, m, n).
 
-    Steps are a whole fraction of a sample: places that are whole samples apart share their weights. Linear
-    interpolation would move the level by 0.03 px with the place of the edge among the pixels.
+    At n places, counted in samples from the middles, whose step is a whole fraction of a sample: places that are whole
+    samples apart share their weights. Linear interpolation would move the level by 0.03 px with the place of the edge
+    among the pixels.
     """
-    each, width = round(1 / step_samples), strip.x_m.size
-    count = -(-n_steps // each)
-    middle = way * (middle_m - strip.x_m[0]) / float(strip.x_m[1] - strip.x_m[0])
-    first = np.floor(middle).astype(np.intp)
-    columns = np.clip(way * (first[:, None] + np.arange(-1, count + 3)), 0, width - 1)
+    each, width = round(1 / (places[1] - places[0])), strip.x_m.size
+    count = -(-places.size // each)
+    start = _WAYS * ((middle_m - strip.x_m[0]) / (strip.x_m[1] - strip.x_m[0])) + places[0]
+    first = np.floor(start)
+    columns = np.clip(_WAYS[..., None] * (first[..., None] + np.arange(-1, count + 3)), 0, width - 1).astype(np.intp)
     found = strip.image_dn.ravel()[columns + (row * width)[:, None]]
-    values = np.empty((row.size, count, each), dtype=np.float32)
+    weights = _five_weights(start - first + (np.arange(each) / each)[:, None, None]).astype(np.float32)
+    values = np.empty((*start.shape, count, each), dtype=np.float32)
     for k in range(each):
-        weights = _five_weights(middle - first + k * step_samples).astype(np.float32)
-        values[:, :, k] = sum(weights[i][:, None] * found[:, i : i + count] for i in range(5))
-    return values.reshape(row.size, -1)[:, :n_steps].astype(np.float64)
+        values[..., k] = sum(weights[i, k][..., None] * found[..., i : i + count] for i in range(5))
+    return values.reshape(*start.shape, -1)[..., : places.size]
 
 
 def _five_weights(place: FloatArray) -> FloatArray:
-    """Return the weights of neighbours -1 to 3 of places between 0 and 2 by cubic convolution, shape (5, m).
+    """Return the weights of neighbours -1 to 3 of places between 0 and 2 by cubic convolution, shape (5, ...).
 
     Keys 1981, eq. 15: pieces of third degree over four neighbours, the fifth has none.
     """
-    distance = np.abs(place - np.arange(-1, 4)[:, None])
+    distance = np.abs(place - np.arange(-1.0, 4.0).reshape(5, *np.ones(place.ndim, dtype=np.intp)))
     near = (1.5 * distance - 2.5) * distance * distance + 1.0
     far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
     return np.where(distance < 1, near, np.where(distance < 2, far, 0.0))
