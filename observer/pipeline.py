@@ -29,10 +29,11 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
-from observer.design_checks import camera_doubt, panels_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.design_checks import panels_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
 from observer.longitudinal import incidence_warning
-from observer.pipeline_checks import design_doubts
+from observer.pipeline_camera import blamed, stated_camera_doubt
+from observer.pipeline_checks import design_doubts, refuse_loose_list, refuse_strange_list, without_strays
 from observer.pipeline_headline import (
     absorber_numbers,
     edge_numbers,
@@ -211,6 +212,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     prepared = prepare(measurement)
+    photogrammetry_pipeline.refuse_copies(prepared.survey, hashes)
     first = look_first(prepared.survey.photo_files, prepared.finder, jobs=options.jobs, progress=progress)
     return replace(evaluate(measurement, prepared, first, options, progress), input_sha256=hashes)
 
@@ -283,17 +285,20 @@ def evaluate(
     survey, first, left_out = photos_with_poses(prepared.survey, first, finder.known)
     expected = finder.expected
     y = expected.y_m
+    refuse_strange_list(survey, first, model.targets.file)
+    survey, strays = without_strays(survey, first, finder)
     network = photogrammetry_pipeline.run(
         survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
         measured=gathered(first.targets) if first.targets else None, start=first.start,
     )  # fmt: skip
     photos, views, files = _photos(measurement, network)
+    refuse_loose_list(network, survey, collector)
     refuse_impossible_cameras(photos.eyes_m, collector)
     seen = look_again(files, views, finder, first, jobs=options.jobs, progress=progress)
-    with progress.stage("absorber"):
+    with progress.stage("absorber"), blamed(network):
         absorber, solution, absorber_doubts = _absorber(measurement, seen, photos, collector)
     prior = Roughness(1e-3, 1e-3 * model.evaluation.longitudinal_slope_mrad)
-    with progress.stage("slopes"):
+    with progress.stage("slopes"), blamed(network):
         expected = Expectation(collector, absorber, y, expected.slope_error_rad)
         together = photos if solution is None else replace(photos, with_tube=solution.with_poses)
         reflector = solve_reflector(
@@ -322,17 +327,18 @@ def evaluate(
         picture = overlay(clearest, files[clearest], view, slope_map, tubes, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     with progress.stage("check the design"):
+        camera = stated_camera_doubt(network, survey, first)
+        sparse = sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m)
+        good = camera is None and sparse is None
         design = (
-            camera_doubt(network.solved.image_sigma_factor),
-            panels_doubt(reflector.roughness, collector),
-            sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m),
-            *design_doubts((files, views), reflector, slope_map, absorber, collector),
-        )
+            camera, panels_doubt(reflector.roughness, collector), sparse,
+            *design_doubts((files, views), reflector, slope_map, absorber, collector, with_dimensions=good),
+        )  # fmt: skip
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
     shadows = unchecked_doubt(reflector.fate)
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
     shape = shape_doubt(reflector.shape, model.evaluation.shape_from_slopes, usual_sigma)
-    said = (*measurement.doubts, left_out, *design, *absorber_doubts, coverage, slanting, shape, shadows)
+    said = (*measurement.doubts, left_out, strays, *design, *absorber_doubts, coverage, slanting, shape, shadows)
     doubts = tuple(text for text in said if text is not None)
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(

@@ -257,6 +257,11 @@ def solve_reflector(
             lines, edges, (fate, errors, roughness), unknowns.covariance, grid
         )
         keep &= fate == EdgeFate.USED
+    if not keep.any():
+        raise EstimationError(
+            f"reflection: none of {keep.size} edges in {len(photos.poses)} photos agrees with the others: photos at "
+            "most 0.2 m apart across the trough bear each other out; are camera, targets and dimensions right?"
+        )
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
     errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place)

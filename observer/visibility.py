@@ -24,6 +24,10 @@ _ROW_STEP_M = 0.1
 _SPACINGS = 1.5
 #: The least such distance: a mirror bent that much more than its neighbourhood changes nothing of the geometry [rad].
 _LEAST_SPACING_RAD = 4e-3
+#: Columns further apart than this belong to different parts of the aperture; so many parts are named [m].
+_BETWEEN_M, _INTERVALS = 0.1, 3
+#: A gap in the cameras' path is so many times as wide as usual.
+_GAP_TIMES = 2.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,13 +184,26 @@ def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, ey
     if share < 0.01:
         return None
     columns = x_m[missing.sum(axis=0) > 0.5 * np.maximum(aperture.sum(axis=0), 1)]
-    where = "scattered over the aperture" if columns.size == 0 else f"x = {columns.min():.2f} to {columns.max():.2f} m"
+    eyes_x = np.sort(eyes_m[:, 0])
+    steps = np.diff(eyes_x)
+    gap = int(np.argmax(steps)) if steps.size else 0
+    gaps = f", {steps[gap]:.2f} m apart at x = {eyes_x[gap]:.2f} to {eyes_x[gap + 1]:.2f} m" if steps.size else ""
+    gaps = gaps if steps.size and steps[gap] > _GAP_TIMES * np.median(steps) else ""
     return (
-        f"no photo shows an edge of the absorber's reflection on {100 * share:.0f} % of the mirror ({where}): the "
-        f"cameras were between x = {eyes_m[:, 0].min():.2f} and {eyes_m[:, 0].max():.2f} m at "
-        f"{np.median(eyes_m[:, 2]):.1f} m; fly from x = {found.camera_from_x_m:.2f} to {found.camera_to_x_m:.2f} m "
-        "without gaps"
+        f"no photo shows an edge of the absorber's reflection on {100 * share:.0f} % of the mirror "
+        f"({_intervals(columns)}): the cameras were between x = {eyes_x[0]:.2f} and {eyes_x[-1]:.2f} m at "
+        f"{np.median(eyes_m[:, 2]):.1f} m{gaps}; fly from x = {found.camera_from_x_m:.2f} to "
+        f"{found.camera_to_x_m:.2f} m without gaps"
     )
+
+
+def _intervals(columns_m: FloatArray) -> str:
+    """Return the widest intervals of columns as text, in ascending order."""
+    if columns_m.size == 0:
+        return "scattered over the aperture"
+    parts = np.split(columns_m, np.nonzero(np.diff(columns_m) > _BETWEEN_M)[0] + 1)
+    widest = sorted(sorted(parts, key=np.ptp)[-_INTERVALS:], key=lambda part: float(part[0]))
+    return "x = " + " and ".join(f"{part[0]:.2f} to {part[-1]:.2f}" for part in widest) + " m"
 
 
 def shares(found: Visibility, aperture: BoolArray, valid: BoolArray) -> tuple[float, float]:

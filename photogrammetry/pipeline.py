@@ -174,7 +174,7 @@ def run(
     if measured is None:
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
-        _refuse_copies(measurement, hashes)
+        refuse_copies(measurement, hashes)
         measured, kinds = _read_kinds(measurement, options, progress)
     else:
         kinds = np.zeros(measured.points.n, dtype=np.intp)
@@ -212,8 +212,21 @@ def run(
     return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
 
 
-def _refuse_copies(measurement: PhotogrammetryMeasurement, hashes: dict[str, str]) -> None:
-    """Refuse a photo that is there twice: counted as two measurements, its image points make sigmas too small."""
+def refuse_copies(measurement: PhotogrammetryMeasurement, hashes: dict[str, str]) -> None:
+    """Refuse a photo that is there twice: counted as two measurements, its image points make sigmas too small.
+
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        The measurement.
+    hashes : dict of str to str
+        Name and SHA-256 of each of its files.
+
+    Raises
+    ------
+    InputError
+        Two photos have the same content.
+    """
     photos = {file.name for file in measurement.photo_files}
     first: dict[str, str] = {}
     for name, digest in hashes.items():

@@ -85,6 +85,18 @@ def test_short_pass_is_told_where_to_fly() -> None:
     assert part.seeable[40 + 20, -1]
 
 
+def test_pass_too_short_on_both_sides_and_with_a_gap_names_each_part() -> None:
+    all_eyes = line_of_cameras(3.0)
+    collector = trough()
+    for kept, parts in ((np.abs(all_eyes[:, 0]) < 1.2, 2), (np.abs(all_eyes[:, 0] - 1.0) > 0.7, 1)):
+        eyes = all_eyes[kept]
+        _, found = seen_from(eyes, collector)
+        text = coverage_warning(found, X, np.ones(found.flags.shape, dtype=bool), eyes) or ""
+        named = text[text.index("(x = ") : text.index(" m): ")]
+        assert named.count(" to ") == parts
+        assert ("1.41 m apart at x = 0.30 to 1.71 m" in text) == (parts == 1)
+
+
 def test_shares() -> None:
     _, found = seen_from(line_of_cameras(3.0), trough())
     aperture = np.ones(found.flags.shape, dtype=bool)

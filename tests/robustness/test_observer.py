@@ -126,6 +126,25 @@ def test_list_in_millimetres(trough):
     assert "are the coordinates in metres" in refused(trough)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda number, row: [str(int(row[0]) + 100), *row[1:]], "the photos show 0, and 12 in all"),
+        (lambda number, row: row if number < 6 else None, "free to turn, mostly about y"),
+        (lambda number, row: row if number < 2 else None, "of the 2 targets in targets.csv"),
+        (scaled(-1.0, 3), "change the sign of z_m"),
+    ],
+)
+def test_list_that_tells_no_frame(trough, change, said):
+    each_target(trough, change)
+    assert said in refused(trough)
+
+
+def test_photo_that_is_there_twice(trough):
+    shutil.copy(photos_of(trough)[8], trough / "photo_900.png")
+    assert "photo_900.png is a copy of photo_009.png" in refused(trough)
+
+
 def test_one_photo(trough):
     for file in photos_of(trough)[1:]:
         file.unlink()
@@ -179,14 +198,33 @@ def test_photos_far_apart(trough):
 @pytest.mark.slow
 def test_photos_too_far_apart_for_any_slope(trough):
     keep_every(trough, 5)
-    with pytest.raises(EstimationError, match=r"only 0 % of the mirror .* at most 0.2 m apart"):
+    with pytest.raises(EstimationError, match=r"none of \d+ edges in 4 photos .* at most 0.2 m apart"):
         warnings_of(trough)
 
 
 @pytest.mark.slow
-def test_wrong_focal_length_of_the_camera(trough, rewrite):
-    rewrite(trough, (r"^focal_px = .*", "focal_px = 1060.9"))
-    assert "the camera (its focal length, its distortion) or the list of targets is wrong" in warnings_of(trough)
+@pytest.mark.parametrize(("key", "new", "said"), [
+    ("focal_px = .*", "focal_px = 1040.3", r"with focal_px = 10(29|30)\.?\d* \+- 0\.\d+ instead of 1040.3"),
+    ("k1 = .*", "k1 = 0.0", r"k1 = -0.0\d+ \+- 0.\d+ instead of 0"),
+])  # fmt: skip
+def test_wrong_camera_is_named_and_the_collector_is_not_blamed(trough, rewrite, key, new, said):
+    rewrite(trough, (rf"^{key}", new))
+    warnings = warnings_of(trough)
+    assert re.search(said, warnings), warnings
+    assert "collector." not in warnings
+
+
+@pytest.mark.slow
+def test_two_targets_exchanged_in_the_list_are_left_out(trough):
+    each_target(trough, lambda number, row: [{"3": "9", "9": "3"}.get(row[0], row[0]), *row[1:]])
+    assert re.search(r"not where the list has them: [39] \(53\d\d mm\), [39] \(53", warnings_of(trough))
+
+
+@pytest.mark.slow
+def test_stated_dimension_too_small(trough, rewrite):
+    """Mirror and absorber both say more, the mirror by a third of what is wrong."""
+    rewrite(trough, (r"^focal_length_m = .*", "focal_length_m = 1.4751"))
+    assert "collector.focal_length_m = 1.4751 m does not fit" in warnings_of(trough)
 
 
 @pytest.mark.slow

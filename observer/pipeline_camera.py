@@ -1,0 +1,119 @@
+"""Whether the stated camera fits the targets in the photos: where it does not, a few photos tell a better one."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from heliogauge.camera import PARAMETER_NAMES, Camera
+from heliogauge.errors import EstimationError, MetrologyError
+from heliogauge.measurement import PhotogrammetryMeasurement
+from heliogauge.progress import SilentProgress
+from observer.design_checks import camera_doubt
+from observer.pipeline_photos import FirstLook
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.network import StartValues
+from photogrammetry.pipeline_photos import gathered
+
+#: Image points that fit so much worse than they were measured make one ask; cameras that are right leave 0.8 to 1.0.
+_ASK_FACTOR = 1.3
+#: The camera is wrong where they fit so much better with another one ...
+_BETTER_SHARE = 0.75
+#: ... that differs in one of its numbers by so many sigmas.
+_TIMES_SIGMA = 5.0
+#: Photos that tell the camera.
+_PHOTOS = 24
+_FREE = ("focal_px", "center_x_px", "center_y_px", "k1", "k2")
+
+
+def stated_camera_doubt(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+) -> str | None:
+    """Say whether the stated camera contradicts the targets, and what some photos say that it is.
+
+    Parameters
+    ----------
+    network : photogrammetry.pipeline.Result
+        Adjusted with the camera as stated.
+    survey : PhotogrammetryMeasurement
+        Its measurement.
+    first : FirstLook
+        What was found in the photos.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it fits.
+    """
+    factor = network.solved.image_sigma_factor
+    stated = survey.model.camera
+    if factor < _ASK_FACTOR:
+        return None
+    if not first.targets or len(stated) > 1 or stated[0].free is not None:
+        return camera_doubt(factor)
+    free = stated[0].model_copy(update={"free": _FREE, "prior": False, "sigma": {}})
+    every = max(1, -(-len(first.targets) // _PHOTOS))
+    some = first.targets[::every]
+    names = {one.detections.photo for one in some}
+    poses = {name: pose for name, pose in first.poses.items() if name in names}
+    files = tuple(file for file in survey.photo_files if file.name in names)
+    freed = replace(survey, model=survey.model.model_copy(update={"camera": (free,)}), photo_files=files)
+    try:
+        found = photogrammetry_pipeline.run(
+            freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=gathered(some),
+            start=StartValues(poses) if len(poses) > 1 else None,
+        )  # fmt: skip
+    except MetrologyError:
+        return camera_doubt(factor)
+    better = found.solved.image_sigma_factor
+    said = _differences(network.camera, found.camera)
+    if better > _BETTER_SHARE * factor or not said:
+        return camera_doubt(factor)
+    return (
+        f"camera: with the stated one the targets' image points fit {factor:.1f} times worse than they were measured, "
+        f"with {', '.join(said)} {better:.1f} times; slopes and absorber are wrong with it. Let the photos tell: under "
+        f"[camera] free = {list(_FREE)}, or calibrate the camera".replace("'", '"').replace('targets"', "targets'")
+    )
+
+
+def _differences(stated: Camera, found: Camera) -> list[str]:
+    """Return the numbers of a camera that contradict the stated ones, as text."""
+    apart = np.abs(found.parameters - stated.parameters)
+    said = []
+    for name, was, now, sigma, off in zip(
+        PARAMETER_NAMES, stated.parameters, found.parameters, found.sigma_parameters, apart, strict=True
+    ):
+        key = {"focal_x_px": "focal_px"}.get(name, name)
+        if key in _FREE and off > _TIMES_SIGMA * sigma > 0:
+            said.append(f"{key} = {now:.5g} +- {sigma:.1g} instead of {was:.5g}")
+    return said
+
+
+@contextmanager
+def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
+    """Say with an error what the adjustment of cameras and targets had to say, which is often its cause.
+
+    Parameters
+    ----------
+    network : photogrammetry.pipeline.Result
+        The adjusted network.
+
+    Yields
+    ------
+    None
+        While what rests on the network is computed.
+
+    Raises
+    ------
+    EstimationError
+        What was raised, with the first doubt.
+    """
+    try:
+        yield
+    except EstimationError as error:
+        doubt = camera_doubt(network.solved.image_sigma_factor)
+        said = [text for text in (doubt, *network.warnings) if text is not None]
+        if not said:
+            raise
+        raise EstimationError(f"{error}; before that: {said[0]}") from error
