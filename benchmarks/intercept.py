@@ -14,7 +14,7 @@ from heliogauge.sun_shapes import BuieSun, GaussianSun
 from observer.absorber_path import AbsorberPath
 from observer.beam_profile import beam_profile, sun_profile
 from observer.design import Collector
-from observer.intercept import TroughOptics, acceptance_windows, mirror_nodes
+from observer.intercept import TroughOptics, mirror_nodes
 from observer.intercept_spread import beam_spread, gaussian_short_form
 from observer.intercept_trace import Sunlight, trace_intercept
 
@@ -69,7 +69,7 @@ def main():
     for sigma, soltrace, closed in REFERENCE:
         mirror = trough_map(sigma, rng)
         nodes = mirror_nodes(mirror, TROUGH.focal_length_m)
-        optics = TroughOptics(nodes, acceptance_windows(nodes, tube, 0.035), beam_profile(sun))
+        optics = TroughOptics.of(nodes, tube, 0.035, beam_profile(sun))
         short = gaussian_short_form(TROUGH, sun, sigma_r_rad=sigma)
         traced = trace_intercept(mirror, tube, 0.07, Sunlight(SUN), rays=rays, rng=rng)
         found = (optics.ratio(), beam_spread(optics).ratio, short, traced.ratio)

@@ -60,6 +60,35 @@ class CommonModes:
         terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
         return np.tensordot(self.coefficients, terms, axes=(2, 0))
 
+    def variance_on_grid(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Return the variance of both slopes at the nodes of a grid, one mode after the other.
+
+        Parameters
+        ----------
+        x_m : ndarray, shape (nx,)
+            Columns [m].
+        y_m : ndarray, shape (ny,)
+            Rows [m].
+
+        Returns
+        -------
+        ndarray, shape (2, ny, nx)
+            Variance of slope_x and slope_y from all sources together [rad^2].
+        """
+        powers = np.arange(self.degree + 1)
+        columns = ((x_m - self.center_m[0]) / self.scale_m)[:, None] ** powers
+        rows = ((y_m - self.center_m[1]) / self.scale_m)[:, None] ** powers
+        # The term j of total power n is u**(n - j) v**j.
+        total = np.repeat(powers, powers + 1)
+        of_v = np.concatenate([np.arange(n + 1) for n in powers])
+        variance = np.zeros((2, y_m.size, x_m.size))
+        for mode in self.coefficients:
+            for axis in np.flatnonzero(mode.any(axis=1)):
+                table = np.zeros((powers.size, powers.size))
+                table[of_v, total - of_v] = mode[axis]
+                variance[axis] += (rows @ (table @ columns.T)) ** 2
+        return variance
+
 
 def no_common_modes() -> CommonModes:
     """Return the empty set of modes, for maps whose errors are all random."""
@@ -185,8 +214,7 @@ class SlopeMap:
 
     def common_variance(self) -> FloatArray:
         """Return the variance of slope_x and slope_y from common sources, shape (2, ny, nx) [rad^2]."""
-        modes = self.common.evaluate(*np.meshgrid(self.x_m, self.y_m))
-        return np.asarray(np.einsum("kaij,kaij->aij", modes, modes))
+        return self.common.variance_on_grid(self.x_m, self.y_m)
 
     def sigma_slope(self) -> tuple[FloatArray, FloatArray]:
         """Return the whole standard deviation of slope_x and of slope_y, each of shape (ny, nx) [rad]."""

@@ -59,5 +59,5 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
     if not sources:
         return no_common_modes(), whole
     common = CommonModes(tuple(sources), np.concatenate(coefficients), center, scale)
-    smooth = np.square(common.evaluate(*np.meshgrid(x, y))[:, 0]).sum(axis=0)
+    smooth = common.variance_on_grid(x, y)[0]
     return common, np.asarray(np.maximum(whole - smooth, 0.0))

@@ -12,6 +12,7 @@ which a ray passes the axis of a concentric tube unchanged), and what leaves the
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,9 @@ from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.beam_profile import BeamProfile
 from observer.sight import Sights, misfit
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 IntArray = npt.NDArray[np.intp]
 
@@ -211,11 +215,46 @@ class TroughOptics:
         What of the light meets the tube.
     profile : BeamProfile
         The light's angles across the trough.
+    stations : csr_array, shape (m, n)
+        By how much the tube follows its stations where each node's light passes it (`station_shares`).
     """
 
     nodes: MirrorNodes
     windows: Windows
     profile: BeamProfile
+    stations: "csr_array"
+
+    @classmethod
+    def of(
+        cls,
+        nodes: MirrorNodes,
+        absorber: AbsorberPath,
+        radius_m: float,
+        profile: BeamProfile,
+        incidence_rad: float = 0.0,
+    ) -> "TroughOptics":
+        """Put mirror, tube and light together.
+
+        Parameters
+        ----------
+        nodes : MirrorNodes
+            The mirror.
+        absorber : AbsorberPath
+            The tube's axis.
+        radius_m : float
+            The tube's radius [m].
+        profile : BeamProfile
+            The light, for the same incidence.
+        incidence_rad : float, optional
+            Angle between the sun and the plane across the trough, positive towards +y [rad].
+
+        Returns
+        -------
+        TroughOptics
+            What the tube catches of the light.
+        """
+        windows = acceptance_windows(nodes, absorber, radius_m, incidence_rad)
+        return cls(nodes, windows, profile, station_shares(absorber, windows.passing_y_m))
 
     def light(self, offset_rad: float) -> FloatArray:
         """Return the share of the light that falls on each node with the sun beside the axis, shape (m,)."""
@@ -284,8 +323,8 @@ class TroughOptics:
         return float(self.light(offset_rad) @ (sides[0] + sides[1]) / 2)
 
 
-def along_path(absorber: AbsorberPath, passing_y_m: FloatArray, d_absorber: FloatArray) -> FloatArray:
-    """Gather derivatives with respect to places of the tube into those with respect to its stations.
+def station_shares(absorber: AbsorberPath, passing_y_m: FloatArray) -> "csr_array":
+    """Return by how much places along the tube follow each of its stations.
 
     Parameters
     ----------
@@ -293,18 +332,36 @@ def along_path(absorber: AbsorberPath, passing_y_m: FloatArray, d_absorber: Floa
         The tube's axis.
     passing_y_m : ndarray, shape (m,)
         Places along the trough [m].
+
+    Returns
+    -------
+    csr_array, shape (m, n)
+        Shares; two in each row.
+    """
+    from scipy.sparse import csr_array
+
+    before, share = absorber.shares(passing_y_m)
+    after = np.minimum(before + 1, absorber.n - 1)
+    table = (
+        np.stack([1 - share, share], axis=1).ravel(), np.stack([before, after], axis=1).ravel(),
+        2 * np.arange(before.size + 1),
+    )  # fmt: skip
+    return csr_array(table, shape=(before.size, absorber.n))
+
+
+def along_path(shares: "csr_array", d_absorber: FloatArray) -> FloatArray:
+    """Gather derivatives with respect to places of the tube into those with respect to its stations.
+
+    Parameters
+    ----------
+    shares : csr_array, shape (m, n)
+        From `station_shares`.
     d_absorber : ndarray, shape (m, 2)
-        Derivatives with respect to X_a and Z_a there.
+        Derivatives with respect to X_a and Z_a at the places.
 
     Returns
     -------
     ndarray, shape (2 n,)
         Derivatives with respect to (x_1 .. x_n, z_1 .. z_n).
     """
-    before, share = absorber.shares(passing_y_m)
-    after = np.minimum(before + 1, absorber.n - 1)
-    sums = [
-        np.bincount(before, (1 - share) * one, absorber.n) + np.bincount(after, share * one, absorber.n)
-        for one in d_absorber.T
-    ]
-    return np.concatenate(sums)
+    return np.concatenate([shares.T @ np.ascontiguousarray(one) for one in d_absorber.T])

@@ -9,10 +9,13 @@ from heliogauge.validate import FloatArray
 from observer.beam_profile import BeamProfile
 from observer.intercept import TroughOptics
 from observer.intercept_cases import Case, MeasuredTrough, joined, optics_of, sensitivity
+from observer.maximum import climb, largest_between
 
 #: Steps for second differences of the intercept factor: large beside the table's rounding, small beside its widths.
 _OFFSET_STEP_RAD = 1e-3
 _SHIFT_STEP_M = 1e-3
+#: How near the best offset is found, and the longest step of the absorber towards its best place.
+_OFFSET_TOLERANCE_RAD, _LONGEST_STEP_M = 1e-7, 5e-3
 #: An absorber farther away from its best place than this was not measured by the reflection [m].
 _LARGEST_SHIFT_M = 0.05
 #: Curvature below which the place of a maximum means nothing: 1e-5 of the light is lost at one step beside it.
@@ -62,8 +65,6 @@ def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, larges
     EstimationError
         It lies beyond the largest.
     """
-    from scipy.optimize import minimize_scalar
-
     coarse = np.linspace(-largest_rad, largest_rad, 21)
     ratios = np.array([optics.ratio(offset) for offset in coarse])
     # Of a flat top the middle.
@@ -73,11 +74,8 @@ def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, larges
             f"tracking offset: the best one lies beyond {1e3 * largest_rad:g} mrad; are mirror and absorber in the "
             "same frame?"
         )
-    found = minimize_scalar(
-        lambda offset: -optics.ratio(offset), bounds=(coarse[top[0] - 1], coarse[top[-1] + 1]), method="bounded",
-        options={"xatol": 1e-7},
-    )  # fmt: skip
-    best, step = float(found.x), _OFFSET_STEP_RAD
+    best = largest_between(optics.ratio, float(coarse[top[0] - 1]), float(coarse[top[-1] + 1]), _OFFSET_TOLERANCE_RAD)
+    step = _OFFSET_STEP_RAD
     sides = (best - step, best, best + step)
     bend = np.array([[np.array([1.0, -2.0, 1.0]) @ [optics.ratio(one) for one in sides] / step**2]])
     slope = joined([sensitivity(trough, case, optics, one) for one in (sides[0], sides[2])]).mixed(
@@ -109,7 +107,6 @@ def best_absorber(trough: MeasuredTrough, optics: TroughOptics, profile: BeamPro
     EstimationError
         It is longer than 50 mm.
     """
-    from scipy.optimize import minimize
 
     def at(way_m: FloatArray) -> TroughOptics:
         # Linear in the way: 10 mm at 1.5 m leave out 0.04 mrad of a window of 45 mrad.
@@ -121,13 +118,11 @@ def best_absorber(trough: MeasuredTrough, optics: TroughOptics, profile: BeamPro
     def slope(way_m: FloatArray) -> FloatArray:
         return np.asarray(at(way_m).gradients()[1].sum(axis=0))
 
-    found = minimize(
-        lambda way_mm: -at(1e-3 * way_mm).ratio(), np.zeros(2), jac=lambda way_mm: -1e-3 * slope(1e-3 * way_mm),
-        bounds=[(-1e3 * _LARGEST_SHIFT_M, 1e3 * _LARGEST_SHIFT_M)] * 2, method="L-BFGS-B",
-        options={"ftol": 1e-12, "gtol": 1e-9},
-    )  # fmt: skip
-    way = 1e-3 * np.asarray(found.x, dtype=np.float64)
-    if np.abs(way).max() > 0.999 * _LARGEST_SHIFT_M:
+    def value_and_slope(way_m: FloatArray) -> tuple[float, FloatArray]:
+        return at(way_m).ratio(), slope(way_m)
+
+    way = climb(value_and_slope, np.zeros(2), _LONGEST_STEP_M)
+    if np.abs(way).max() > _LARGEST_SHIFT_M:
         raise EstimationError(
             f"absorber: its best place is more than {1e3 * _LARGEST_SHIFT_M:g} mm from where it was measured; are "
             "mirror and absorber in the same frame?"

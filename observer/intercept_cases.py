@@ -7,6 +7,7 @@ order of the slopes' scatter (a perfect trough has no first order) and what the 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +16,18 @@ from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.beam_profile import BeamProfile
 from observer.design import Collector
-from observer.intercept import MirrorNodes, TroughOptics, acceptance_windows, along_path, mirror_nodes
+from observer.intercept import (
+    MirrorNodes,
+    TroughOptics,
+    acceptance_windows,
+    along_path,
+    mirror_nodes,
+    station_shares,
+)
 from observer.intercept_missing import MissingPart, missing_part
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Error of the light's table and its interpolation (`observer.beam_profile`), the least sigma there is.
 _TABLE_ERROR = 1e-6
@@ -77,10 +88,9 @@ class MeasuredTrough:
         Covariance of weighted sums of the slopes, the absorber held.
     sigma_slope : ndarray, shape (m,)
         Standard deviation of each slope across.
-    d_slope_d_absorber : ndarray, shape (m, 2)
-        What an error of the absorber's place did to the slopes; zero where both were measured apart [1/m].
-    passing_y_m : ndarray, shape (m,)
-        Where along the trough [m].
+    d_slope_d_stations : csr_array, shape (m, 2 n)
+        What errors of the absorber's place at its stations, all x and all z, did to the slopes; zero where both were
+        measured apart [1/m].
     missing : MissingPart
         What of the mirror was not measured.
     """
@@ -90,8 +100,7 @@ class MeasuredTrough:
     collector: Collector
     slope_covariance: SumCovariance
     sigma_slope: FloatArray
-    d_slope_d_absorber: FloatArray
-    passing_y_m: FloatArray
+    d_slope_d_stations: "csr_array"
     missing: MissingPart
 
     @property
@@ -101,10 +110,7 @@ class MeasuredTrough:
 
     def covariance(self, weights: "Sensitivity") -> FloatArray:
         """Return the covariance of numbers that hang on slopes and absorber, shape (k, k)."""
-        along = weights.d_absorber + np.stack([
-            along_path(self.absorber, self.passing_y_m, one[:, None] * self.d_slope_d_absorber)
-            for one in weights.d_slope_x
-        ])  # fmt: skip
+        along = weights.d_absorber + (self.d_slope_d_stations.T @ weights.d_slope_x.T).T
         own = self.slope_covariance(self.nodes.as_map(weights.d_slope_x))
         return np.asarray(own + along @ self.absorber.covariance_m2 @ along.T)
 
@@ -144,15 +150,19 @@ def measured_trough(
     EstimationError
         No node was measured.
     """
+    from scipy.sparse import hstack
+
     nodes = mirror_nodes(slope_map, collector.focal_length_m)
     seen = acceptance_windows(nodes, absorber, collector.absorber_diameter_m / 2)
     moves = seen.d_slope_x != 0
     follows = np.zeros((nodes.node.size, 2))
     if from_reflection:
         follows[moves] = -seen.d_middle_d_absorber[moves] / seen.d_slope_x[moves, None]
+    shares = station_shares(absorber, seen.passing_y_m)
+    stations = hstack([shares.multiply(one[:, None]) for one in follows.T], format="csr")
     return MeasuredTrough(
         nodes, absorber, collector, slope_covariance or covariance_from_map(slope_map, absorber_held=from_reflection),
-        slope_map.sigma_slope()[0].reshape(-1)[nodes.node], follows, seen.passing_y_m,
+        slope_map.sigma_slope()[0].reshape(-1)[nodes.node], stations,
         missing_part(slope_map, collector.panel_edges_x_m),
     )  # fmt: skip
 
@@ -219,8 +229,7 @@ def optics_of(trough: MeasuredTrough, case: Case, profile: BeamProfile, incidenc
         nodes = replace(nodes, slope_x=nodes.design_slope_x, slope_y=np.zeros_like(nodes.slope_y))
     if case is Case.ABSORBER_ALIGNED:
         absorber = AbsorberPath.straight(0.0, trough.collector.focal_length_m, trough.collector.length_m / 2)
-    windows = acceptance_windows(nodes, absorber, trough.radius_m, incidence_rad)
-    return TroughOptics(nodes, windows, profile)
+    return TroughOptics.of(nodes, absorber, trough.radius_m, profile, incidence_rad)
 
 
 def sensitivity(trough: MeasuredTrough, case: Case, optics: TroughOptics, offset_rad: float = 0.0) -> Sensitivity:
@@ -247,7 +256,7 @@ def sensitivity(trough: MeasuredTrough, case: Case, optics: TroughOptics, offset
         d_slope = np.zeros_like(d_slope)
     along = np.zeros(2 * trough.absorber.n)
     if case is not Case.ABSORBER_ALIGNED:
-        along = along_path(trough.absorber, optics.windows.passing_y_m, d_absorber)
+        along = along_path(optics.stations, d_absorber)
     return Sensitivity(d_slope[None], along[None])
 
 

@@ -139,8 +139,7 @@ class Reflector:
             From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
         free = ~self.unknowns.is_place
-        held = self.errors.covariance_common * np.outer(free, free)
-        return sum_covariance(self.lines, self.grid, self.roughness, held)
+        return sum_covariance(self.lines, self.grid, self.roughness, self.errors.covariance_common, free)
 
 
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:

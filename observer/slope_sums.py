@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.reduction import derivatives_of
 from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble
 
@@ -13,7 +13,7 @@ _AT_ONCE = 10
 
 
 def sum_covariance(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance_common: FloatArray
+    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance_common: FloatArray, free: BoolArray | None = None
 ) -> Callable[[FloatArray], FloatArray]:
     """Return a function for the covariance of weighted sums of the slopes across; the rows are factorised once.
 
@@ -27,6 +27,8 @@ def sum_covariance(
         How slopes may vary.
     covariance_common : ndarray, shape (c, c)
         Covariance of the common unknowns, the slopes eliminated.
+    free : ndarray of bool, shape (c,), optional
+        Those of them that are not held; by default all.
 
     Returns
     -------
@@ -51,6 +53,8 @@ def sum_covariance(
             solved = system.factor.solve(nodes[some].reshape(-1, grid.n_rows, 2 * grid.x_m.size))
             own[:, some] = np.tensordot(weights, solved[..., 0::2], axes=((1, 2), (1, 2)))
             shared[some] = (by_common.T @ (by_slopes @ solved.reshape(len(solved), -1).T)).T
+        if free is not None:
+            shared *= free
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
 
     return covariance

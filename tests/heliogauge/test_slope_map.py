@@ -45,6 +45,16 @@ def test_monomials_are_ordered_by_degree_then_by_power_of_v():
     assert CommonModes((), np.zeros((0, 2, 10)), np.zeros(2), 1.0).degree == 3
 
 
+def test_variance_on_a_grid_is_that_of_the_modes():
+    rng = np.random.default_rng(5)
+    modes = CommonModes(("a", "b", "c"), rng.normal(0, 1e-5, (3, 2, 15)), np.array([0.1, -0.2]), 0.7)
+    modes = replace(modes, coefficients=modes.coefficients * np.array([[[1.0], [1.0]], [[1.0], [0.0]], [[0.0], [1.0]]]))
+    x, y = np.linspace(-1, 1, 7), np.linspace(-0.5, 0.6, 5)
+    expected = np.square(modes.evaluate(*np.meshgrid(x, y))).sum(axis=0)
+    np.testing.assert_allclose(modes.variance_on_grid(x, y), expected, rtol=1e-12)
+    assert no_common_modes().variance_on_grid(x, y).max() == 0.0
+
+
 def test_valid_and_share_count_the_aperture_only():
     slope_map = make_map()
     aperture = np.ones(slope_map.shape, dtype=bool)

@@ -12,7 +12,7 @@ from heliogauge.slope_map import CommonModes, SlopeMap
 from heliogauge.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from observer.absorber_path import AbsorberPath
 from observer.beam_profile import BeamProfile, beam_profile, sun_profile
-from observer.intercept import TroughOptics, acceptance_windows, mirror_nodes
+from observer.intercept import TroughOptics, mirror_nodes
 from observer.intercept_best import best_absorber, best_offset
 from observer.intercept_cases import (
     Case,
@@ -85,7 +85,7 @@ def of_map(
     mirror: SlopeMap, profile: BeamProfile, absorber: AbsorberPath = FOCUS, incidence: float = 0.0
 ) -> TroughOptics:
     nodes = mirror_nodes(mirror, SOLTRACE.focal_length_m)
-    return TroughOptics(nodes, acceptance_windows(nodes, absorber, 0.035, incidence), profile)
+    return TroughOptics.of(nodes, absorber, 0.035, profile, incidence)
 
 
 def integrated(error: np.ndarray, profile: BeamProfile) -> TroughOptics:
@@ -322,11 +322,7 @@ def test_sigma_is_the_scatter(case: Case, from_reflection: bool) -> None:
     for _ in range(200):
         moved = root @ rng.normal(size=6)
         slopes = 3e-4 * rng.normal(size=trough.nodes.node.size) + rng.normal(size=2) @ shapes
-        place = (
-            np.interp(trough.passing_y_m, trough.absorber.y_m, moved[:3]),
-            np.interp(trough.passing_y_m, trough.absorber.y_m, moved[3:]),
-        )
-        slopes += np.einsum("ma,am->m", trough.d_slope_d_absorber, np.array(place))
+        slopes += trough.d_slope_d_stations @ moved
         path = replace(trough.absorber, x_m=trough.absorber.x_m + moved[:3], z_m=trough.absorber.z_m + moved[3:])
         nodes = replace(trough.nodes, slope_x=trough.nodes.slope_x + slopes)
         other = replace(trough, nodes=nodes, absorber=path)
