@@ -26,7 +26,6 @@ from observer.pipeline_slices import Slices, empty_slices
 from observer.pipeline_tone import Sample, sizes_of, some_of, tone_of
 from observer.reflection import Expectation, ReflectionEdges, Shot, joined, reflection_edges
 from observer.tone import Tone, linear_light
-from photogrammetry.ellipse import Ellipse
 from photogrammetry.mirrored_codes import refuse_mirrored_codes
 from photogrammetry.network import StartValues
 from photogrammetry.photo_targets import TargetSearch, measure_at
@@ -216,8 +215,8 @@ class _Run:
         if self.track is not None and self.track is waiting[-1][1]:
             # Ellipses as they look now: the perspective changes along the path.
             found, shapes = measured[-1]
-            shown = {name: Ellipse(*one) for name, *one in zip(found.names, found.pixels_px, shapes, strict=True)}
-            self.track = replace(self.track, ellipses={**self.track.ellipses, **shown})
+            ellipses = self.track.ellipses.renewed(found.names, found.pixels_px, shapes)
+            self.track = replace(self.track, ellipses=ellipses)
         self._look(seen)
 
     def _look(self, photos: Sequence[tuple[_Photo, RigidTransform | None]]) -> None:

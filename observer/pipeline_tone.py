@@ -11,7 +11,7 @@ from heliogauge.validate import FloatArray
 from observer.carried import View
 from observer.reflection import Expectation, Shot, edge_profiles
 from observer.tone import Tone, find_tone, linear_light
-from photogrammetry.ellipse import Ellipse
+from photogrammetry.ellipse import NamedEllipses
 from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.pipeline_photos import OnePhoto
 from photogrammetry.target_following import KnownTargets
@@ -93,14 +93,14 @@ def sizes_of(
     rows = [k for k, name in enumerate(table.names) if name in place and fit[k]]
     if diameter_m is None or not rows:
         return np.zeros(0), np.zeros(0)
-    starts = {table.names[k]: Ellipse(table.pixels_px[k], found.ellipses_px2[k]) for k in rows}
+    starts = NamedEllipses(tuple(table.names[k] for k in rows), table.pixels_px[rows], found.ellipses_px2[rows])
     decoded = measure_at([sample.decoded], [table.photo], [starts], search)[0][0]
     # Targets on the rims look along the optical axis; three points of each tell how large the lens shows it.
-    middle = np.array([place[name] for name in starts])
+    middle = np.array([place[name] for name in starts.names])
     aside = [middle + 0.5 * diameter_m * np.eye(3)[axis] for axis in range(2)]
     pixels = [camera.project(pose.apply(points)) for points in (middle, *aside)]
     area = np.abs(np.linalg.det(np.stack([pixels[1] - pixels[0], pixels[2] - pixels[0]], axis=2)))
-    expected = dict(zip(starts, np.sqrt(area), strict=True))
+    expected = dict(zip(starts.names, np.sqrt(area), strict=True))
     ratios = [
         np.array([size / expected[name] for name, size in zip(one.names, one.radius_px, strict=True)])
         for one in (table.chosen(np.array(rows)), decoded)

@@ -13,7 +13,7 @@ from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, float_array, freeze
 
-__all__ = ["Ellipse", "EllipseFit", "circle_image_center_px", "eccentricity_px", "fit_ellipse"]
+__all__ = ["Ellipse", "EllipseFit", "NamedEllipses", "circle_image_center_px", "eccentricity_px", "fit_ellipse"]
 
 #: Points of the ellipse that are sent through the lens; the lens's curvature needs its first three harmonics.
 _LENS_POINTS = 12
@@ -175,6 +175,56 @@ class Ellipse:
             The ellipse moved.
         """
         return Ellipse(self.center_px + np.asarray(offset_px, dtype=np.float64), self.shape_px2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedEllipses:
+    """Ellipses of named targets in one photo.
+
+    Parameters
+    ----------
+    names : tuple of str, length n
+        The targets.
+    centers_px : ndarray, shape (n, 2)
+        Centres (x, y) [px].
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Shapes as of `Ellipse` [px^2].
+    """
+
+    names: tuple[str, ...]
+    centers_px: FloatArray
+    shapes_px2: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        object.__setattr__(self, "centers_px", float_array("centers_px", self.centers_px, (n, 2)))
+        object.__setattr__(self, "shapes_px2", float_array("shapes_px2", self.shapes_px2, (n, 2, 2)))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def renewed(self, names: tuple[str, ...], centers_px: FloatArray, shapes_px2: FloatArray) -> "NamedEllipses":
+        """Return them with other ellipses of some of the targets.
+
+        Parameters
+        ----------
+        names : tuple of str, length m
+            Some of the targets.
+        centers_px : ndarray, shape (m, 2)
+            Their centres [px].
+        shapes_px2 : ndarray, shape (m, 2, 2)
+            Their shapes [px^2].
+
+        Returns
+        -------
+        NamedEllipses
+            All targets.
+        """
+        place = {name: k for k, name in enumerate(self.names)}
+        rows = [place[name] for name in names]
+        centers, shapes = self.centers_px.copy(), self.shapes_px2.copy()
+        centers[rows], shapes[rows] = centers_px, shapes_px2
+        return NamedEllipses(self.names, centers, shapes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """All circular targets of one photo: found, read, centred."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from photogrammetry.coded_targets import VENDOR_RADII, RingDictionary
 from photogrammetry.decode import RingLimits, RingReading, read_rings, ring_outline
 from photogrammetry.detect import SearchLimits, find_in_pyramid, measure_center
 from photogrammetry.detections import Detections
-from photogrammetry.ellipse import Ellipse
+from photogrammetry.ellipse import Ellipse, NamedEllipses
 from photogrammetry.pyramid import make_pyramid
 from photogrammetry.target_center import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
 from photogrammetry.template_center import template_center, template_centers
@@ -162,7 +162,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
 def measure_at(
     images_dn: Sequence[npt.NDArray[np.generic]],
     photos: Sequence[str],
-    starts: Sequence[Mapping[str, Ellipse]],
+    starts: Sequence[NamedEllipses],
     search: TargetSearch,
 ) -> list[tuple[Detections, FloatArray]]:
     """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
@@ -173,8 +173,8 @@ def measure_at(
         Grey values: uint8, uint16 or float32 [DN].
     photos : sequence of str
         Names of the photos.
-    starts : sequence of mapping of str to Ellipse
-        Where the dot of each target of each photo is, by its name.
+    starts : sequence of NamedEllipses
+        Where the dot of each target of each photo is.
     search : TargetSearch
         How targets are measured.
 
@@ -186,16 +186,15 @@ def measure_at(
     if search.operator is not template_center:
         return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]
     photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])
-    ellipses = [ellipse for one in starts for ellipse in one.values()]
-    places = np.array([one.center_px for one in ellipses]).reshape(-1, 2)
-    shapes = np.array([one.shape_px2 for one in ellipses]).reshape(-1, 2, 2)
+    places = np.concatenate([one.centers_px for one in starts] or [np.zeros((0, 2))])
+    shapes = np.concatenate([one.shapes_px2 for one in starts] or [np.zeros((0, 2, 2))])
     stack = stacked_centers(images_dn, photo, places, shapes, _template_reach(search))
     for row in np.flatnonzero(~stack.settled).tolist():
-        center = _centers(images_dn[int(photo[row])], [ellipses[row]], search)[0]
+        center = _centers(images_dn[int(photo[row])], [Ellipse(places[row], shapes[row])], search)[0]
         if isinstance(center, TargetCenter):
             stack.put(row, center)
     fine = stack.settled & (stack.residual_dn < search.most_misfit * np.abs(stack.contrast_dn))
-    names = [name for one in starts for name in one]
+    names = [name for one in starts for name in one.names]
     found = []
     for k, (image, name) in enumerate(zip(images_dn, photos, strict=True)):
         rows = np.flatnonzero((photo == k) & fine)
@@ -209,10 +208,11 @@ def measure_at(
 
 
 def _measured_one_by_one(
-    image_dn: npt.NDArray[np.generic], photo: str, starts: Mapping[str, Ellipse], search: TargetSearch
+    image_dn: npt.NDArray[np.generic], photo: str, starts: NamedEllipses, search: TargetSearch
 ) -> tuple[Detections, FloatArray]:
-    centers = _centers(image_dn, list(starts.values()), search)
-    found = [(name, one) for name, one in zip(starts, centers, strict=True)
+    dots = [Ellipse(*one) for one in zip(starts.centers_px, starts.shapes_px2, strict=True)]
+    centers = _centers(image_dn, dots, search)
+    found = [(name, one) for name, one in zip(starts.names, centers, strict=True)
              if isinstance(one, TargetCenter) and one.misfit < search.most_misfit]  # fmt: skip
     measured = [one for _, one in found]
     shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)

@@ -5,7 +5,7 @@ Following gives no measurement. It says to half a pixel or so where targets are 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from heliogauge.camera import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.rigid import RigidTransform, rotation_from_vector, skew
+from heliogauge.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.detections import Detections
-from photogrammetry.ellipse import Ellipse
+from photogrammetry.ellipse import NamedEllipses
 from photogrammetry.observations import IntArray
 from photogrammetry.resection import LEAST_TARGETS, resect
 
@@ -30,8 +30,9 @@ _WIDE_PX, _SEARCH_PX = 128, 32
 _ENOUGH, _NEAR_PX = 6, 12
 #: A flight is steady while its movement tells the next photo this well [px].
 _STEADY_PX = 8.0
-#: How many targets tell how the picture has moved, turned and grown, and how far they may be from that [px].
-_TELLING, _AGREEING_PX = 4, 16.0
+#: How many targets tell how the picture has moved, turned and grown, at first and if they were wrong; and how far they
+#: may be from that [px].
+_TELLING, _AGREEING_PX = (2, 4), 16.0
 #: Radius in pixels that a dot has in the reduced pictures in which it is looked for: far away, and near by.
 _COARSE_RADIUS_PX, _REDUCED_RADIUS_PX = 1.25, 2.5
 #: The pattern reaches this far, in radii of the dot: it has the code ring in it, which is another on each target.
@@ -97,8 +98,8 @@ class Track:
         ``cam_from_frame`` of the photo, to a pixel or so.
     patterns : mapping of str to (Pattern, Pattern)
         What each target looks like, much reduced and less.
-    ellipses : mapping of str to Ellipse
-        Where targets should be, and how large [px].
+    ellipses : NamedEllipses
+        Where targets should be, and how large.
     radius_px : float
         Radius of the dots [px].
     motion : RigidTransform, optional
@@ -109,7 +110,7 @@ class Track:
 
     pose: RigidTransform
     patterns: Mapping[str, tuple[Pattern, Pattern]]
-    ellipses: Mapping[str, Ellipse]
+    ellipses: NamedEllipses
     radius_px: float
     motion: RigidTransform | None = None
     steady: bool = False
@@ -204,8 +205,7 @@ def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pos
         factors = (max(1, round(radius / wanted)) for wanted in (_COARSE_RADIUS_PX, _REDUCED_RADIUS_PX))
         coarse, fine = (Pattern(_reduced(np.asarray(sharp, dtype=np.float32), factor), factor) for factor in factors)
         patterns[name] = coarse, fine
-    places = zip(found.names, found.pixels_px, shapes_px2, strict=True)
-    return Track(pose, patterns, {name: Ellipse(pixel, shape) for name, pixel, shape in places}, radius)
+    return Track(pose, patterns, NamedEllipses(found.names, found.pixels_px, shapes_px2), radius)
 
 
 def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> Track | None:
@@ -227,28 +227,51 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
     Track or None
         After this photo; None where it is lost: too few dots are where a common pose has them.
     """
-    has_pattern = np.array([name in track.patterns for name in known.names])
-    ahead = track.pose
     if track.motion is not None and track.steady:
         ahead = track.motion @ track.pose
-        pixels = camera.project(ahead.apply(known.points_m))
-    else:
-        pixels = camera.project(track.pose.apply(known.points_m))
-        seen_before = np.nonzero(has_pattern & np.isfinite(pixels).all(axis=1))[0]
-        if seen_before.size < LEAST_TARGETS:
-            return None
-        before = [(pixels[k], track.patterns[known.names[k]][0]) for k in seen_before]
-        pixels = _moved_in_common(image, before, track.radius_px, pixels)
-    margin = _PATTERN_RADII * track.radius_px + 2
-    expected = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin))
-    whole = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin + _NEAR_PX))
-    few = whole[np.linspace(0, whole.size - 1, _ENOUGH).round().astype(np.intp)] if whole.size >= _ENOUGH else whole
-    for chosen, reach, share in ((few, _NEAR_PX, 1.0), (expected, _SEARCH_PX, _LEAST_SHARE)):
-        pose = _found_near(image, track, known, camera, (ahead, pixels), (chosen, reach, share))
+        expected = ahead, camera.project(ahead.apply(known.points_m))
+        pose = _agreed(image, track, known, camera, expected, thorough=True)
         if pose is not None:
             return _at(pose, track, known, camera)
     # A flight that is steady no more is looked for as widely as at first.
-    return follow(image, replace(track, steady=False), known, camera) if track.steady else None
+    pixels = camera.project(track.pose.apply(known.points_m))
+    has_pattern = np.array([name in track.patterns for name in known.names])
+    seen_before = np.flatnonzero(has_pattern & _well_inside(pixels, camera, _PATTERN_RADII * track.radius_px))
+    if seen_before.size < LEAST_TARGETS:
+        return None
+    before = [(pixels[k], track.patterns[known.names[k]][0]) for k in seen_before]
+    for telling in _TELLING:
+        moved = _moved_in_common(image, before, telling, track.radius_px, pixels)
+        pose = _agreed(image, track, known, camera, (track.pose, moved), thorough=telling == _TELLING[-1])
+        if pose is not None:
+            return _at(pose, track, known, camera)
+    return None
+
+
+def _agreed(
+    image: Image,
+    track: Track,
+    known: KnownTargets,
+    camera: Camera,
+    expected: tuple[RigidTransform, FloatArray],
+    *,
+    thorough: bool,
+) -> RigidTransform | None:
+    """Find the pose near where targets are expected: from a few close by, or thoroughly from all a little farther away.
+
+    Expected are a pose to start with, and places.
+    """
+    pixels = expected[1]
+    has_pattern = np.array([name in track.patterns for name in known.names])
+    margin = _PATTERN_RADII * track.radius_px + 2
+    shown = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin))
+    whole = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin + _NEAR_PX))
+    few = whole[np.linspace(0, whole.size - 1, _ENOUGH).round().astype(np.intp)] if whole.size >= _ENOUGH else whole
+    for chosen, reach, share in ((few, _NEAR_PX, 1.0), (shown, _SEARCH_PX, _LEAST_SHARE))[: 1 + thorough]:
+        pose = _found_near(image, track, known, camera, expected, (chosen, reach, share))
+        if pose is not None:
+            return pose
+    return None
 
 
 def _found_near(
@@ -285,11 +308,10 @@ def _found_near(
 def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
     """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
     pixels = camera.project(pose.apply(known.points_m))
-    usual = next(iter(track.ellipses.values())).shape_px2
-    ellipses = {}
-    for k in np.nonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))[0]:
-        before = track.ellipses.get(known.names[k])
-        ellipses[known.names[k]] = Ellipse(pixels[k], usual if before is None else before.shape_px2)
+    shown = np.flatnonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))
+    before = {name: k for k, name in enumerate(track.ellipses.names)}
+    names = tuple(known.names[k] for k in shown)
+    ellipses = NamedEllipses(names, pixels[shown], track.ellipses.shapes_px2[[before.get(name, 0) for name in names]])
     steady = False
     if track.motion is not None:
         foreseen = camera.project((track.motion @ track.pose).apply(known.points_m))
@@ -298,13 +320,13 @@ def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera)
 
 
 def _moved_in_common(
-    image: Image, targets: list[tuple[FloatArray, Pattern]], radius_px: float, pixels: FloatArray
+    image: Image, targets: list[tuple[FloatArray, Pattern]], telling: int, radius_px: float, pixels: FloatArray
 ) -> FloatArray:
     """Move places as some targets, spread over the list, have moved; NaN where those do not agree.
 
     The movement is a shift, a turn and a change of scale: in complex numbers ``a + b z``.
     """
-    chosen = [targets[k] for k in np.unique(np.linspace(0, len(targets) - 1, _TELLING).round().astype(np.intp))]
+    chosen = [targets[k] for k in np.unique(np.linspace(0, len(targets) - 1, telling).round().astype(np.intp))]
     found = np.array([_match(image, pixel, pattern, radius_px, _WIDE_PX) for pixel, pattern in chosen])
     seen = np.isfinite(found[:, 0])
     before, after = (values[:, 0] + 1j * values[:, 1] for values in (np.array([pixel for pixel, _ in chosen]), found))
@@ -375,24 +397,26 @@ def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: 
     Steps are those of a camera without lens errors, which change them by some percent; residuals are exact.
     """
     rotation, shift = start.rotation, start.translation_m
-    focal = np.array([camera.focal_x_px, camera.focal_y_px])
+    none = np.zeros(len(points_m))
     for _ in range(_MOST_STEPS):
         arms = points_m @ rotation.T
         seen = arms + shift
-        residuals = pixels_px - camera.project(seen)
+        residuals = (pixels_px - camera.project(seen)).T.ravel()
         if not np.isfinite(residuals).all():
             return start
-        by_point = np.zeros((len(seen), 2, 3))
-        scale = focal / seen[:, 2:]
-        by_point[:, 0, 0], by_point[:, 1, 1] = scale.T
-        by_point[:, :, 2] = -scale * seen[:, :2] / seen[:, 2:]
-        # A turn w moves a point by w x arm: the derivative of a row d is arm x d.
-        jacobian = np.concatenate([by_point @ -skew(arms), by_point], axis=2).reshape(-1, 6)
+        # A turn w moves a point by w x arm; a shift in depth z moves its image by -x / z of a shift in x.
+        (ax, ay, az), nearness = arms.T, 1 / seen[:, 2]
+        by_x, by_y = camera.focal_x_px * nearness, camera.focal_y_px * nearness
+        x_by_z, y_by_z = -by_x * nearness * seen[:, 0], -by_y * nearness * seen[:, 1]
+        design = np.concatenate([
+            [ay * x_by_z, az * by_x - ax * x_by_z, -ay * by_x, by_x, none, x_by_z],
+            [ay * y_by_z - az * by_y, -ax * y_by_z, ax * by_y, none, by_y, y_by_z],
+        ], axis=1).T  # fmt: skip
         try:
-            step = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residuals.ravel())
+            step = np.linalg.solve(design.T @ design, design.T @ residuals)
         except np.linalg.LinAlgError:
             return start
         rotation, shift = rotation_from_vector(step[:3]) @ rotation, shift + step[3:]
-        if np.abs(jacobian @ step).max() < _ENOUGH_PX:
+        if np.abs(design @ step).max() < _ENOUGH_PX:
             break
     return RigidTransform(rotation, shift)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from photogrammetry.ellipse import Ellipse
+from photogrammetry.ellipse import Ellipse, NamedEllipses
 from photogrammetry.photo_targets import TargetSearch, measure_at
 from photogrammetry.target_center import TargetCenter
 from photogrammetry.template_center import template_centers
@@ -69,11 +69,12 @@ def test_dust_is_left_out_and_no_target_is_told():
 def test_several_photos_are_measured_at_once_and_apart():
     both = [photo(k)[0] for k in (5, 6)]
     _, centers, shapes = photo(5)
-    starts = {f"t{k}": Ellipse(place, shape) for k, (place, shape) in enumerate(zip(centers, shapes, strict=True))}
-    some = {name: starts[name] for name in ("t3", "t1")}
-    some["gone"] = Ellipse(np.array([60.0, 60.0]), shapes[0])
+    starts = NamedEllipses(tuple(f"t{k}" for k in range(len(centers))), centers, shapes)
+    some = NamedEllipses(
+        ("t3", "t1", "gone"), np.array([centers[3], centers[1], [60.0, 60.0]]), shapes[[3, 1, 0]],
+    )  # fmt: skip
     together = measure_at(both, ["a", "b"], [starts, some], TargetSearch())
-    assert together[0][0].names == tuple(starts)
+    assert together[0][0].names == starts.names
     assert together[1][0].names == ("t3", "t1")
     assert together[1][1].shape == (2, 2, 2)
     for k, one in enumerate((starts, some)):
