@@ -118,15 +118,23 @@ def absorber_command(
 
 @app.command("plan")
 def plan_command(
-    folder: MeasurementFolder, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
+    folder: MeasurementFolder,
+    out: OutFolder,
+    force: Force = False,
+    no_report: NoReport = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Plan a pass: the sigmas to be expected at every point, what will be missing, where to fly; stations.csv."""
+    """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
     from heliogauge.measurement import load_observer_plan
     from heliogauge.terminal import terminal_progress
     from observer.pipeline_plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(out, lambda: run(load_observer_plan(folder), progress), write, force=force, progress=progress)
+    result = into_folder(
+        out, lambda: run(load_observer_plan(folder), progress), write, force=force, progress=progress,
+        report=not no_report,
+    )  # fmt: skip
     tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
@@ -137,10 +145,11 @@ def compare_command(
     ],
     out: OutFolder,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
 ) -> None:
-    """Gravity study: one trough at several orientations; orientations.png, orientations.csv, sag_by_weight.csv."""
+    """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
     from observer.pipeline_compare import headline_text, run, write
 
-    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress())
+    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)

@@ -1,4 +1,4 @@
-"""One figure of a trough at several orientations: the absorber's profiles, its sag, the mirror's change."""
+"""One figure of a trough at several orientations: the absorber's profiles and its sag."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heliogauge.figures_canvas import WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
+from heliogauge.figures_canvas import FAINT, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
 from heliogauge.validate import FloatArray
 from observer.orientation_study import SpanSags
 
@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLORS = ("#1f6fb2", "#c4511c", "#2b8a4b", "#7a4fa3", "#8a7a1d", "#444b54")
-_LEFT_IN, _PLOT_IN, _STEP_IN = 0.72, 1.75, 2.35
+_LEFT_IN, _PLOT_IN, _STEP_IN = 0.72, 1.75, 2.45
+#: Legends stand beside the plots, where they hide nothing.
+_LEGEND_IN = 2.3
+_BESIDE = {"loc": "upper left", "bbox_to_anchor": (1.005, 1.02)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +44,8 @@ class Profile:
     sigma_z_m: FloatArray
 
 
-def orientation_figure(
-    profiles: Sequence[Profile],
-    sags: Sequence[SpanSags],
-    changes: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]],
-) -> "Figure":
-    """Draw what turning a trough does.
+def orientation_figure(profiles: Sequence[Profile], sags: Sequence[SpanSags]) -> "Figure":
+    """Draw what turning a trough does to its absorber.
 
     Parameters
     ----------
@@ -54,43 +53,35 @@ def orientation_figure(
         The absorber at each orientation.
     sags : sequence of SpanSags
         Sag of each span.
-    changes : sequence of (str, ndarray, ndarray, ndarray)
-        Label, x, y and change of theta_r against the first orientation [m, rad].
 
     Returns
     -------
     Figure
-        X_a and Z_a along the trough, sag against orientation, maps of the change of theta_r.
+        X_a and Z_a along the trough, sag against orientation.
     """
-    height = 0.55 + (3 + len(changes)) * _STEP_IN
-    figure = new_figure(height)
-    add_title(figure, "Absorber and mirror at several orientations", "error bars and bands: 1 sigma")
-    places = [height - 0.55 - (k + 1) * _STEP_IN + 0.55 for k in range(3 + len(changes))]
+    count = 3 if sags else 2
+    height = 0.55 + count * _STEP_IN
+    figure = new_figure(height, 2 * WIDTH_IN)
+    add_title(figure, "The absorber at several orientations", "error bars and bands: 1 sigma")
+    places = [height - 0.05 - (k + 1) * _STEP_IN for k in range(count)]
+    words = {"x": "across, + towards +x", "z": "along the optical axis, + away from the mirror"}
     for place, axis in zip(places[:2], "xz", strict=True):
-        _draw_profiles(_plot(figure, place, "y along the trough [m]", f"{axis.upper()}_a [mm]"), profiles, axis)
-    _draw_sags(_plot(figure, places[2], "orientation from zenith [deg]", "sag [mm]"), sags)
-    for place, (label, x_m, y_m, change) in zip(places[3:], changes, strict=True):
-        axes = _plot(figure, place, "y along the trough [m]", "x [m]", spare_in=0.6)
-        shown = 1e3 * (change - np.nanmean(change))
-        limit = max(float(np.nanpercentile(np.abs(shown), 99)), 0.05)
-        image = axes.imshow(
-            shown.T, origin="lower", extent=(y_m[0], y_m[-1], x_m[0], x_m[-1]), aspect="auto", cmap="RdBu_r",
-            vmin=-limit, vmax=limit, interpolation="nearest",
-        )  # fmt: skip
-        axes.set_title(f"change of theta_r without its mean, {label} [mrad]", fontsize=8, loc="left")
-        figure.colorbar(image, ax=axes, fraction=0.03, pad=0.01).ax.tick_params(labelsize=7)
+        axes = _plot(figure, place, "y along the trough [m]", f"{axis.upper()}_a [mm]")
+        _draw_profiles(axes, profiles, axis, words[axis])
+    if sags:
+        _draw_sags(_plot(figure, places[2], "orientation from zenith [deg]", "sag [mm]"), sags)
     return figure
 
 
-def _plot(figure: "Figure", bottom_in: float, x_label: str, y_label: str, *, spare_in: float = 0.25) -> "Axes":
-    axes = axes_in_inches(figure, _LEFT_IN, bottom_in, WIDTH_IN - _LEFT_IN - spare_in, _PLOT_IN)
+def _plot(figure: "Figure", bottom_in: float, x_label: str, y_label: str) -> "Axes":
+    axes = axes_in_inches(figure, _LEFT_IN, bottom_in, 2 * WIDTH_IN - _LEFT_IN - _LEGEND_IN, _PLOT_IN)
     axes.set_xlabel(x_label, fontsize=8)
     axes.set_ylabel(y_label, fontsize=8)
     axes.grid(visible=True, color="#e4e7ea", linewidth=0.6)
     return axes
 
 
-def _draw_profiles(axes: "Axes", profiles: Sequence[Profile], axis: str) -> None:
+def _draw_profiles(axes: "Axes", profiles: Sequence[Profile], axis: str, words: str) -> None:
     reference = 0.0 if axis == "x" else float(np.nanmean(np.concatenate([one.z_m for one in profiles])))
     for one, color in zip(profiles, np.resize(_COLORS, len(profiles)), strict=True):
         value, sigma = (one.x_m, one.sigma_x_m) if axis == "x" else (one.z_m, one.sigma_z_m)
@@ -98,8 +89,9 @@ def _draw_profiles(axes: "Axes", profiles: Sequence[Profile], axis: str) -> None
         axes.plot(one.y_m, value, ".-", color=color, linewidth=1.1, markersize=4, label=one.label)
         axes.fill_between(one.y_m, value - 1e3 * sigma, value + 1e3 * sigma, color=color, alpha=0.18, linewidth=0)
     if axis == "z":
-        axes.set_title(f"above {reference:.4f} m, the mean of all", fontsize=8, loc="left")
-    add_legend(axes, loc="best")
+        words += f"; from {reference:.4f} m, the mean of all"
+    axes.set_title(words, fontsize=8, color=FAINT, loc="left", pad=3)
+    add_legend(axes, **_BESIDE)
 
 
 def _draw_sags(axes: "Axes", sags: Sequence[SpanSags]) -> None:
@@ -110,5 +102,5 @@ def _draw_sags(axes: "Axes", sags: Sequence[SpanSags]) -> None:
         ):  # fmt: skip
             axes.errorbar(turn, 1e3 * value, 1e3 * sigma, fmt=marker, color=color, markersize=4, linewidth=1,
                           capsize=2, label=f"span {number}, {name}")  # fmt: skip
-    if sags:
-        add_legend(axes, loc="best")
+    axes.set_title("of the middle of each span from its supports", fontsize=8, color=FAINT, loc="left", pad=3)
+    add_legend(axes, **_BESIDE)

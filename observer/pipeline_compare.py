@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +12,20 @@ from heliogauge.figures_canvas import png_of
 from heliogauge.slope_grid import resample
 from heliogauge.slope_map import SlopeMap
 from heliogauge.store import Summary, hash_files, read_summary, write_summary, write_table_csv
+from heliogauge.store_arrays import LabelledArray, write_arrays
 from heliogauge.store_slope_map import read_slope_map
 from heliogauge.store_tables import read_table_csv
 from heliogauge.validate import FloatArray
+from observer.figures_modules import OneMap, maps_figure
 from observer.figures_orientation import Profile, orientation_figure
 from observer.orientation_study import SpanSags, WeightSag, mirror_change, sag_by_weight, theta_r_change
 
 KIND = "observer-compare"
 FIGURE = "orientations.png"
+CHANGES_FIGURE = "theta_r_change.png"
+CHANGES_TITLE = "Change of theta_r against the first orientation, without its mean"
+#: What the figures show, as tables and maps.
+PROFILES, SAGS, CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 #: Spans whose supports differ by less are the same one [m].
 _SAME_M = 0.05
 #: A sag that departs from weight and bend by more than so many sigma is said.
@@ -181,16 +188,76 @@ def write(result: Comparison, folder: Path) -> None:
     columns = {name: [float(spans[name][k]) for k, _ in known] for name in ("from_y_m", "to_y_m")}
     columns |= {name: [getattr(sag, name) for _, sag in known] for name in WeightSag.__slots__}
     write_table_csv(folder / "sag_by_weight.csv", columns)
-    first = result.maps[0]
-    changes = [
-        (one.profile.label, other.x_m, other.y_m, theta_r_change(first, other))
-        for one, other in zip(result.orientations[1:], result.maps[1:], strict=True)
-        if first is not None and other is not None
-    ]
     sags = [_sags_of(result.orientations, k) for k, _ in known]
-    figure = orientation_figure([one.profile for one in result.orientations], sags, changes)
-    (folder / FIGURE).write_bytes(png_of(figure))
+    profiles = [one.profile for one in result.orientations]
+    changes = mirror_changes(result)
+    write_table_csv(folder / PROFILES, _long(profiles, "y_m"))
+    write_table_csv(folder / SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
+    write_changes(folder / CHANGES, changes)
+    (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
+    if changes:
+        (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
     write_summary(folder / "summary.json", summarise(result))
+
+
+def mirror_changes(result: Comparison) -> list[OneMap]:
+    """Return how theta_r changes from the first orientation to the others, without its mean.
+
+    Parameters
+    ----------
+    result : Comparison
+        What `run` returned.
+
+    Returns
+    -------
+    list of OneMap
+        One for each other orientation whose mirror was measured.
+    """
+    found, first = [], result.maps[0]
+    for one, other in zip(result.orientations[1:], result.maps[1:], strict=True):
+        if first is not None and other is not None:
+            change = theta_r_change(first, other)
+            mean = np.nanmean(change) if np.isfinite(change).any() else 0.0
+            found.append(OneMap(one.profile.label, other.x_m, other.y_m, np.asarray(change - mean)))
+    return found
+
+
+def _long(parts: Sequence[Any], size: str, names: Sequence[str | int] | None = None) -> dict[str, list[Any]]:
+    """Return values of several dataclasses below each other; the first column says whose they are."""
+    columns: dict[str, list[Any]] = {"of": []}
+    for k, part in enumerate(parts):
+        n = getattr(part, size).size
+        columns["of"] += [part.label if names is None else names[k]] * n
+        for name in (name for name in part.__slots__ if name != "label"):
+            columns.setdefault(name, []).extend(np.broadcast_to(getattr(part, name), n).tolist())
+    return columns
+
+
+def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
+    """Write maps of the mirror's change.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    changes : sequence of OneMap
+        The maps, on one grid.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    if not changes:
+        return
+    arrays = [
+        LabelledArray("y", ("y",), changes[0].y_m, "m", "along the trough"),
+        LabelledArray("x", ("x",), changes[0].x_m, "m", "across the aperture"),
+    ]
+    for k, one in enumerate(changes, start=1):
+        text = f"theta_r minus that of the first orientation, without its mean: {one.name}"
+        arrays.append(LabelledArray(f"theta_r_change_{k}", ("y", "x"), one.angle_rad.astype(np.float32), "rad", text))
+    write_arrays(path, arrays, {"orientations": [one.name for one in changes]})
 
 
 def _table(result: Comparison) -> dict[str, list[float | str]]:

@@ -24,6 +24,7 @@ from observer.planned_flight import Pass, advice, steps_too_wide
 from observer.reflection import Expectation
 from observer.simulated_edges import EdgeNoise, Scene
 from observer.simulated_flight import Evaluation, Simulated, simulate
+from observer.store_report import COLLECTOR, write_collector
 from observer.typical_mirror import MeasuredMirror, Mirror, TypicalMirror
 from photogrammetry.bundle import BundleResult
 
@@ -294,6 +295,7 @@ def write(result: PlanResult, folder: Path) -> None:
     write_table_csv(folder / "stations.csv", _station_columns(result))
     write_slope_map(folder / "slope_map.nc", {"": result.simulated.slope_map}, {"input_sha256": result.input_sha256})
     write_table_csv(folder / "missing.csv", _missing_columns(result))
+    write_collector(folder / COLLECTOR, result.collector)
     path = result.simulated.absorber
     sigma_x, sigma_z = path.sigma_at(path.y_m)
     write_table_csv(

@@ -33,7 +33,7 @@ def absorber(results: TroughResults) -> Html:
     """
     note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations that no two photos show from different sides."
     drawn = show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
-    return join(drawn, _listed(results.table("absorber_spans.csv")))
+    return join(drawn, listed(results.table("absorber_spans.csv")))
 
 
 def absorber_figure(results: TroughResults, axis: str) -> "Figure":
@@ -201,11 +201,22 @@ def panels(results: TroughResults) -> Html:
     columns = results.table("panels.csv")
     if columns is None:
         return Html("")
-    return join(Html("<h2>Panels</h2>"), _listed(columns))
+    return join(Html("<h2>Panels</h2>"), listed(columns))
 
 
-def _listed(columns: Columns | None) -> Html:
-    """Return a table of results with units that are easy to read; nothing without one."""
+def listed(columns: Columns | None) -> Html:
+    """Return a table of results with units that are easy to read; nothing without one.
+
+    Parameters
+    ----------
+    columns : dict of str to list of str or None
+        A table as it was read.
+
+    Returns
+    -------
+    Html
+        The table.
+    """
     if not columns:
         return Html("")
     names = list(columns)

@@ -18,6 +18,7 @@ from heliogauge.figures_canvas import (
 from heliogauge.report_html import Html, join, show, table
 from heliogauge.report_sections import uncertainty_shares
 from heliogauge.validate import FloatArray
+from observer.design import Collector
 from observer.report_results import TroughResults
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ def maps(results: TroughResults) -> Html:
     slope_map, angles = results.base.slope_map, results.angles
     if not slope_map.valid.any():
         return join(
-            Html("<p>No point of the mirror was measured.</p>"), show(_with_panels(flag_map(slope_map), results))
+            Html("<p>No point of the mirror was measured.</p>"),
+            show(with_panels(flag_map(slope_map), results.collector)),
         )
     limit = robust_limit(_MRAD * angles["theta_ra"], _MRAD * angles["theta_r"])
     drawn = [
@@ -53,7 +55,7 @@ def maps(results: TroughResults) -> Html:
         _angle_map(results, "theta_a", "theta_a (+ to +x): absorber alone", None),
         _untilted(results, limit),
         _sigma_map(results),
-        _with_panels(flag_map(slope_map), results),
+        with_panels(flag_map(slope_map), results.collector),
     ]
     more = [histogram(results), *_along(results), *_height(results)]
     note = (
@@ -169,12 +171,25 @@ def _height(results: TroughResults) -> "list[Figure]":
 
 
 def _panelled(results: TroughResults, values: FloatArray, style: MapStyle) -> "Figure":
-    return _with_panels(map_figure(results.base.slope_map, values, style), results)
+    return with_panels(map_figure(results.base.slope_map, values, style), results.collector)
 
 
-def _with_panels(figure: "Figure", results: TroughResults) -> "Figure":
-    """Draw edges between panels, and supports, over a map."""
-    axes, collector = figure.axes[0], results.collector
+def with_panels(figure: "Figure", collector: Collector) -> "Figure":
+    """Draw edges between panels, and supports, over a map.
+
+    Parameters
+    ----------
+    figure : Figure
+        The map.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    Figure
+        The same figure.
+    """
+    axes = figure.axes[0]
     for x in collector.panel_edges_x_m[1:-1]:
         axes.axvline(x, color=FAINT, linewidth=0.5, zorder=5)
     for y in collector.panel_edges_y_m[1:-1]:

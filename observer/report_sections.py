@@ -1,6 +1,7 @@
 """Sections of a trough's report; each is one cell of the notebook and returns what it shows."""
 
 import html
+from collections.abc import Mapping
 
 from heliogauge import report_page as page
 from heliogauge.notation import number_text
@@ -91,13 +92,15 @@ def in_words(summary: Summary) -> Html:
     return Html(f"<p>{html.escape(' '.join(sentences))}</p>")
 
 
-def headline_table(summary: Summary) -> Html:
+def headline_table(summary: Summary, labels: Mapping[str, str] = LABELS) -> Html:
     """Return the headline numbers, the less important ones folded away.
 
     Parameters
     ----------
     summary : Summary
         The summary.
+    labels : mapping of str to str, optional
+        The important ones, and what they are called.
 
     Returns
     -------
@@ -106,8 +109,8 @@ def headline_table(summary: Summary) -> Html:
     """
     numbers = summary.numbers
     keys = [key for key in numbers if not (key.startswith("sigma_") and key.removeprefix("sigma_") in numbers)]
-    first = [(label, _text(summary, key)) for key, label in LABELS.items() if key in numbers]
-    others = [(unit_of(key)[0].replace("_", " "), _text(summary, key)) for key in keys if key not in LABELS]
+    first = [(label, _text(summary, key)) for key, label in labels.items() if key in numbers]
+    others = [(unit_of(key)[0].replace("_", " "), _text(summary, key)) for key in keys if key not in labels]
     values = table(("", "value \u00b1 1 sigma"), first, numbers=(1,))
     more = table(("", "value \u00b1 1 sigma"), others, numbers=(1,))
     folded = f"<details><summary>{len(others)} more numbers</summary>{more.text}</details>" if others else ""

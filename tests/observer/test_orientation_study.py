@@ -14,11 +14,13 @@ from heliogauge.store import Summary, write_summary, write_table_csv
 from heliogauge.store_slope_map import write_slope_map
 from heliogauge.store_tables import read_table_csv
 from observer import cli
+from observer import report_compare as report
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
+from observer.figures_modules import maps_figure
 from observer.orientation_study import SpanSags, mirror_change, sag_by_weight
-from observer.pipeline_compare import run
+from observer.pipeline_compare import mirror_changes, run, write
 
 TURNS = np.radians([0.0, 90.0, 170.0])
 COLLECTOR = Collector(5.0, 7.8, 1.49, 0.07)
@@ -96,9 +98,33 @@ def test_command_line_makes_table_and_figure(tmp_path: Path) -> None:
     np.testing.assert_allclose(float(table["theta_r_change_noise_rad"][1]), 2e-4, rtol=0.1)
     weight = read_table_csv(out / "sag_by_weight.csv")
     np.testing.assert_allclose(float(weight["by_weight_m"][0]), 6e-3, atol=1e-6)
-    image = read_image(out / "orientations.png")
-    assert min(image.shape) > 300
-    assert np.std(image) > 10
+    for name in ("orientations.png", "theta_r_change.png"):
+        image = read_image(out / name)
+        assert min(image.shape) > 300
+        assert np.std(image) > 10
+
+
+def test_the_report_has_what_the_study_wrote(tmp_path: Path) -> None:
+    folders = [result_at(tmp_path / f"at{degrees:g}", degrees) for degrees in (0.0, 90.0)]
+    study = run(folders)
+    write(study, tmp_path)
+    results = report.open_study(tmp_path)
+    assert [one.label for one in results.profiles] == ["LS-2 (0 deg)", "LS-2 (90 deg)"]
+    for one, other in zip(results.profiles, study.orientations, strict=True):
+        np.testing.assert_allclose(one.z_m, other.profile.z_m, rtol=1e-9)
+        np.testing.assert_allclose(one.sigma_x_m, other.profile.sigma_x_m, rtol=1e-9)
+        assert one.orientation_rad == pytest.approx(other.profile.orientation_rad)
+    np.testing.assert_allclose(results.sags[0].sag_x_m, [0.0, 6e-3], atol=1e-6)
+    np.testing.assert_allclose(results.changes[0].angle_rad, mirror_changes(study)[0].angle_rad, atol=1e-9)
+    # Without its mean, 1 mrad, the change is noise; x goes to the right and y up, as in all maps.
+    assert abs(np.nanmean(results.changes[0].angle_rad)) < 1e-8
+    image = maps_figure(results.changes, "").axes[0].images[0]
+    assert image.origin == "lower"
+    np.testing.assert_allclose(image.get_extent()[:2], results.changes[0].x_m[[0, -1]])
+    assert "6.00" in report.weight(results).text
+    assert "1.01 mrad" in report.absorber(results).text
+    assert report.mirror(results).text.count("<img") == 1
+    assert "2 orientations" in report.head(results).text
 
 
 def test_absorber_alone_is_enough(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.measurement import load_observer_plan
 from heliogauge.store import read_summary, read_table_csv
 from heliogauge.store_slope_map import read_slope_map
+from observer import report_plan as report
 from observer.pipeline_plan import headline_text, run, summarise, write
 from observer.planned_flight import Pass, advice
 from tests.observer.simulated_trough import short_trough
@@ -77,6 +78,17 @@ def test_a_plan_is_written_whole(tmp_path: Path) -> None:
     # Two runs do not settle anything, and the ends of the mirror cannot be seen from the middle.
     assert any("has not settled" in text for text in result.warnings)
     assert any("beyond the tube's ends" in text for text in result.warnings)
+    results = report.open_plan(out)
+    assert "beyond the tube&#x27;s ends" in report.head(results).text
+    assert "95 % of the points are below" in report.overview(results).text
+    counts = [part(results).text.count("<img") for part in (report.maps, report.flight, report.absorber)]
+    assert counts == [3, 2, 1]
+    assert report.repeated(results).text.count("<img") == 2
+    side = report.flight_figure(results, "x").axes[0]
+    cameras = next(line for line in side.lines if line.get_label() == "cameras")
+    np.testing.assert_allclose(cameras.get_xdata()[[0, -1]], [-2.9, 2.9])
+    (out / "monte_carlo.csv").unlink()
+    assert report.repeated(results).text == ""
 
 
 def test_a_pass_that_is_too_short_is_told_how_far_to_fly(tmp_path: Path) -> None:
