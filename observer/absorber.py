@@ -21,8 +21,11 @@ from observer.slope_field import IntArray
 #: Where the tube may be beside its design, as prior [m].
 _PRIOR_M = 0.1
 #: How much the tube may bend: scatter of the second difference over stations 1 m apart [m]. A tube that sags by 10 mm
-#: between supports 4 m apart has 5 mm.
-_BEND_M = 0.01
+#: between supports 4 m apart has 5 mm. The bearings tell which of these it is: a straight tube's stations help each
+#: other, and clouds or the glass beside one of them do not bend it.
+_BENDS_M = (0.01, 0.005, 0.0025)
+#: The most that is nearly as probable as the most probable one, by exp(-2), is believed.
+_EVIDENCE_LOSS = 2.0
 #: Edges of one photo share their error of pixel grid and background along a few rows: so many count as one.
 _ROWS_ALIKE = 3
 #: What the background does to the bisector is for this part of it alike along the whole tube; the rest stays alike over
@@ -211,16 +214,15 @@ def _adjusted(
     poses_known = np.linalg.inv(modes.covariance)
     prior[2 * start.n : -1, 2 * start.n : -1] = poses_known
     prior[-1, -1] = 1.0
-    for first in (0, start.n):
-        prior[first : first + start.n, first : first + start.n] = _smoothness(start.y_m)
     pull = np.zeros(size)
     # The prior wants the tube, not the step from a path that was found already, near the design and straight.
-    for first, values in ((0, start.x_m), (start.n, start.z_m)):
-        block = prior[first : first + start.n, first : first + start.n]
-        pull[first : first + start.n] = -block @ (values - np.mean(values))
+    bent = np.concatenate([start.x_m - np.mean(start.x_m), start.z_m - np.mean(start.z_m)])
     used = np.ones(directions.photo.size, dtype=bool)
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
+        smooth = _told_smoothness(normal + prior, right, bent, start.y_m)
+        pull[: 2 * start.n] = -smooth @ bent
+        normal[: 2 * start.n, : 2 * start.n] += smooth
         step = np.linalg.solve(normal + prior, right + pull)
         residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
         scatter = max(1.4826 * float(np.median(np.abs(residuals[used] / directions.sigma_rad[used]))), 1.0)
@@ -319,13 +321,34 @@ def bearing_derivatives(points_m: FloatArray, photos: Photos, photo: IntArray) -
     return place, np.asarray(-(place[:, 0, None] * moved[:, 0] + place[:, 1, None] * moved[:, 2]))
 
 
-def _smoothness(stations_m: FloatArray) -> FloatArray:
+def _told_smoothness(normal: FloatArray, right: FloatArray, bent_m: FloatArray, stations_m: FloatArray) -> FloatArray:
+    """Return the prior's precision of both coordinates along the stations, as smooth as the bearings tell.
+
+    By the marginal likelihood, with stations and everything else integrated out.
+    """
+    n = bent_m.size
+    # What poses and sides leave of what the bearings say of the stations, before any smoothness.
+    following = np.linalg.solve(normal[n:, n:], np.column_stack([normal[n:, :n], right[n:]]))
+    said = normal[:n, :n] - normal[:n, n:] @ following[:, :n]
+    wanted = right[:n] - normal[:n, n:] @ following[:, n]
+    evidence, priors = [], []
+    for bend in _BENDS_M:
+        smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend)), dtype=np.float64)
+        pulled = wanted - smooth @ bent_m
+        misfit = bent_m @ smooth @ bent_m - pulled @ np.linalg.solve(said + smooth, pulled)
+        determinants = np.linalg.slogdet(smooth)[1] - np.linalg.slogdet(said + smooth)[1]
+        evidence.append(0.5 * float(determinants - misfit))
+        priors.append(smooth)
+    return priors[int(np.argmax(np.array(evidence) > max(evidence) - _EVIDENCE_LOSS))]
+
+
+def _smoothness(stations_m: FloatArray, bend_m: float) -> FloatArray:
     """Return the prior's precision of a coordinate along the stations."""
     n = stations_m.size
     precision = np.eye(n) / _PRIOR_M**2 / n
     if n >= 3:
         step = float(np.mean(np.diff(stations_m)))
-        bend = np.diff(np.eye(n), 2, axis=0) / (_BEND_M * step**1.5)
+        bend = np.diff(np.eye(n), 2, axis=0) / (bend_m * step**1.5)
         precision += bend.T @ bend
     return precision
 
