@@ -35,6 +35,12 @@ _DARK_SHARE = 0.2
 _PROFILE_PX, _PROFILE_UNEVEN = 6, 0.05
 #: Distances on both sides of an edge between which the brightness should not change any more [px].
 _EVEN_PX = (4.0, 6.0)
+#: An edge that is further from the nearer edge of the tube than this share of half the tube's width may be the other.
+_FAR_SHARE = 0.5
+#: ... with slopes up to so many times the largest: where the absorber really is was not yet known.
+_BEYOND_TIMES = 1.25
+#: Whether the tube is darker or brighter is clear where so much more of all steps go one way than the other.
+_CLEAR_MAJORITY = 0.5
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -279,9 +285,8 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     points = np.stack([x, expected.y_m[found.row], 0.5 * x * slope], axis=1)
     eyes = np.array([one.eye_m for one in looks])[which]
     middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(x.size)), slope, absorber, radius)
-    side = np.where(np.abs(middle + half) < np.abs(middle - half), 1.0, -1.0)
-    near = np.flatnonzero(np.abs(middle + side * half) < 2 * expected.slope_error_rad)
-    found, which, points, side = found.chosen(near), which[near], points[near], side[near]
+    near = np.flatnonzero(np.abs(np.abs(middle) - half) < 2 * expected.slope_error_rad)
+    found, which, points, middle, half = found.chosen(near), which[near], points[near], middle[near], half[near]
     free_m = np.minimum(
         _inside_panels_m(collector, points[:, 0], points[:, 1]),
         _beside_receiver_m(points, eyes[near], collector, absorber),
@@ -294,15 +299,54 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     edges = []
     for one, own in zip(looks, (slice(*pair) for pair in pairwise(ends)), strict=True):
         part = Edges(*(getattr(found, name)[own] for name in Edges.__slots__))
-        dark = _is_tube_dark(part, side[own], free_m[own] > spoilt_m[own])
+        free = free_m[own] > spoilt_m[own]
+        side = sides_of_tube(part.contrast, middle[own], half[own], expected.slope_error_rad, free)
+        dark = _is_tube_dark(part, side, free)
         left = np.flatnonzero(keep[own] & dark)
         uneven = np.where(judged[own], _unevenness(one, part), 0.0)
         photo = np.full(left.size, one.number, dtype=np.intp)
         edges.append(ReflectionEdges(
-            photo, part.row[left], side[own][left], points[own][left], part.sigma_x_m[left], part.contrast[left],
+            photo, part.row[left], side[left], points[own][left], part.sigma_x_m[left], part.contrast[left],
             uneven[left],
         ))  # fmt: skip
     return edges
+
+
+def sides_of_tube(
+    contrast: FloatArray, middle_rad: FloatArray, half_rad: FloatArray, slope_error_rad: float, among: BoolArray
+) -> FloatArray:
+    """Tell which of the tube's edges each edge of its reflection is.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (m,)
+        Step of the brightness towards larger x.
+    middle_rad, half_rad : ndarray, shape (m,)
+        By what angle the lines of sight pass beside the tube's axis with the design's slopes, and half its width [rad].
+    slope_error_rad : float
+        Largest slope error of the mirror [rad].
+    among : ndarray of bool, shape (m,)
+        Those that tell whether the tube is darker or brighter than what is around it.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        +1 for the edge at the larger camera angle, -1 for the other.
+
+    Notes
+    -----
+    It is the nearer one. Where the mirror's normal is turned by more than a quarter of the tube's width, 7 mrad at the
+    rim of an LS-2, that is the wrong one: the brightness steps the other way there, and the edge is far from both.
+    """
+    side = np.where(middle_rad < 0, 1.0, -1.0)
+    steps = contrast * side
+    total = float(steps[among].sum())
+    if abs(total) < _CLEAR_MAJORITY * float(np.abs(steps[among]).sum()):
+        return side
+    far = np.abs(middle_rad + side * half_rad) > _FAR_SHARE * half_rad
+    within = np.abs(middle_rad - side * half_rad) < 2 * _BEYOND_TIMES * slope_error_rad
+    other = far & within & (steps * total < 0)
+    return np.where(other, -side, side)
 
 
 def _unevenness(look: _Look, found: Edges) -> FloatArray:

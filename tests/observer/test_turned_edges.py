@@ -1,11 +1,13 @@
-"""Where a mirror bends so much that the reflection moves the other way, its edges step the other way and are used."""
+"""Edges whose brightness steps the other way than the design lets expect: mirrors that bend or tilt very much."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from observer.edge_fates import EdgeFate
+from observer.reflection import sides_of_tube
 from observer.reflector import Photos, solve_reflector
+from observer.sight import Sights, beside_axis
 from observer.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.slope_field import Roughness
 from tests.observer.simulated_trough import believed_with_errors, short_scene
@@ -46,3 +48,30 @@ def test_a_mirror_that_bends_less_has_none() -> None:
     scene = short_scene(WavyMirror(3e-3), photos=20, rows=4)
     edges = true_edges(scene, EdgeNoise())
     assert (edges.contrast * edges.side < 0).all()
+
+
+@dataclass(frozen=True)
+class TiltedMirror:
+    """Slope errors that grow towards the rims to more than a quarter of the tube's width."""
+
+    def errors(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return -7e-3 * x_m, np.zeros_like(x_m)
+
+
+def test_sides_are_told_by_brightness_where_normals_turn_by_more_than_a_quarter_of_the_tube() -> None:
+    scene = short_scene(TiltedMirror(), photos=40, rows=4)
+    edges = true_edges(scene, EdgeNoise())
+    eyes = np.array([pose.inverse().translation_m for _, pose in scene.views])[edges.photo]
+    collector = scene.truth.collector
+    slope = edges.points_m[:, 0] / (2 * collector.focal_length_m)
+    sights = Sights(edges.points_m, eyes, edges.side)
+    middle, half, _ = beside_axis(sights, slope, scene.truth.absorber, collector.absorber_diameter_m / 2)
+    nearest = np.where(middle < 0, 1.0, -1.0)
+    assert np.count_nonzero(nearest != edges.side) > 20
+    everywhere = np.ones(half.size, dtype=bool)
+    for brighter in (1.0, -1.0):
+        found = sides_of_tube(brighter * edges.contrast, middle, half, 12e-3, everywhere)
+        assert (found == edges.side).all()
+    # Where as many edges step one way as the other, brightness tells nothing.
+    mixed = edges.contrast * np.where(np.arange(half.size) % 2, 1.0, -1.0)
+    assert (sides_of_tube(mixed, middle, half, 12e-3, everywhere) == nearest).all()
