@@ -169,7 +169,7 @@ def trough(
         typer.Option(
             help="Scene: small (24 photos of a short piece), flight (two such pieces in one flight), ls2 (100 photos "
             "of 2 megapixel), ls2-long (longitudinal errors too), ls2-two-passes, displaced, sag, clouds, ground, "
-            "mast, turning (before a fixed camera), absorber (two photos from the sides)."
+            "mast, turning (before a fixed camera), absorber (two photos from the sides), panel (in the laboratory)."
         ),
     ] = "small",
     seed: Annotated[

@@ -148,7 +148,7 @@ def write_trough_dataset(
 
 
 def read_slope_errors(path: Path) -> SlopeGrid:
-    """Read the slope errors of a measured or synthetic map: measured minus design, 0 where nothing was measured.
+    """Read the slope errors of a measured or synthetic map: measured minus design, in gaps those of the nearest node.
 
     Parameters
     ----------
@@ -163,11 +163,23 @@ def read_slope_errors(path: Path) -> SlopeGrid:
     Raises
     ------
     InputError
-        No such file, or not a slope map.
+        No such file, not a slope map, or one without a value.
     """
     slopes = read_slope_map(path)
-    errors = (np.nan_to_num(error) for error in (slopes.slope_error_x, slopes.slope_error_y))
-    return SlopeGrid(slopes.x_m, slopes.y_m, *errors)
+    return SlopeGrid(slopes.x_m, slopes.y_m, _filled(slopes.slope_error_x, path), _filled(slopes.slope_error_y))
+
+
+def _filled(error: FloatArray, path: Path | None = None) -> FloatArray:
+    """Fill gaps with the nearest value: zeros would be steps of the slope that no mirror has; all of it by zero."""
+    from scipy.ndimage import distance_transform_edt
+
+    missing = ~np.isfinite(error)
+    if missing.all():
+        if path is not None:
+            raise InputError(f"{path}: no node of the map has a slope")
+        return np.zeros_like(error)
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(error[tuple(nearest)])
 
 
 def read_trough_truth(folder: Path) -> TroughTruth:

@@ -429,6 +429,27 @@ def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     return replace(scene, world=replace(scene.world, receiver=Receiver(scene.collector, axis)), optics=Optics(0.7))
 
 
+def _panel(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw one panel of an LS-2 in the laboratory, before a dummy absorber, under a bright even ceiling."""
+    edges = ls2_panelled().panel_edges_x_m
+    design = replace(ls2(), length_m=1.6, glass=None, panel_edges_x_m=edges[2:4], panel_edges_y_m=np.array([-0.8, 0.8]))
+    mirror = random_mirror(design, rng, is_shaped=choice.is_shaped)
+    n = 20 if choice.n_photos is None else choice.n_photos
+    path = level_pass(SMALL_CAMERA, n_photos=n, from_x_m=-0.5, to_x_m=edges[3] + 0.5, height_m=6.5)
+    prints = target_prints(choice.dictionary, 0.05, 12)
+    x, y = edges[2:4] + np.array([-0.16, 0.16]), 0.96
+    across = np.repeat([x[0], x[1], x.mean()], (4, 4, 4))
+    along = np.concatenate([np.tile(np.linspace(-y, y, 4), 2), [-y - 0.1, y + 0.1, -y - 0.3, y + 0.3]])
+    places = np.stack([across, along, np.maximum(across, 0.0) ** 2 / (4 * design.focal_length_m)], axis=1)
+    sheets, targets = placed_targets(prints, places, rng)
+    around = Surroundings(Sky(zenith=0.75, horizon=0.75, aureole=0.0, sun_elevation_deg=-60.0), Ground())
+    world = world_of(mirror, surroundings=around)
+    return TroughScene(
+        "panel in the laboratory", world, wobbling(path, rng, position_m=0.02), sheets, targets,
+        dictionary=choice.dictionary, target_diameter_m=0.05,
+    )  # fmt: skip
+
+
 _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] = {
     "small": _small,
     "flight": _flight,
@@ -442,6 +463,7 @@ _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] 
     "mast": _mast,
     "turning": _turning,
     "absorber": _absorber,
+    "panel": _panel,
 }
 
 #: Names of the presets.

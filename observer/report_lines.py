@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heliogauge.figures_canvas import FAINT, INK, LINE_X, LINE_Y, add_legend, chart_figure
+from heliogauge.notation import number_text
 from heliogauge.report_html import Html, join, show, table
 from heliogauge.validate import FloatArray
 from observer.report_results import Columns, TroughResults, numbers
@@ -210,7 +211,7 @@ def listed(columns: Columns | None) -> Html:
     Parameters
     ----------
     columns : dict of str to list of str or None
-        A table as it was read.
+        A table as it was read. A column ``sigma_NAME`` is joined to the column ``NAME``.
 
     Returns
     -------
@@ -219,15 +220,16 @@ def listed(columns: Columns | None) -> Html:
     """
     if not columns:
         return Html("")
-    names = list(columns)
+    names = [name for name in columns if name.removeprefix("sigma_") not in columns or not name.startswith("sigma_")]
     count = len(columns[names[0]])
     shown, rows = [], [[""] * len(names) for _ in range(count)]
     for place, name in enumerate(names):
         values = [float(cell) for cell in columns[name] if _is_number(cell)]
         heading, factor = _readable(name, max((abs(value) for value in values), default=0.0))
         shown.append(heading)
+        sigmas = columns.get(f"sigma_{name}")
         for k in range(count):
-            rows[k][place] = _cell(columns[name][k], factor)
+            rows[k][place] = _cell(columns[name][k], None if sigmas is None else sigmas[k], factor)
     return table(shown, rows, numbers=range(1, len(names)))
 
 
@@ -249,9 +251,11 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _cell(text: str, factor: float) -> str:
+def _cell(text: str, sigma: str | None, factor: float) -> str:
     if not _is_number(text):
         return text or "-"
+    if sigma is not None and _is_number(sigma) and float(sigma) > 0:
+        return number_text(float(text) * factor, float(sigma) * factor, "")
     return text if text.lstrip("-").isdigit() else f"{float(text) * factor:.4g}"
 
 

@@ -1,12 +1,13 @@
 """Results of a trough as its report reads them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.report_results import Results, open_results
+from heliogauge.slope_map import SlopeMap
 from heliogauge.store import PhotoPose, PointTable, read_cameras_json, read_points_csv, read_table_csv
 from heliogauge.store_arrays import read_arrays
 from heliogauge.validate import BoolArray, FloatArray
@@ -48,6 +49,13 @@ class EdgeTable:
     def used(self) -> BoolArray:
         """Those that the result rests on."""
         return np.asarray(self.fate == "used")
+
+
+#: What a slope map has at each node.
+_NODE_FIELDS = (
+    "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m", "flags",
+    "aperture",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,13 +126,15 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
     folder = Path(folder)
     names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a")
     angles, _ = read_arrays(folder / ANGLES, names)
+    base = open_results(folder)
+    rows, columns = _outline(base.slope_map.aperture)
     _, poses = read_cameras_json(folder / "cameras.json")
     _, by_targets = read_cameras_json(folder / "network" / "cameras.json")
     photos = tuple(poses)
     return TroughResults(
-        base=open_results(folder),
+        base=replace(base, slope_map=_cut_out(base.slope_map, rows, columns)),
         collector=read_collector(folder / COLLECTOR),
-        angles={name: angles[name].astype(np.float64) for name in names},
+        angles={name: angles[name][rows, columns].astype(np.float64) for name in names},
         photos=photos,
         poses=poses,
         poses_by_targets=by_targets,
@@ -132,6 +142,20 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
         edges=_read_edges(folder / "reflection_edges.csv", photos),
         slices=read_slices(folder / SLICES),
     )
+
+
+def _outline(aperture: BoolArray) -> tuple[slice, slice]:
+    """Return the rows and columns that hold the mirror: of a single panel, they are few of the aperture's."""
+    if not aperture.any():
+        return slice(None), slice(None)
+    along, across = np.flatnonzero(aperture.any(axis=1)), np.flatnonzero(aperture.any(axis=0))
+    return slice(int(along[0]), int(along[-1]) + 1), slice(int(across[0]), int(across[-1]) + 1)
+
+
+def _cut_out(slope_map: SlopeMap, rows: slice, columns: slice) -> SlopeMap:
+    """Return some rows and columns of a map."""
+    fields = {name: getattr(slope_map, name)[rows, columns] for name in _NODE_FIELDS}
+    return replace(slope_map, x_m=slope_map.x_m[columns], y_m=slope_map.y_m[rows], **fields)
 
 
 def _read_edges(path: Path, photos: tuple[str, ...]) -> EdgeTable:

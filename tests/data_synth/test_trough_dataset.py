@@ -13,6 +13,7 @@ from data_synth.surface_errors import HeightGrid, Polynomial, Ripple, SurfaceErr
 from data_synth.trough_dataset import (
     TroughOptions,
     observer_content,
+    read_slope_errors,
     read_trough_truth,
     truth_arrays,
     write_trough_dataset,
@@ -22,6 +23,7 @@ from data_synth.trough_photo import Photographer
 from data_synth.trough_presets import TROUGH_PRESETS, TroughChoice, equal_arcs, ls2_panelled, trough_scene
 from data_synth.trough_receiver import Receiver, TubeAxis
 from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
 from heliogauge.images import read_image
 from heliogauge.slope_map import SlopeMap, no_common_modes
 from heliogauge.store_json import read_json
@@ -135,6 +137,22 @@ def test_presets_are_what_they_are_called(preset: str) -> None:
     expected = {"displaced": [3e-3, 3e-3, 1.485, 1.485], "sag": [2e-3, 2.79e-3, 1.491, 1.4844]}
     expected["absorber"] = [3e-3, 3e-3, 1.485, 1.481]
     np.testing.assert_allclose([*x, *z], expected.get(preset, [0, 0, 1.49, 1.49]), atol=2e-5)
+
+
+def test_gaps_of_a_measured_map_get_the_nearest_slope(tmp_path: Path) -> None:
+    x, y = np.linspace(-1.0, 1.0, 21), np.linspace(-0.5, 0.5, 11)
+    zero, error = np.zeros((11, 21)), np.where(x < 0, 1e-3, 3e-3) * np.ones((11, 1))
+    error[:, 8:13] = np.nan
+    gaps = np.where(np.isnan(error), np.uint32(SampleFlag.NOT_COVERED), np.uint32(0))
+    slopes = SlopeMap(
+        x, y, error, zero * np.nan, zero, zero, zero + 1e-4, zero + 1e-4, 1.0, no_common_modes(), zero * np.nan, gaps,
+        np.ones(zero.shape, bool), design="trough", frame="trough", removed="nothing",
+    )  # fmt: skip
+    write_slope_map(tmp_path / "s.nc", {"": slopes})
+    found = read_slope_errors(tmp_path / "s.nc")
+    np.testing.assert_allclose(found.slope_x[:, :10], 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(found.slope_x[:, 11:], 3e-3, rtol=1e-6)
+    assert not found.slope_y.any()
 
 
 def test_targets_on_the_ground_are_seen_and_of_unknown_place(tmp_path: Path) -> None:

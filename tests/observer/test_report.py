@@ -19,10 +19,12 @@ from heliogauge.store import (
     write_summary,
     write_table_csv,
 )
+from heliogauge.store_slope_map import read_slope_map
 from observer import report_pictures
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube, ls2
 from observer.pipeline_slices import empty_slices, overlay
+from observer.report_lines import listed
 from observer.slope_product import angle_maps
 from observer.store_report import (
     read_collector,
@@ -268,6 +270,29 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
     # All edges of the row are drawn although they do not lie on it to the last digit.
     figure = report_pictures.slice_figure(results, 0)
     assert [line.get_label() for line in figure.axes[0].lines] == ["lower edge (1)", "upper edge (1)", "not used (0)"]
+
+
+def test_maps_of_a_single_panel_are_cut_out(tmp_path) -> None:
+    from observer import report_sections as report
+
+    result_folder(tmp_path)
+    whole = read_slope_map(tmp_path / "slope_map.nc")
+    panel = (whole.x_m > 0) & (whole.x_m < 1.34) & np.ones(whole.shape, dtype=bool)
+    write_slope_map(tmp_path / "slope_map.nc", {"": replace(whole, aperture=panel)})
+    results = report.open_trough(tmp_path)
+    assert results.base.slope_map.x_m[0] > 0
+    assert results.base.slope_map.x_m[-1] < 1.34
+    assert results.base.slope_map.aperture.all()
+    assert results.angles["theta_r"].shape == results.base.slope_map.shape
+    assert report.maps(results).text.count("<img") == 8
+
+
+def test_a_table_joins_values_and_their_sigmas() -> None:
+    text = listed({"panel": ["1"], "tilt_rad": ["0.0015"], "sigma_tilt_rad": ["0.00002"], "sigma_x_px": ["0.1"]}).text
+    assert "1.500 \u00b1 0.020" in text
+    assert "<th>panel</th>" in text
+    assert "sigma x px" in text
+    assert text.count("<td") == 3
 
 
 def test_report_does_without_what_was_not_computed(tmp_path) -> None:
