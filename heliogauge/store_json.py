@@ -24,7 +24,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         A number is not finite, or the file cannot be written.
     """
     try:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False, default=_python_number)
+        text = _laid_out(content, "\n")
     except ValueError as error:
         raise InputError(
             f"{path.name}: NaN or infinity cannot be written as JSON; null and a reason are needed"
@@ -64,8 +64,30 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+def _laid_out(value: Any, line: str) -> str:
+    """Return JSON with one line for each key; lists of numbers and names stay on theirs.
+
+    The standard library's own layout puts each number on a line, and takes ten times as long: it is written in Python.
+    """
+    deeper = line + " "
+    if isinstance(value, Mapping) and value:
+        inside = (f"{_CODER.encode(_key(key))}: {_laid_out(one, deeper)}" for key, one in value.items())
+        return "{" + deeper + f",{deeper}".join(inside) + line + "}"
+    if isinstance(value, list | tuple) and any(isinstance(one, Mapping) for one in value):
+        return "[" + deeper + f",{deeper}".join(_laid_out(one, deeper) for one in value) + line + "]"
+    return _CODER.encode(dict(value) if isinstance(value, Mapping) else value)
+
+
+def _key(key: Any) -> str:
+    """Return the name of a key as JSON has it."""
+    return key if isinstance(key, str) else next(iter(json.loads(_CODER.encode({key: None}))))
+
+
 def _python_number(value: Any) -> Any:
     # numpy scalars and arrays, without importing numpy here.
     if hasattr(value, "tolist"):
         return value.tolist()
     raise InputError(f"a {type(value).__name__} cannot be written as JSON")
+
+
+_CODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, default=_python_number)

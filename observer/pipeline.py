@@ -444,11 +444,12 @@ def _edge_columns(result: Result) -> dict[str, Any]:
     texts = np.array([FATE_TEXTS[fate] for fate in EdgeFate])
     return {
         "image": names[edges.photo],
-        "x_m": edges.points_m[:, 0],
-        "y_m": edges.points_m[:, 1],
+        # A thousandth of their sigma.
+        "x_m": edges.points_m[:, 0].round(7),
+        "y_m": edges.points_m[:, 1].round(7),
         "side": edges.side.astype(int),
-        "sigma_x_m": edges.sigma_x_m,
-        "residual_rad": reflector.residuals_rad,
+        "sigma_x_m": edges.sigma_x_m.round(7),
+        "residual_rad": reflector.residuals_rad.round(9),
         "fate": texts[reflector.fate],
     }
 
