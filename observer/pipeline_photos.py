@@ -47,9 +47,9 @@ _Result = TypeVar("_Result")
 
 #: Most photos that are followed through: each run begins with a search of the whole photo and is one thread's work.
 _MOST_IN_RUN = 125
-#: Photos that are read, and whose targets are centred, together: each step is then one operation on some twenty
-#: thousand pixels, and a step that follows itself takes half the time.
-_TOGETHER = 8
+#: Photos that are read and measured together, and what their images may take [bytes]: each step is one operation on
+#: many numbers, and a step that follows itself takes half the time.
+_TOGETHER, _TOGETHER_BYTES = 16, 64_000_000
 #: A photo in which fewer of the targets followed can be centred is searched as a whole.
 _LEAST_SHARE = 0.6
 #: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
@@ -188,8 +188,6 @@ class _Run:
             self.track = follow(image, self.track, self.finder.known, photo.camera)
             if self.track is not None:
                 self.waiting.append((photo, self.track))
-                if len(self.waiting) == _TOGETHER:
-                    self.finish()
                 return
         self.finish()
         self._look([(photo, self._searched(photo))])
@@ -354,15 +352,18 @@ def look_first_at_each(
 
         def one_run(k: int) -> list[_Run]:
             own = [_Run(finder, part, searched=dict(searched)) for finder, part in zip(finders, slices, strict=True)]
-            for few in (parts[k][first : first + _TOGETHER] for first in range(0, len(parts[k]), _TOGETHER)):
+            images: list[tuple[int, Image]] = []
+            for number in parts[k]:
                 # Decoding drives all other code out of the processor's caches: several photos, then the rest.
-                images = [leader.read(files[number]) for number in few]
-                for number, image in zip(few, images, strict=True):
+                images.append((number, leader.read(files[number])))
+                is_full = len(images) >= min(_TOGETHER, _TOGETHER_BYTES / images[-1][1].nbytes)
+                if is_full or number == parts[k][-1]:
                     for run in own:
-                        run.take(number, files[number].name, image)
-                    stage.advance()
-            for run in own:
-                run.finish()
+                        for taken, image in images:
+                            run.take(taken, files[taken].name, image)
+                        run.finish()
+                    stage.advance(len(images))
+                    images.clear()
             return own
 
         found = _side_by_side(one_run, range(len(parts)), jobs)
