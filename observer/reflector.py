@@ -304,6 +304,9 @@ def _without_shadows(
     borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     keep = some.copy()
     keep[some] = borne
+    if not borne.any():
+        fate[some] = EdgeFate.ONE_SIDED
+        return fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
     roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)

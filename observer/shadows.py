@@ -71,6 +71,9 @@ def borne_out(
 
 def _one_side(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> tuple[FloatArray, FloatArray]:
     """Return the slope across at all nodes from the edges of one side, and its variance, shape (r, nx) each."""
+    if lines.row.size == 0:
+        shape = (grid.n_rows, grid.x_m.size)
+        return np.zeros(shape), np.full(shape, np.inf)
     found = solve_jointly(lines, grid, roughness, np.zeros((0, 0)), with_shares=None)
     return found.slopes[..., 0], found.random[..., 0, 0]
 

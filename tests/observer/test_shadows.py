@@ -37,6 +37,14 @@ def test_what_one_side_says_alone_or_both_differently_is_refused() -> None:
     assert nodes[:, (GRID.x_m < -0.85) | (GRID.x_m > 0.75)].mean() < 0.2
 
 
+def test_edges_of_one_side_only_bear_nothing_out() -> None:
+    """As with a camera that is 20 % wrong: no edge is left of the other side."""
+    x, row = np.tile(np.arange(-0.9, 1.0, 0.1), 6), np.repeat(np.arange(6), 19)
+    edges, nodes = borne_out(lines_of(x, row, np.zeros(x.size)), np.ones(x.size), GRID, SMOOTH)
+    assert not edges.any()
+    assert not nodes.any()
+
+
 def test_clean_edges_of_both_sides_are_all_kept() -> None:
     rng = np.random.default_rng(1)
     x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
