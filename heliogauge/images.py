@@ -43,6 +43,7 @@ _PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _SOME_ROWS = 61
 # A marker in JPEG's entropy-coded data: ff that is not stuffed (00), not a restart (d0-d7), not fill (ff).
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_JPEG_LAST = b"\xff\xd9"
 _JPEG_END, _JPEG_SCAN, _JPEG_EXIF = 0xD9, 0xDA, 0xE1
 
 
@@ -354,6 +355,9 @@ def _refuse_mixture(paths: Sequence[Path], properties: Sequence[str], what: str)
 
 def _fault(content: bytes) -> str:
     if content.startswith(_JPEG_SIGNATURE):
+        # In coded data ff is followed by 00 or a restart: a file that was cut off in them does not end like this.
+        if content.endswith(_JPEG_LAST):
+            return ""
         return "" if _jpeg_segments(content).get(_JPEG_END) else "the JPEG file is cut off (its end marker is missing)"
     if content.startswith(_PNG_SIGNATURE):
         return _png_fault(content)

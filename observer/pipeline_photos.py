@@ -222,8 +222,7 @@ class _Run:
         expected = self.finder.expected
         known = [(one, (one.camera, pose)) for one, pose in photos if one.camera is not None and pose is not None]
         shots = [Shot(photo.image, photo.number, view) for photo, view in known]
-        for one in shots:
-            self.slices.take(one.number, one.image, one.view, expected.collector)
+        self.slices.take(shots, expected.collector)
         names = [photo.name for photo, _ in known]
         self.poses.update(zip(names, [pose for _, (_, pose) in known], strict=True))
         self.edges.update(zip(names, reflection_edges(shots, expected), strict=True))
@@ -473,7 +472,7 @@ def look_again(
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
         shot = Shot(finder.read(files[number]), number, views[number])
-        slices.take(number, shot.image, shot.view, expected.collector)
+        slices.take([shot], expected.collector)
         stage.advance()
         return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]
 

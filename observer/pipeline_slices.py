@@ -1,5 +1,6 @@
 """Pictures that a report needs the pixels for: slices of the mirror through all photos, and one photo with outlines."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import Float32Array, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
+from observer.reflection import Shot
 from observer.sight import Sights, misfit
 
 AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
@@ -53,17 +55,13 @@ class Slices:
     x_m: FloatArray
     brightness_dn: Float32Array
 
-    def take(self, photo: int, image: AnyImage, view: tuple[Camera, RigidTransform], collector: Collector) -> None:
-        """Fill in what one photo shows; photos may be taken side by side.
+    def take(self, shots: Sequence[Shot], collector: Collector) -> None:
+        """Fill in what some photos show; photos may be taken side by side.
 
         Parameters
         ----------
-        photo : int
-            Its number.
-        image : ndarray, shape (height, width)
-            The photo, grey [DN].
-        view : (Camera, RigidTransform)
-            Its camera and ``cam_from_frame``.
+        shots : sequence of Shot
+            The photos.
         collector : Collector
             The design.
         """
@@ -71,14 +69,16 @@ class Slices:
         points = np.empty((self.y_m.size, x.size, 3))
         points[..., 0], points[..., 1] = x, self.y_m[:, None]
         points[..., 2] = collector.surface.height(x, self.y_m[:, None])
-        exact = np.nan_to_num(view[0].project(view[1].apply(points)), nan=-1.0)
         share = np.linspace(0, 1, (_COLUMNS - 1) // (_PROJECTED - 1), endpoint=False)[:, None]
-        between = exact[:, :-1, None] + share * np.diff(exact, axis=1)[:, :, None]
-        pixels = np.concatenate([between.reshape(len(exact), -1, 2), exact[:, -1:]], axis=1).astype(np.float32)
-        values = cv2.remap(image, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        last = np.array(image.shape[::-1]) - 1
-        inside = ((pixels >= 0) & (pixels <= last)).all(axis=-1)
-        self.brightness_dn[:, photo] = np.where(inside, values, np.nan)
+        for one in shots:
+            camera, pose = one.view
+            exact = np.nan_to_num(camera.project(pose.apply(points)), nan=-1.0)
+            between = exact[:, :-1, None] + share * np.diff(exact, axis=1)[:, :, None]
+            places = np.concatenate([between.reshape(len(exact), -1, 2), exact[:, -1:]], axis=1).astype(np.float32)
+            values = cv2.remap(one.image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+            last = np.array(one.image.shape[::-1]) - 1
+            inside = ((places >= 0) & (places <= last)).all(axis=-1)
+            self.brightness_dn[:, one.number] = np.where(inside, values, np.nan)
 
 
 def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Slices:

@@ -21,6 +21,8 @@ AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 
 #: Samples across the trough for each pixel of the photo.
 _SAMPLES_PER_PIXEL = 1.0
+#: Narrower parts of the mirror show nothing.
+_FEWEST_COLUMNS = 24
 #: Near the end of the tube or a support the slope along the trough, unknown to some mrad, decides what is seen [m].
 _END_MARGIN_M = 0.04
 #: Edges with at least this contrast, and so many of them, show how dark the tube is.
@@ -162,7 +164,7 @@ def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[Refle
     -----
     Step by step for all photos: code that has just run is in the processor's caches, where it takes half the time.
     """
-    looks = [_look(one, expected) for one in shots]
+    looks = _looks(shots, expected)
     seen = [one for one in looks if one is not None]
     found, which = find_edges([one.strip for one in seen])
     edges = iter(_plausible(found, which, seen, expected))
@@ -184,7 +186,7 @@ def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
     ndarray, shape (n, 13)
         Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
     """
-    look = _look(shot, expected)
+    [look] = _looks([shot], expected)
     place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
     if look is None:
         return np.zeros((0, place.size))
@@ -213,21 +215,22 @@ class _Look:
     strip: Strip
 
 
-def _look(shot: Shot, expected: Expectation) -> _Look | None:
+def _looks(shots: Sequence[Shot], expected: Expectation) -> list[_Look | None]:
     """Resample the part of the mirror in which the reflection can be; None where there is none."""
-    camera, eye_m = shot.view[0], shot.eye_m
-    pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
-    window = _window(eye_m, expected)
-    if window is None:
-        return None
-    step = pixel_m / _SAMPLES_PER_PIXEL
-    x = np.arange(window[0], window[1] + step, step)
-    if x.size < 24:
-        return None
-    y_m = expected.y_m
-    rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
-    strip = rectified_strip(shot.image, shot.view, expected.collector.surface, x, y_m, rows_each=rows_each)
-    return _Look(shot.number, eye_m, pixel_m, strip)
+    eyes_m, y_m, surface = [one.eye_m for one in shots], expected.y_m, expected.collector.surface
+    looks: list[_Look | None] = []
+    for shot, eye_m, window in zip(shots, eyes_m, _windows(np.reshape(eyes_m, (-1, 3)), expected), strict=True):
+        camera = shot.view[0]
+        pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
+        step = pixel_m / _SAMPLES_PER_PIXEL
+        x = np.zeros(0) if window is None else np.arange(window[0], window[1] + step, step)
+        if x.size < _FEWEST_COLUMNS:
+            looks.append(None)
+            continue
+        rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
+        strip = rectified_strip(shot.image, shot.view, surface, x, y_m, rows_each=rows_each)
+        looks.append(_Look(shot.number, eye_m, pixel_m, strip))
+    return looks
 
 
 def _nothing() -> ReflectionEdges:
@@ -261,19 +264,21 @@ def design_misfit(
     return misfit(sights, (slope, np.zeros_like(slope)), absorber, collector.absorber_diameter_m / 2)
 
 
-def _window(eye_m: FloatArray, expected: Expectation) -> tuple[float, float] | None:
-    """Return the part of the aperture in which the reflection can be."""
+def _windows(eyes_m: FloatArray, expected: Expectation) -> list[tuple[float, float] | None]:
+    """Return the part of the aperture in which each camera can see the reflection; None where there is none."""
     collector, absorber = expected.collector, expected.absorber
     half = collector.aperture_width_m / 2
     x = np.linspace(-half, half, 201)
-    points = np.stack([x, np.full_like(x, np.clip(eye_m[1], -1, 1)), x**2 / (4 * collector.focal_length_m)], axis=1)
-    eyes, radius = np.broadcast_to(eye_m, points.shape), collector.absorber_diameter_m / 2
-    lines = Sights(points, eyes, np.zeros_like(x))
-    angle, tube_rad, _ = beside_axis(lines, x / (2 * collector.focal_length_m), absorber, radius)
-    near = np.nonzero(np.abs(angle) < tube_rad + 2 * expected.slope_error_rad)[0]
-    if near.size == 0:
-        return None
-    return float(x[max(near[0] - 1, 0)]), float(x[min(near[-1] + 1, x.size - 1)])
+    slope = np.tile(x / (2 * collector.focal_length_m), len(eyes_m))
+    places = np.tile(x, len(eyes_m))
+    points = np.stack([places, np.repeat(np.clip(eyes_m[:, 1], -1, 1), x.size), 0.5 * places * slope], axis=1)
+    lines = Sights(points, np.repeat(eyes_m, x.size, axis=0), np.zeros_like(places))
+    angle, tube_rad, _ = beside_axis(lines, slope, absorber, collector.absorber_diameter_m / 2)
+    windows: list[tuple[float, float] | None] = []
+    for near in (np.abs(angle) < tube_rad + 2 * expected.slope_error_rad).reshape(-1, x.size):
+        seen = np.flatnonzero(near)
+        windows.append((float(x[max(seen[0] - 1, 0)]), float(x[min(seen[-1] + 1, x.size - 1)])) if seen.size else None)
+    return windows
 
 
 def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: Expectation) -> list[ReflectionEdges]:

@@ -24,6 +24,7 @@ from observer import report_pictures
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector, GlassTube, ls2
 from observer.pipeline_slices import empty_slices, overlay
+from observer.reflection import Shot
 from observer.report_lines import listed
 from observer.slope_product import angle_maps
 from observer.store_report import (
@@ -148,7 +149,7 @@ def test_slices_show_what_lies_on_the_mirror(tmp_path) -> None:
     camera, pose = view()
     # Brightness rises along the image's rows, which is across the trough; the photo ends before the rim.
     ramp = np.tile(np.arange(640, dtype=np.float32)[:, None], (1, 960))
-    stored.take(1, ramp, (camera, pose), collector)
+    stored.take([Shot(ramp, 1, (camera, pose))], collector)
     assert np.isnan(stored.brightness_dn[:, 0]).all()
     points = np.stack([stored.x_m, np.full_like(stored.x_m, stored.y_m[2]), stored.x_m**2 / (4 * 1.49)], axis=1)
     pixels = camera.project(pose.apply(points))
@@ -201,7 +202,7 @@ def result_folder(folder) -> None:
     write_overlay(folder, overlay(0, written_photo(folder), view(), slope_map, (tube(collector),) * 2, collector), "a")
     stored = empty_slices(collector, slope_map.y_m, 2)
     for k in range(2):
-        stored.take(k, np.full((640, 960), 90, np.uint8), (camera, pose), collector)
+        stored.take([Shot(np.full((640, 960), 90, np.uint8), k, (camera, pose))], collector)
     write_slices(folder / "absorber_reflection.nc", stored, np.array([EYE, EYE + [0.3, 0, 0]]), ["a", "b"])
     y = stored.y_m
     write_table_csv(folder / "absorber.csv", {
