@@ -24,6 +24,9 @@ from observer.store_report import ANGLES, COLLECTOR, read_collector
 KIND = "observer-alignment"
 #: Distance of assumed mounts from the edges of their panel [m].
 _INSET_M = 0.1
+#: Number of the first panel in all files and texts, as in the panels.csv of the measurement: with a prescription that
+#: counted from 0 the neighbour of the panel that the report shows was shimmed.
+_FIRST_PANEL = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +153,8 @@ def write(result: Result, folder: Path) -> None:
     """
     absorber, design = result.to_absorber, result.to_design
     write_table_csv(folder / "panels.csv", {
-        "panel": np.arange(absorber.tilt_rad.size), "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
+        "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
+        "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
         "theta_ra_rad": absorber.tilt_rad, "sigma_theta_ra_rad": absorber.sigma_rad,
         "theta_r_rad": design.tilt_rad, "sigma_theta_r_rad": design.sigma_rad,
         "measured_share": absorber.measured_share,
@@ -158,7 +162,7 @@ def write(result: Result, folder: Path) -> None:
     panel, move, sigma = mount_moves(absorber, result.mounts_m, result.collector)
     _, own_move, own_sigma = mount_moves(design, result.mounts_m, result.collector)
     write_table_csv(folder / "mounts.csv", {
-        "panel": panel, "x_m": result.mounts_m[:, 0], "y_m": result.mounts_m[:, 1],
+        "panel": _FIRST_PANEL + panel, "x_m": result.mounts_m[:, 0], "y_m": result.mounts_m[:, 1],
         "move_mm": 1e3 * move, "sigma_move_mm": 1e3 * sigma,
         "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
     })  # fmt: skip
@@ -211,7 +215,7 @@ def _overlay(result: Result) -> dict[str, list[Any]]:
         x, y = found[row, column, edge], rows[row]
         points = np.stack([x, y, x**2 / (4 * collector.focal_length_m)], axis=1)
         pixels = camera.project(pose.cam_from_world.apply(points))
-        panel = row // 2 * n_columns + column
+        panel = _FIRST_PANEL + row // 2 * n_columns + column
         values = (panel, 2 * edge - 1, x, y, pixels[:, 0], pixels[:, 1])
         table["image"].extend([image] * x.size)
         for name, part in zip(list(table)[1:], values, strict=True):
@@ -241,6 +245,6 @@ def headline_text(result: Result) -> str:
     _, move, _ = mount_moves(result.to_absorber, result.mounts_m, result.collector)
     return "\n".join([
         f"{known.sum()} of {tilt.size} panels: mean angle to the absorber {rms:.2f} mrad RMS",
-        f"  worst            panel {worst}: {1e3 * tilt[worst]:+.2f} +- {1e3 * sigma[worst]:.2f} mrad",
+        f"  worst            panel {_FIRST_PANEL + worst}: {1e3 * tilt[worst]:+.2f} +- {1e3 * sigma[worst]:.2f} mrad",
         f"  largest move     {1e3 * float(np.nanmax(np.abs(move))):.2f} mm (mounts.csv; positive towards the absorber)",
     ])  # fmt: skip

@@ -8,9 +8,13 @@ import pytest
 from data_synth.trough_presets import ls2_panelled
 from heliogauge.errors import InputError
 from heliogauge.slope_map import SlopeMap, no_common_modes
+from heliogauge.store_tables import read_table_csv
 from observer.absorber_path import AbsorberPath
 from observer.design import ls3
 from observer.panel_alignment import image_edges, mount_moves, panel_tilts, target_plane_edges
+from observer.pipeline_alignment import Result, headline_text, write
+from observer.pipeline_headline import panel_columns
+from observer.slope_product import angle_maps
 
 
 def test_effective_edges_of_the_checked_case():
@@ -113,3 +117,19 @@ def test_mount_in_millimetres_is_refused():
     tilts = panel_tilts(*tilted(collector, np.zeros(20))[::-1], collector)
     with pytest.raises(InputError, match=r"beside the mirror .* in metres"):
         mount_moves(tilts, np.array([[1200.0, 300.0]]), collector)
+
+
+def test_panels_have_the_numbers_of_the_measurements_report(tmp_path):
+    """The panel whose mounts are to be moved is the one that the measurement's panels.csv and report call so."""
+    collector = ls2_panelled()
+    slope_map, angle = tilted(collector, np.where(np.arange(20) == 6, 4e-3, 0.0))
+    tilts = panel_tilts(angle, slope_map, collector)
+    absorber = AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m)
+    measured = panel_columns(slope_map, angle_maps(slope_map, absorber, collector), collector)
+    worst = int(measured["panel"][np.argmax(np.abs(measured["mean_theta_r_rad"]))])
+    mounts = np.array([[tilts.centre_x_m[6], tilts.centre_y_m[6]]])
+    result = Result(collector, tilts, tilts, mounts, absorber, {}, (), {})
+    write(result, tmp_path)
+    assert f"panel {worst}:" in headline_text(result)
+    assert read_table_csv(tmp_path / "panels.csv", ("panel",))["panel"] == [str(number) for number in measured["panel"]]
+    assert read_table_csv(tmp_path / "mounts.csv", ("panel",))["panel"] == [str(worst)]
