@@ -19,6 +19,14 @@ _REJECT_TIMES = 5.0
 _ROUGHNESS_REACH_M = 0.2
 #: The least roughness [rad^2 / m^3], as in `observer.joint_solution`.
 _LEAST_ROUGHNESS = 1e-8
+#: What a row errs alone is at least this share of its variance.
+_LEAST_APART = 0.01
+#: What rows further off say of a value: to either side so many of them, and so many predictions at least.
+_ROWS_BESIDE, _FEWEST_BESIDE = 8, 3
+#: With so many lone values a row is not believed anywhere on that panel.
+_MISLED_NODES = 3
+#: Values nearer than this to what the rows beside them say are left alone, however sure all are [rad].
+_CLOSE_RAD = 5e-4
 #: Keeps columns without any value solvable [rad].
 _LARGEST_SLOPE_RAD = 0.05
 
@@ -68,35 +76,109 @@ def bridge_rows(value: FloatArray, variance: FloatArray, good: BoolArray, panel:
     """
     rows = value.shape[0]
     joined = ((panel[1:] == panel[:-1]) & (panel[1:] >= 0)).any(axis=1)
-    roughness = _roughness(value, variance, good, joined, step_m)
+    roughness, apart = _roughness(value, variance, good, joined, step_m)
+    weight = 1 / (apart * variance)
     kept = good
     for _ in range(2):
-        smooth, spread = _smooth(
-            np.where(kept, value, 0.0), np.where(kept, 1 / variance, 0.0), joined, roughness, step_m
-        )
+        smooth, spread = _smooth(np.where(kept, value, 0.0), np.where(kept, weight, 0.0), joined, roughness, step_m)
         kept = good & (np.abs(value - smooth) < _REJECT_TIMES * np.sqrt(variance + spread))
-    smooth, spread = _smooth(np.where(kept, value, 0.0), np.where(kept, 1 / variance, 0.0), joined, roughness, step_m)
+    smooth, spread = _smooth(np.where(kept, value, 0.0), np.where(kept, weight, 0.0), joined, roughness, step_m)
     own, _ = _smooth(np.where(kept, variance, 0.0), np.where(kept, 1e12, 0.0), joined, 1e-6, step_m)
     base = np.maximum(own, float(np.median(variance[kept])) if kept.any() else 0.0)
     return Bridged(smooth[:rows], (spread + base)[:rows], good & ~kept)
 
 
-def _roughness(value: FloatArray, variance: FloatArray, good: BoolArray, joined: BoolArray, step_m: float) -> float:
-    """Return the spectral density of the second derivative along the trough [rad^2 / m^3]."""
+def lone_values(value: FloatArray, variance: FloatArray, usable: BoolArray, panel: IntArray) -> BoolArray:
+    """Tell which values stand alone against those of the rows around them, sure or not.
+
+    Parameters
+    ----------
+    value, variance : ndarray, shape (r, nx)
+        Slope error of each node and its variance [rad, rad^2].
+    usable : ndarray of bool, shape (r, nx)
+        Which to look at, and to compare with.
+    panel : ndarray of int, shape (r, nx)
+        Panel of each node, -1 for none.
+
+    Returns
+    -------
+    ndarray of bool, shape (r, nx)
+        Values that most of the predictions by their neighbours contradict.
+
+    Notes
+    -----
+    One false edge of the reflection makes its row sure of a wrong value where the right ones of all other rows are not
+    sure enough to bridge from: in a path-traced trough such a row was 11 mrad off, and so were 25 rows beside it. Two
+    rows foretell a third along a straight line; the median over pairs of rows leaves a false one among them out.
+    """
+    rows = value.shape[0]
+    known = np.where(usable, value, np.nan)
+
+    def shifted(step: int, of: FloatArray) -> FloatArray:
+        found = np.full(of.shape, np.nan)
+        here, there = slice(max(-step, 0), rows - max(step, 0)), slice(max(step, 0), rows - max(-step, 0))
+        same = (panel[here] == panel[there]) & (panel[here] >= 0)
+        found[here] = np.where(same, of[there], np.nan)
+        return found
+
+    steps = range(1, min(_ROWS_BESIDE, max(rows - 1, 1)) + 1)
+    near = {way * k: shifted(way * k, known) for k in steps for way in (-1, 1)}
+    pairs = [0.5 * (near[k] + near[-k]) for k in steps]
+    pairs += [2 * near[way * k] - near[2 * way * k] for k in steps if 2 * k in near for way in (-1, 1)]
+    foretold, count = _median(np.stack(pairs))
+    # At the end of a panel the median of four straight lines errs by 1.4 times what one row does.
+    spread, _ = _median(np.stack([shifted(k, np.where(usable, variance, np.nan)) for k in near]))
+    with np.errstate(invalid="ignore"):
+        allowed = np.maximum(_REJECT_TIMES * np.sqrt(variance + 2 * spread), _CLOSE_RAD)
+        lone = usable & (count >= _FEWEST_BESIDE) & (np.abs(value - foretold) > allowed)
+    # What misleads a row at some nodes of a panel misleads it at the others, where no neighbours may tell.
+    place = np.maximum(panel, 0) * rows + np.arange(rows)[:, None]
+    misled = np.bincount(place[lone], minlength=int(place.max()) + 1) >= _MISLED_NODES
+    return np.asarray(usable & (lone | misled[place]))
+
+
+def _median(values: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the median over the first axis without what is NaN, and how many it is of."""
+    ordered = np.sort(values, axis=0)
+    count = np.isfinite(values).sum(axis=0)
+    both = [np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((count - 1) // 2, count // 2)]
+    return 0.5 * (both[0] + both[1]), count
+
+
+def _roughness(
+    value: FloatArray, variance: FloatArray, good: BoolArray, joined: BoolArray, step_m: float
+) -> tuple[float, float]:
+    """Return the spectral density of the second derivative along the trough [rad^2 / m^3], and what rows err alone.
+
+    That is the share of their variance that one row does not have in common with the next ones.
+    """
     lag = max(1, round(_ROUGHNESS_REACH_M / step_m))
+    far, near = (_second_differences(value, variance, good, joined, reach) for reach in (lag, 1))
+    if far is None or near is None:
+        return 1.0, 1.0
+    # Neighbouring rows share poses, the slope along the trough and the distance to the next edge: what they differ by
+    # from one to the next is noise, often much less than sigma; taken for noise, sigma hides the roughness.
+    apart = min(max(near[0] / near[1], _LEAST_APART), 1.0)
+    excess = far[0] - apart * far[1]
+    return max(1.5 * excess / (lag * step_m) ** 3, _LEAST_ROUGHNESS), apart
+
+
+def _second_differences(
+    value: FloatArray, variance: FloatArray, good: BoolArray, joined: BoolArray, lag: int
+) -> tuple[float, float] | None:
+    """Return the variance of second differences of values some rows apart, and what theirs alone would make it."""
     if value.shape[0] <= 2 * lag:
-        return 1.0
+        return None
     run = np.concatenate([[0], np.cumsum(joined)])
     whole = (run[2 * lag :] - run[: -2 * lag] == 2 * lag)[:, None]
     triple = good[2 * lag :] & good[lag:-lag] & good[: -2 * lag] & whole
     if np.count_nonzero(triple) < 50:
-        return 1.0
+        return None
     second = (value[2 * lag :] - 2 * value[lag:-lag] + value[: -2 * lag])[triple]
     noise = (variance[2 * lag :] + 4 * variance[lag:-lag] + variance[: -2 * lag])[triple]
     # An integrated random walk has second differences of the variance 2/3 q h^3 at the distance h.
     # Four fifths of a normal distribution lie within 1.28 sigma; wrong values are in the rest.
-    excess = (float(np.quantile(np.abs(second), 0.8)) / 1.2816) ** 2 - float(np.median(noise))
-    return max(1.5 * excess / (lag * step_m) ** 3, _LEAST_ROUGHNESS)
+    return (float(np.quantile(np.abs(second), 0.8)) / 1.2816) ** 2, float(np.median(noise))
 
 
 def _smooth(

@@ -16,7 +16,7 @@ from observer.absorber_path import AbsorberPath
 from observer.common_share import common_share
 from observer.design import Collector
 from observer.reflector import Reflector
-from observer.row_bridging import bridge_rows
+from observer.row_bridging import bridge_rows, lone_values
 from observer.slope_field import IntArray
 from observer.visibility import Visibility
 
@@ -143,10 +143,12 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     usual = float(np.median(variance[near])) if near.any() else 0.0
     largest = _LARGEST_IN_SHADOW_RAD if reflector.has_shadows else _LARGEST_SIGMA_RAD
     limit = max(largest**2, _LARGEST_TIMES_USUAL**2 * usual)
-    firm = near & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
+    lone = lone_values(error, variance, near & (variance < limit), panel)
+    firm = near & ~lone & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     step = float(reflector.y_m[1] - reflector.y_m[0]) if reflector.y_m.size > 1 else 1.0
     beside = bridge_rows(error, variance, firm, panel, step)
-    own = near & (variance < limit) & ~beside.contradicted
+    contradicted = lone | beside.contradicted
+    own = near & (variance < limit) & ~contradicted
     filled = aperture & visible.seeable & (beside.variance < np.where(own, variance, limit))
     lost = aperture & ~own & ~filled
     flags = np.zeros(panel.shape, dtype=np.uint32)
@@ -154,7 +156,7 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     flags[filled & ~own] = np.uint32(SampleFlag.SMOOTHED_GAP)
     flags[lost] = visible.flags[lost]
     flags[lost & (visible.flags == 0)] = np.uint32(SampleFlag.UNCERTAIN)
-    flags[lost & beside.contradicted] = np.uint32(SampleFlag.OUTLIER)
+    flags[lost & contradicted] = np.uint32(SampleFlag.OUTLIER)
     value = np.where(filled, beside.value, np.where(own, error, np.nan))
     return _Nodes(value, np.where(filled, beside.variance, variance), flags)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from observer.row_bridging import _smooth, bridge_rows
+from observer.row_bridging import _smooth, bridge_rows, lone_values
 
 STEP = 0.02
 
@@ -42,6 +42,22 @@ def test_sigma_of_bridged_values_is_their_scatter() -> None:
         assert 0.5 < ratio < 1.1, ratio
 
 
+def test_what_rows_have_in_common_does_not_hide_the_roughness() -> None:
+    rng = np.random.default_rng(4)
+    rows, columns, roughness, common, noise = 120, 300, 2e-4, 4e-4, 2e-5
+    truth = random_walks(rng, rows, columns, roughness)
+    good = np.ones(truth.shape, dtype=bool)
+    good[50:62] = False
+    # Poses and the slope along the trough move all rows of a column together, and are most of sigma.
+    shared = common * rng.standard_normal(columns)
+    measured = truth + shared + noise * rng.standard_normal(truth.shape)
+    variance = np.full(truth.shape, common**2 + noise**2)
+    found = bridge_rows(measured, variance, good, np.zeros(truth.shape, dtype=np.intp), STEP)
+    bridged = (found.value - truth - shared)[50:62]
+    assert float(np.sqrt(np.mean(bridged**2))) < 2.5e-4
+    assert not found.contradicted.any()
+
+
 def test_panels_are_not_bridged_and_wrong_rows_are_found() -> None:
     rng = np.random.default_rng(2)
     rows, columns, noise = 120, 40, 3e-5
@@ -57,3 +73,36 @@ def test_panels_are_not_bridged_and_wrong_rows_are_found() -> None:
     assert found.contradicted.sum() < 4 + 0.002 * truth.size
     assert np.abs(found.value - truth)[30].max() < 5e-4
     assert np.abs(found.value - truth)[58:60].max() < 1e-3
+
+
+def test_a_sure_row_that_all_others_contradict_stands_alone() -> None:
+    rng = np.random.default_rng(3)
+    rows, columns = 120, 40
+    truth = random_walks(rng, rows, columns, 2e-4)
+    truth[60:] += 4e-3
+    panel = np.repeat((np.arange(rows) >= 60).astype(np.intp)[:, None], columns, axis=1)
+    # A false edge makes its row the surest of all.
+    sigma = np.full(truth.shape, 3e-4)
+    sigma[[0, 30, 59, 60]] = 1e-4
+    measured = truth + sigma * rng.standard_normal(truth.shape)
+    measured[[0, 30, 59, 60], 5:9] += 4e-3
+    usable = np.ones(truth.shape, dtype=bool)
+    usable[31:33] = usable[100:] = False
+    found = lone_values(measured, sigma**2, usable, panel)
+    # What misleads a row somewhere misleads it on the whole panel.
+    assert found[[0, 30, 59, 60]].all()
+    assert found.sum() < 4 * columns + 0.001 * truth.size
+    assert not found[~usable].any()
+
+
+def test_steep_and_bent_columns_stand_not_alone() -> None:
+    # As far as a panel's slope goes within a step of the rows: 10 mrad / m, bent by 30 mrad / m^2.
+    y = STEP * np.arange(100)[:, None]
+    value = np.broadcast_to(10e-3 * y + 15e-3 * y**2, (100, 3))
+    sigma = np.full(value.shape, 1e-6)
+    whole = np.ones(value.shape, dtype=bool)
+    assert not lone_values(value, sigma**2, whole, whole.astype(np.intp)).any()
+    few = whole.copy()
+    few[2:] = False
+    assert not lone_values(value, sigma**2, few, whole.astype(np.intp)).any()
+    assert not lone_values(value[:1], sigma[:1] ** 2, whole[:1], whole[:1].astype(np.intp)).any()
