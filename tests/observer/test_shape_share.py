@@ -54,3 +54,18 @@ def test_what_is_said() -> None:
     assert "taken for normals that are turned" in str(shape_doubt(unclear, None, 1e-4))
     assert shape_doubt(unclear, True, 1e-4) is None
     assert shape_doubt(ShapeShare(0.4, 0.3, 2e-5), None, 1e-4) is None
+
+
+def test_a_factor_that_no_mirror_has_says_nothing() -> None:
+    """-3.6 +- 0.6, from few photos of a mirror that has its shape, was taken for normals that are turned."""
+    both, by_edge = observed(-3.0, np.random.default_rng(0))
+    found = find_shape_share(both, by_edge, GRID, Roughness(1e-2, 1e-5), np.zeros((0, 0)))
+    assert found.share < -2
+    assert found.sigma > 1
+    assert found.has_shape
+    assert not found.is_decided
+
+
+def test_an_uncertain_factor_contradicts_nothing() -> None:
+    """-1.7 +- 1.0 is no hint that the mirror has its shape."""
+    assert shape_doubt(ShapeShare(-1.7, 1.0, 2e-4), False, 1e-4) is None
