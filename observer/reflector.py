@@ -215,8 +215,7 @@ def solve_reflector(
             f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
             "collector's dimensions and the targets right?"
         )
-    is_bold, shadows = fate == EdgeFate.USED, has_shadows(fate)
-    wrong = (fate == EdgeFate.WRONG_STEP) & (not shadows)
+    is_bold, wrong = fate == EdgeFate.USED, fate == EdgeFate.WRONG_STEP
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
@@ -251,6 +250,7 @@ def solve_reflector(
     lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
+    shadows = has_shadows(fate)
     if shadows:
         fate, errors, roughness, agreed = _without_shadows(
             lines, edges, (fate, errors, roughness), unknowns.covariance, grid

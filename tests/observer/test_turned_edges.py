@@ -44,6 +44,26 @@ def test_edges_that_step_the_other_way_are_used_where_the_mirror_turns_them() ->
     assert (error[good] - error[good].mean()).std() < 0.1e-3
 
 
+@dataclass(frozen=True)
+class SteepWaves:
+    """Waves across the whole mirror."""
+
+    def errors(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 5.5e-3 * np.sin(11 * x_m + 0.5 * y_m), np.zeros_like(x_m)
+
+
+def test_a_mirror_of_steep_waves_is_not_taken_for_one_with_shadows() -> None:
+    rng = np.random.default_rng(0)
+    scene = short_scene(SteepWaves(), photos=120, rows=12)
+    believed = believed_with_errors(scene, rng)
+    edges = measured_edges(scene, true_edges(scene, EdgeNoise()), believed.views, rng)
+    assert np.mean(edges.contrast * edges.side > 0) > 0.02
+    photos = Photos(tuple(pose for _, pose in believed.views), believed.covariance)
+    found = solve_reflector(edges, photos, scene.truth, 0.02, Roughness(1e-3, 2e-3), shaped=False)
+    assert not found.has_shadows
+    assert np.mean(found.fate == EdgeFate.USED) > 0.98
+
+
 def test_a_mirror_that_bends_less_has_none() -> None:
     scene = short_scene(WavyMirror(3e-3), photos=20, rows=4)
     edges = true_edges(scene, EdgeNoise())
