@@ -32,7 +32,7 @@ from observer.design import Collector
 from observer.design_checks import panels_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
 from observer.longitudinal import incidence_warning
-from observer.pipeline_camera import blamed, stated_camera_doubt
+from observer.pipeline_camera import blamed, explained, stated_camera_doubt
 from observer.pipeline_checks import design_doubts, refuse_loose_list, refuse_strange_list, without_strays
 from observer.pipeline_headline import (
     absorber_numbers,
@@ -287,10 +287,11 @@ def evaluate(
     y = expected.y_m
     refuse_strange_list(survey, first, model.targets.file)
     survey, strays = without_strays(survey, first, finder)
-    network = photogrammetry_pipeline.run(
-        survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
-        measured=gathered(first.targets) if first.targets else None, start=first.start,
-    )  # fmt: skip
+    with explained():
+        network = photogrammetry_pipeline.run(
+            survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
+            measured=gathered(first.targets) if first.targets else None, start=first.start,
+        )  # fmt: skip
     photos, views, files = _photos(measurement, network)
     refuse_loose_list(network, survey, collector)
     refuse_impossible_cameras(photos.eyes_m, collector)

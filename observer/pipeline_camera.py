@@ -91,6 +91,32 @@ def _differences(stated: Camera, found: Camera) -> list[str]:
 
 
 @contextmanager
+def explained() -> Iterator[None]:
+    """Say what is usually wrong where photos and list of targets cannot be adjusted.
+
+    Yields
+    ------
+    None
+        While they are adjusted.
+
+    Raises
+    ------
+    EstimationError
+        What was raised, with the usual causes.
+    """
+    try:
+        yield
+    except EstimationError as error:
+        if "not converged" not in str(error):
+            raise
+        raise EstimationError(
+            f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
+            "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "
+            'trough move between photos? Or let photos tell the camera: under [camera] free = ["focal_px", "aspect"]'
+        ) from error
+
+
+@contextmanager
 def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
     """Say with an error what the adjustment of cameras and targets had to say, which is often its cause.
 
