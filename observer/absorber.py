@@ -15,6 +15,7 @@ from heliogauge.validate import BoolArray, FloatArray
 from observer.absorber_bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
 from observer.absorber_path import AbsorberPath
 from observer.camera_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
+from observer.reduction import inverse_of, root_of, solve_with
 from observer.reflector import Photos
 from observer.slope_field import IntArray
 
@@ -211,19 +212,19 @@ def _adjusted(
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
     index, value, size = _sparse_rows(directions, place, modes, start)
     prior = np.zeros((size, size))
-    poses_known = np.linalg.inv(modes.covariance)
+    poses_known = inverse_of(root_of(modes.covariance)[0])
     prior[2 * start.n : -1, 2 * start.n : -1] = poses_known
     prior[-1, -1] = 1.0
-    pull = np.zeros(size)
     # The prior wants the tube, not the step from a path that was found already, near the design and straight.
     bent = np.concatenate([start.x_m - np.mean(start.x_m), start.z_m - np.mean(start.z_m)])
     used = np.ones(directions.photo.size, dtype=bool)
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
-        smooth = _told_smoothness(normal + prior, right, bent, start.y_m)
-        pull[: 2 * start.n] = -smooth @ bent
-        normal[: 2 * start.n, : 2 * start.n] += smooth
-        step = np.linalg.solve(normal + prior, right + pull)
+        said, wanted, following = _of_stations(normal + prior, right, 2 * start.n)
+        smooth = _told_smoothness(said, wanted, bent, start.y_m)
+        inverse = np.linalg.inv(said + smooth)
+        stations = inverse @ (wanted - smooth @ bent)
+        step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
         residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
         scatter = max(1.4826 * float(np.median(np.abs(residuals[used] / directions.sigma_rad[used]))), 1.0)
         kept = np.abs(residuals) < _REJECT_TIMES * scatter * directions.sigma_rad
@@ -232,10 +233,9 @@ def _adjusted(
             break
         used = kept
     n = start.n
-    solved = np.linalg.solve(normal + prior, np.eye(size)[:, : 2 * n])
-    covariance = scatter**2 * solved[: 2 * n]
+    covariance = scatter**2 * inverse
     # The poses as the bundle left them; that the tube told a little of them too is not carried on.
-    with_poses = solved[2 * n : -1].T @ poses_known @ modes.with_steps(photos.covariance)
+    with_poses = -(following[:-1, :-1] @ inverse).T @ poses_known @ modes.with_steps(photos.covariance)
     path = AbsorberPath(start.y_m, start.x_m + step[:n], start.z_m + step[n : 2 * n], 0.5 * (covariance + covariance.T))
     return path, used, residuals, with_poses
 
@@ -321,16 +321,21 @@ def bearing_derivatives(points_m: FloatArray, photos: Photos, photo: IntArray) -
     return place, np.asarray(-(place[:, 0, None] * moved[:, 0] + place[:, 1, None] * moved[:, 2]))
 
 
-def _told_smoothness(normal: FloatArray, right: FloatArray, bent_m: FloatArray, stations_m: FloatArray) -> FloatArray:
+def _of_stations(normal: FloatArray, right: FloatArray, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eliminate what follows the first n unknowns.
+
+    Return the normal matrix and the right side that are left for these, shapes (n, n) and (n,), and how the others
+    follow: by minus the first n columns times their step, and the last column.
+    """
+    following = solve_with(root_of(normal[n:, n:])[0], np.column_stack([normal[n:, :n], right[n:]]))
+    return normal[:n, :n] - normal[:n, n:] @ following[:, :n], right[:n] - normal[:n, n:] @ following[:, n], following
+
+
+def _told_smoothness(said: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray) -> FloatArray:
     """Return the prior's precision of both coordinates along the stations, as smooth as the bearings tell.
 
-    By the marginal likelihood, with stations and everything else integrated out.
+    By the marginal likelihood of what poses and sides leave of what the bearings say, with the stations integrated out.
     """
-    n = bent_m.size
-    # What poses and sides leave of what the bearings say of the stations, before any smoothness.
-    following = np.linalg.solve(normal[n:, n:], np.column_stack([normal[n:, :n], right[n:]]))
-    said = normal[:n, :n] - normal[:n, n:] @ following[:, :n]
-    wanted = right[:n] - normal[:n, n:] @ following[:, n]
     evidence, priors = [], []
     for bend in _BENDS_M:
         smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend)), dtype=np.float64)

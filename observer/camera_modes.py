@@ -122,6 +122,32 @@ def pose_derivatives(
     return _by_photo(local, photo, np.array([_turned_into_steps(pose) for pose in poses]))
 
 
+def pose_scatter(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> FloatArray:
+    """Return the variance that uncertain poses make in each line's angle.
+
+    Parameters
+    ----------
+    derivatives : ndarray, shape (m, 6)
+        From `pose_derivatives`.
+    photo : ndarray of int, shape (m,)
+        Photo of each line.
+    covariance : ndarray, shape (6 n, 6 n)
+        Joint covariance of the steps of all n poses.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Variance [rad^2].
+    """
+    return np.asarray((_by_photo(derivatives, photo, _own_blocks(covariance)) * derivatives).sum(axis=1))
+
+
+def _own_blocks(covariance: FloatArray) -> FloatArray:
+    """Return the covariance of the steps of each pose alone, shape (n, 6, 6)."""
+    count = len(covariance) // 6
+    return covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
+
+
 def _turned_into_steps(pose: RigidTransform) -> FloatArray:
     """Return what turns derivatives by turn, eye and ray in the frame, one row, into those by a step of the pose."""
     back, (t_x, t_y, t_z) = pose.rotation.T, pose.translation_m
@@ -163,7 +189,7 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
     """
     count = len(covariance) // 6
     index = MODES_PER_PHOTO * photo[:, None] + np.arange(MODES_PER_PHOTO)
-    blocks = covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
+    blocks = _own_blocks(covariance)
     scale = np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 1e-30))
     values, vectors = np.linalg.eigh(blocks / (scale[:, :, None] * scale[:, None, :]))
     values = np.maximum(values, 1e-12 * values.max(axis=1, keepdims=True))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from heliogauge.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.along_variance import find_along
-from observer.camera_modes import pose_derivatives, reduce_to_modes
+from observer.camera_modes import pose_derivatives, pose_scatter, reduce_to_modes
 from observer.design import Collector
 from observer.edge_fates import EdgeFate, first_fate, has_shadows, is_alone
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
@@ -205,8 +206,7 @@ def solve_reflector(
         Too few edges.
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
-    nominal = _nominal(edges, photos, expected)
-    unknowns = nominal.unknowns
+    nominal = _Nominal(edges, photos, expected)
     fate = first_fate(edges)
     fate[is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
@@ -223,9 +223,8 @@ def solve_reflector(
         if allowance == 0.0:
             # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
             # its place moves an edge by 0.1 mrad more.
-            nominal = _nominal(edges, photos, expected, _bends(edges, present, grid))
-            unknowns = nominal.unknowns
-        lines, covariance = _in_round(_lines(nominal, expected, present, grid), unknowns, noise, allowance)
+            nominal = _Nominal(edges, photos, expected, _bends(edges, present, grid))
+        lines, covariance = _in_round(_lines(nominal, expected, present, grid), nominal, noise, allowance)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         used = lines.chosen(keep)
         roughness = find_roughness(used, grid, roughness, covariance, any_order=allowance == 0.0)
@@ -242,11 +241,11 @@ def solve_reflector(
         fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
         whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
-    usable = fate == EdgeFate.USED
+    usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
     share = _shape_told(nominal, expected, whole, (usable, noise), grid, roughness)
     if shaped is None and not share.has_shape:
         present = replace(whole, height_m=none[..., 0])
-    lines = _lines(nominal, expected, present, grid)
+    lines = _joint(_lines(nominal, expected, present, grid), nominal)
     lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
@@ -282,7 +281,7 @@ def _shape_told(
     """Compare the edges on the mirror with the heights of its slopes and without."""
     keep, noise = usable
     flat = replace(whole, height_m=np.zeros_like(whole.height_m))
-    both = [_lines(nominal, expected, surface, grid) for surface in (whole, flat)]
+    both = [_joint(_lines(nominal, expected, surface, grid), nominal) for surface in (whole, flat)]
     # Where all edges are a little too far to one side, the mirror point moves across.
     by_edge = nominal.edges.side * nominal.across_rad_per_m
     keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
@@ -343,19 +342,21 @@ def _moved(lines: TouchingLines, errors: SlopeErrors) -> FloatArray:
 
 
 def _in_round(
-    lines: TouchingLines, unknowns: CommonUnknowns, noise: float, allowance_rad: float
+    lines: TouchingLines, nominal: "_Nominal", noise: float, allowance_rad: float
 ) -> tuple[TouchingLines, FloatArray]:
     """Return lines with the sigma of a round, and the covariance of the common unknowns that it solves for.
 
     As long as more scatter is allowed than the common unknowns make, they are part of it.
     """
     square = (noise * lines.sigma_rad) ** 2 + allowance_rad**2
-    if allowance_rad > 0:
-        # Correlations of the unknowns do not matter here.
-        common = np.einsum("mc,mc->m", unknowns.derivative**2, np.diagonal(unknowns.covariance)[unknowns.index])
-        if float(np.mean(common)) < allowance_rad**2:
-            return lines.alone(lines.misfit_rad, np.sqrt(square + common)), np.zeros((0, 0))
-    return replace(lines, sigma_rad=np.sqrt(square)), unknowns.covariance
+    if float(np.mean(nominal.scatter_square)) < allowance_rad**2:
+        return replace(lines, sigma_rad=np.sqrt(square + nominal.scatter_square)), np.zeros((0, 0))
+    return _joint(replace(lines, sigma_rad=np.sqrt(square)), nominal), nominal.unknowns.covariance
+
+
+def _joint(lines: TouchingLines, nominal: "_Nominal") -> TouchingLines:
+    """Return lines with what they have in common."""
+    return replace(lines, common_index=nominal.unknowns.index, d_common=nominal.unknowns.derivative)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,37 +367,46 @@ class _Surface:
     height_m: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Nominal:
     """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
 
-    edges: ReflectionEdges
-    sights: Sights
-    across_rad_per_m: FloatArray
-    unknowns: CommonUnknowns
-
-    @property
-    def sigma_rad(self) -> FloatArray:
-        """Noise of the edges' angles, shape (m,) [rad]."""
-        return np.hypot(self.across_rad_per_m * self.edges.sigma_x_m, _MODEL_RAD)
+    def __init__(
+        self, edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
+    ) -> None:
+        focal = expected.collector.focal_length_m
+        self.edges, self._photos, self._expected = edges, photos, expected
+        self.sights = Sights(edges.points_m, photos.eyes_m[edges.photo], edges.side)
+        self._found = design_misfit(
+            edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
+        )
+        self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
+        self.sigma_rad = np.hypot(self.across_rad_per_m * edges.sigma_x_m, _MODEL_RAD)
+        self._by_pose = pose_derivatives(self.sights, self._found, photos.poses, edges.photo, focal, bend_per_m)
 
     @property
     def turned(self) -> BoolArray:
         """Which edges lie where the mirror bends so much that the reflection moves the other way on it, shape (m,)."""
         return np.asarray(self.across_rad_per_m * np.median(self.across_rad_per_m) < 0)
 
+    @cached_property
+    def unknowns(self) -> CommonUnknowns:
+        """What the edges have in common.
 
-def _nominal(
-    edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
-) -> _Nominal:
-    eyes, focal = photos.eyes_m[edges.photo], expected.collector.focal_length_m
-    found = design_misfit(edges.points_m, eyes, edges.side, expected.collector, expected.absorber)
-    sights = Sights(edges.points_m, eyes, edges.side)
-    derivatives = pose_derivatives(sights, found, photos.poses, edges.photo, focal, bend_per_m)
-    # Where the mirror bends beside the design other movements of a camera matter: its modes are chosen anew.
-    modes = reduce_to_modes(derivatives, edges.photo, photos.covariance)
-    unknowns = common_unknowns(edges, sights, found, modes, expected, photos.with_tube)
-    return _Nominal(edges, sights, change_across(sights, found, focal, bend_per_m), unknowns)
+        Where the mirror bends beside the design other movements of a camera matter: its modes are those of the bends.
+        """
+        modes = reduce_to_modes(self._by_pose, self.edges.photo, self._photos.covariance)
+        return common_unknowns(self.edges, self.sights, self._found, modes, self._expected, self._photos.with_tube)
+
+    @cached_property
+    def scatter_square(self) -> FloatArray:
+        """Variance that uncertain poses and the tube's place make in each edge's angle, shape (m,) [rad^2].
+
+        The tube's other unknowns make as little as the noise of an edge.
+        """
+        poses = pose_scatter(self._by_pose, self.edges.photo, self._photos.covariance)
+        sigmas = self._expected.absorber.sigma_at(np.nan_to_num(self._found.passing_y_m))
+        place = np.square(self._found.d_angle_d_absorber * np.stack(sigmas, axis=1)).sum(axis=1)
+        return np.asarray(np.nan_to_num(poses + place))
 
 
 def _bends(edges: ReflectionEdges, present: _Surface, grid: RowGrid) -> FloatArray:
@@ -429,7 +439,7 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     )  # fmt: skip
     return TouchingLines(
         edges.row, points[:, 0], angle - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
-        nominal.sigma_rad, nominal.unknowns.index, nominal.unknowns.derivative,
+        nominal.sigma_rad, np.zeros((len(angle), 0), dtype=np.intp), np.zeros((len(angle), 0)),
     )  # fmt: skip
 
 
