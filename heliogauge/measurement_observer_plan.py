@@ -14,10 +14,30 @@ from heliogauge.measurement_photogrammetry import DistanceSection, ScaleBarSecti
 
 
 class PlannedTargetsSection(Section):
-    """Table of the targets, as of ``kind = "observer"``, and how well their images are found."""
+    """Table of the targets, as of ``kind = "observer"``, or how many along the rims; how well their images are found.
 
-    file: Text = "targets.csv"
+    ``rim_count`` targets stand evenly along both rims, known to ``sigma_mm``.
+    """
+
+    file: Text | None = None
+    rim_count: Annotated[int, Field(strict=True, ge=4, le=500)] | None = None
+    sigma_mm: Positive = 1.0
     sigma_px: Positive = 0.1
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.file is not None and self.rim_count is not None:
+            raise ValueError("give file or rim_count, one of both")
+        if self.rim_count is not None and self.rim_count % 2:
+            raise ValueError("rim_count: an even number is needed, half of it for each rim")
+        if self.rim_count is None and "sigma_mm" in self.model_fields_set:
+            raise ValueError("sigma_mm belongs to rim_count; a file has columns for it")
+        return self
+
+    @property
+    def list_file(self) -> str | None:
+        """The table of the targets; None where they are planned along the rims."""
+        return None if self.rim_count is not None else self.file or "targets.csv"
 
 
 class PlannedPassSection(Section):
@@ -111,7 +131,7 @@ class ObserverPlanMeasurement:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the plan consists of, measurement.toml first."""
-        own = (self.model.camera.file, self.model.targets.file)
+        own = (self.model.camera.file, self.model.targets.list_file)
         found = (self.folder / "measurement.toml", *(self.folder / name for name in own if name))
         if self.earlier is None:
             return found

@@ -80,9 +80,12 @@ focal_px = 2381.0               # focal length over pixel pitch
 #: free = ["focal_px"]          # estimated by the measurement; a camera that is given is held otherwise
 #: sigma = { focal_px = 0.5 }   # what its calibration is good for
 
-# Columns target, x_m, y_m, z_m, sigma_x_mm, sigma_y_mm, sigma_z_mm; empty sigmas: the place is planned, but unknown.
+# So many targets evenly along both rims, or a table: columns target, x_m, y_m, z_m, sigma_x_mm, sigma_y_mm, sigma_z_mm;
+# empty sigmas: the place is planned, but unknown.
 [targets]
-file = "targets.csv"
+rim_count = 12
+sigma_mm = 1.0                  # of each coordinate
+#: file = "targets.csv"         # instead of these two
 sigma_px = 0.1                  # of a target's image
 
 #: [[distance]]                 # tape measurements between targets

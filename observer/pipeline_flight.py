@@ -10,12 +10,12 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_models import PhotosSection
 from heliogauge.measurement_observer_plan import ObserverPlanModel
-from heliogauge.measurement_photogrammetry import DatumSection, PhotogrammetryModel
+from heliogauge.measurement_photogrammetry import CoordinateSection, DatumSection, PhotogrammetryModel
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.rigid import RigidTransform
 from heliogauge.store_tables import read_table_csv
 from heliogauge.validate import FloatArray
-from observer.pipeline_inputs import target_constraints
+from observer.pipeline_inputs import AXES, target_constraints
 from observer.simulated_edges import View, in_image
 from observer.simulated_flight import Believed
 from photogrammetry.bundle import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
@@ -26,6 +26,8 @@ from photogrammetry.pipeline_inputs import build_constraints
 
 #: A photo with fewer targets has no pose of its own.
 _LEAST_IN_PHOTO = 4
+#: Targets that are planned along the rims stand so far beside them [m].
+_BESIDE_RIM_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +92,7 @@ def planned_network(
     EstimationError
         Fewer than two photos see four targets.
     """
-    coordinates = target_constraints(folder / model.targets.file)
+    coordinates, names, points = planned_targets(model, folder)
     photogrammetry = PhotogrammetryModel(
         kind="photogrammetry",
         name=model.name,
@@ -102,7 +104,6 @@ def planned_network(
         datum=DatumSection(kind="inner"),
     )
     found = build_cameras(PhotogrammetryMeasurement(folder, photogrammetry, ()), ["planned"], None)
-    names, points = _places(folder / model.targets.file)
     constraints = build_constraints(photogrammetry)
     network = PlannedNetwork(
         found.cameras[0], found.models[0], poses, names, points, constraints, model.targets.sigma_px
@@ -116,6 +117,49 @@ def planned_network(
         )
     left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
     return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
+
+
+def planned_targets(
+    model: ObserverPlanModel, folder: Path
+) -> tuple[tuple[CoordinateSection, ...], tuple[str, ...], FloatArray]:
+    """Return the targets that are planned: as the list has them, or along the rims.
+
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What measurement.toml says.
+    folder : Path
+        Where its files are.
+
+    Returns
+    -------
+    coordinates : tuple of CoordinateSection
+        What will be known of them.
+    names : tuple of str
+        The targets.
+    points_m : ndarray, shape (n, 3)
+        Their places [m].
+
+    Raises
+    ------
+    InputError
+        A list that cannot be used.
+    """
+    section, design = model.targets, model.collector
+    if section.list_file is not None:
+        path = folder / section.list_file
+        return (target_constraints(path), *_places(path))
+    half = (section.rim_count or 0) // 2
+    across, along = design.aperture_width_m / 2 + _BESIDE_RIM_M, 0.49 * design.length_m
+    height = design.aperture_width_m**2 / (16 * design.focal_length_m)
+    points = np.array([[side * across, y, height] for side in (-1, 1) for y in np.linspace(-along, along, half)])
+    names = tuple(str(k + 1) for k in range(len(points)))
+    coordinates = tuple(
+        CoordinateSection(kind="coordinate", target=name, axis=axis, value_m=float(value), sigma_mm=section.sigma_mm)
+        for name, point in zip(names, points, strict=True)
+        for axis, value in zip(AXES, point, strict=True)
+    )
+    return coordinates, names, points
 
 
 def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:

@@ -11,6 +11,7 @@ from heliogauge.measurement import load_observer_plan
 from heliogauge.store import read_summary, read_table_csv
 from heliogauge.store_slope_map import read_slope_map
 from observer import report_plan as report
+from observer.pipeline_flight import planned_targets
 from observer.pipeline_plan import headline_text, run, summarise, write
 from observer.planned_flight import Pass, advice
 from tests.observer.simulated_trough import short_trough
@@ -116,6 +117,25 @@ def test_an_earlier_result_is_looked_at_again(tmp_path: Path) -> None:
     both = np.isfinite(truth) & np.isfinite(again.simulated.slope_map.slope_error_x)
     difference = again.simulated.slope_map.slope_error_x[both] - truth[both]
     assert np.std(difference) < 0.2 * np.std(truth[both])
+
+
+def test_targets_may_be_planned_along_the_rims_without_a_list(tmp_path: Path) -> None:
+    folder = planned(tmp_path / "plan")
+    text = (folder / "measurement.toml").read_text()
+    (folder / "targets.csv").unlink()
+    toml = text.replace("[targets]\n", "[targets]\nrim_count = 8\nsigma_mm = 2.0\n").replace('file = "targets.csv"', "")
+    (folder / "measurement.toml").write_text(toml)
+    model = load_observer_plan(folder).model
+    coordinates, names, points = planned_targets(model, folder)
+    assert len(coordinates) == 24
+    assert {one.sigma_mm for one in coordinates} == {2.0}
+    assert names == tuple("12345678")
+    np.testing.assert_allclose(np.abs(points[:, 0]), 2.6)
+    np.testing.assert_allclose(points[:, 2], 25 / (16 * 1.49))
+    for change, message in (("rim_count = 7", "even number"), ('rim_count = 8\nfile = "t.csv"', "one of both")):
+        (folder / "measurement.toml").write_text(toml.replace("rim_count = 8", change))
+        with pytest.raises(InputError, match=message):
+            load_observer_plan(folder)
 
 
 def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
