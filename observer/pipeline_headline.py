@@ -47,14 +47,17 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -
     sigma = slope_map.sigma_slope()[0][slope_map.valid]
     seeable, measured = shares(visible, slope_map.aperture, slope_map.valid)
     theta_ra, theta_r = (part[slope_map.valid] for part in (angles.theta_ra_rad, angles.theta_r_rad))
+    turn = 1 / (1 + slope_map.slope_x[slope_map.valid] ** 2)
     return {
         "sdx_rad": whole.sdx_rad,
         "sigma_sdx_rad": whole.sigma_sdx_rad,
         "sdx_tilt_removed_rad": untilted.sdx_rad,
         "sigma_sdx_tilt_removed_rad": untilted.sigma_sdx_rad,
         "mean_theta_r_rad": float(theta_r.mean()),
+        "rms_theta_r_rad": float(np.sqrt((theta_r**2).mean())),
         "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
         "median_sigma_slope_x_rad": float(np.median(sigma)),
+        "median_sigma_theta_r_rad": float(np.median(turn * sigma)),
         "measured_share": slope_map.measured_share,
         "seeable_share": seeable,
         "seeable_measured_share": measured,
@@ -222,9 +225,10 @@ def headline_text(summary: Summary) -> str:
 
     return "\n".join([
         f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
-        f"  slope error SDx  {said('sdx_rad')}; without mean tilt {said('sdx_tilt_removed_rad')}",
-        f"  sigma of a point {said('median_sigma_slope_x_rad')} (median)",
-        f"  theta_ra         {said('rms_theta_ra_rad')} RMS",
+        f"  slope error SDx  {said('sdx_rad')} of dz/dx; without mean tilt {said('sdx_tilt_removed_rad')}",
+        f"  as an angle      theta_r {said('rms_theta_r_rad')} RMS; with the absorber, theta_ra "
+        f"{said('rms_theta_ra_rad')}",
+        f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r (median)",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
         f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
         f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
