@@ -1,7 +1,7 @@
 """The absorber's reflection in one photo: where its two edges lie on the mirror, as far as geometry allows them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -43,6 +43,12 @@ _FAR_SHARE = 0.5
 _BEYOND_TIMES = 1.25
 #: Whether the tube is darker or brighter is clear where so much more of all steps go one way than the other.
 _CLEAR_MAJORITY = 0.5
+#: Where the brightness beside an edge changes, as at the rim of a cloud, the edge is found too far to one side: by so
+#: many pixels for a change of the whole step in a pixel between these distances. A background that changes as far as
+#: the filter reaches would take 1.7, but clouds do not. Noise makes changes of 2 %.
+_BESIDE_PX, _SHIFT_PX, _NOISE_SHARE = (2.0, 3.0), 1.0, 0.02
+#: What stays of an edge's error for a change of the whole step in a pixel [px].
+_CLOUDED_PX = 0.6
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -310,10 +316,10 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
         left = np.flatnonzero(keep[own] & dark)
         uneven = np.where(judged[own], _unevenness(one, part), 0.0)
         photo = np.full(left.size, one.number, dtype=np.intp)
-        edges.append(ReflectionEdges(
-            photo, part.row[left], side[left], points[own][left], part.sigma_x_m[left], part.contrast[left],
-            uneven[left],
-        ))  # fmt: skip
+        kept = _beside_clouds(one, part.chosen(left))
+        places = points[own][left]
+        places[:, 0], places[:, 2] = kept.x_m, kept.x_m**2 / (4 * collector.focal_length_m)
+        edges.append(ReflectionEdges(photo, kept.row, side[left], places, kept.sigma_x_m, kept.contrast, uneven[left]))
     return edges
 
 
@@ -352,6 +358,29 @@ def sides_of_tube(
     within = np.abs(middle_rad - side * half_rad) < 2 * _BEYOND_TIMES * slope_error_rad
     other = far & within & (steps * total < 0)
     return np.where(other, -side, side)
+
+
+def _beside_clouds(look: _Look, found: Edges) -> Edges:
+    """Move edges back that a change of the brightness beside them has moved, and let their sigma grow by what stays."""
+    strip, pixel_m = look.strip, look.pixel_m
+    step = float(strip.x_m[1] - strip.x_m[0])
+    column = (found.x_m - strip.x_m[0]) / step
+    change = np.zeros(found.x_m.size)
+    for way in (-1.0, 1.0):
+        near, far = (_between(strip, found.row, column + way * px * pixel_m / step) for px in _BESIDE_PX)
+        change += far - near
+    change /= found.rise_dn
+    # Of small changes next to nothing is the background's.
+    shift = _SHIFT_PX * change**3 / (change**2 + _NOISE_SHARE**2)
+    sigma = np.hypot(found.sigma_x_m, _CLOUDED_PX * pixel_m * change)
+    return replace(found, x_m=found.x_m - pixel_m * shift, sigma_x_m=sigma)
+
+
+def _between(strip: Strip, row: IntArray, column: FloatArray) -> FloatArray:
+    """Return the brightness at places between columns [DN]."""
+    before = np.clip(column.astype(np.intp), 0, strip.x_m.size - 2)
+    share = np.clip(column - before, 0.0, 1.0)
+    return np.asarray((1 - share) * strip.image_dn[row, before] + share * strip.image_dn[row, before + 1])
 
 
 def _unevenness(look: _Look, found: Edges) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from observer.edge_fates import EdgeFate, first_fate, is_alone, unchecked_doubt
 from observer.edges import Edges
 from observer.rectify import Strip
-from observer.reflection import ReflectionEdges, _is_tube_dark, _unevenness
+from observer.reflection import ReflectionEdges, _is_tube_dark, _Look, _unevenness
 
 Y = np.arange(50) * 0.02
 
@@ -61,7 +61,7 @@ def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> Non
     image = np.stack([step, shadowed]).astype(np.float32)
     strip = Strip(image, x, np.ones(image.shape, dtype=bool))
     edges = Edges(np.array([0, 1]), np.full(2, 0.4), np.full(2, 1e-3), np.full(2, 100.0), np.full(2, 0.8))
-    even, uneven = _unevenness(strip, edges, 0.01)
+    even, uneven = _unevenness(_Look(0, np.zeros(3), 0.01, strip), edges)
     assert even < 0.05
     assert uneven > 0.5
     both = curve(0, np.arange(40), np.full(40, 0.1))
