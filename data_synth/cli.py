@@ -195,6 +195,9 @@ def trough(
     shaped: Annotated[
         bool, typer.Option("--shaped", help="Let the mirror's surface deviate, not its normals alone, as a real one's.")
     ] = False,
+    panel_height_mm: Annotated[
+        float, typer.Option(min=0.0, help="Mount panels of a shaped mirror too high or low: standard deviation.")
+    ] = 0.0,
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
@@ -214,7 +217,7 @@ def trough(
     from data_synth.trough_presets import TroughChoice, trough_scene
     from heliogauge.terminal import terminal_progress
 
-    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets, shaped)
+    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets, shaped, 1e-3 * panel_height_mm)
     scene = trough_scene(preset, choice).scaled(scale)
     scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
     if slopes is not None:

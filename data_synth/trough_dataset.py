@@ -277,6 +277,8 @@ def _collector_content(scene: TroughScene) -> dict[str, Any]:
         "panel_edges_y_m": design.panel_edges_y_m.round(6).tolist(),
         "panel_gap_mm": 1e3 * design.panel_gap_m,
     }
+    if design.panel_height_sigma_m:
+        content["panel_height_sigma_mm"] = 1e3 * design.panel_height_sigma_m
     if len(design.support_y_m):
         content |= {"support_y_m": design.support_y_m.tolist(), "support_width_m": design.support_width_m}
     if all(view.orientation_deg is None for view in scene.views):

@@ -7,6 +7,7 @@ import numpy as np
 
 from data_synth.surface_errors import Ripple, SurfaceErrors
 from data_synth.trough_mirror import PanelErrors, TroughMirror
+from heliogauge.errors import InputError
 from observer.design import Collector
 
 
@@ -62,6 +63,36 @@ def random_mirror(
         if longitudinal_rad:
             scale_y *= longitudinal_rad / float(np.sqrt(np.nanmean(mirror.deviation(x, y)[2] ** 2)))
     return mirror
+
+
+def with_panel_heights(mirror: TroughMirror, sigma_m: float, rng: np.random.Generator) -> TroughMirror:
+    """Mount the panels of a shaped mirror too high or too low.
+
+    Parameters
+    ----------
+    mirror : TroughMirror
+        The mirror.
+    sigma_m : float
+        Standard deviation of the heights; measurement.toml states it [m].
+    rng : numpy.random.Generator
+        Draws them.
+
+    Returns
+    -------
+    TroughMirror
+        The mirror with other heights.
+
+    Raises
+    ------
+    InputError
+        The mirror has no shape, or no panels.
+    """
+    panels = mirror.panels
+    if not mirror.is_shaped or panels is None:
+        raise InputError("panel heights: only a mirror that is shaped has them (--shaped), with panels that err")
+    higher = panels.heights + sigma_m * rng.standard_normal(panels.heights.size)
+    collector = replace(mirror.collector, panel_height_sigma_m=sigma_m)
+    return replace(mirror, collector=collector, panels=replace(panels, height_m=higher))
 
 
 def _waves(rng: np.random.Generator, n: int) -> tuple[Ripple, ...]:

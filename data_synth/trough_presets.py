@@ -10,7 +10,7 @@ from data_synth.pinhole import PinholeCamera
 from data_synth.prints import DotPrint, Print, RingPrint
 from data_synth.sheets import Sheet
 from data_synth.target_scene import sheet_points
-from data_synth.trough_errors import random_mirror
+from data_synth.trough_errors import random_mirror, with_panel_heights
 from data_synth.trough_field import field_of
 from data_synth.trough_mirror import TroughMirror
 from data_synth.trough_paths import (
@@ -68,6 +68,8 @@ class TroughChoice:
         Targets on the ground beside both rims, of unknown coordinates.
     is_shaped : bool, optional
         Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
+    panel_height_m : float, optional
+        How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped [m].
     """
 
     seed: int = 0
@@ -76,6 +78,7 @@ class TroughChoice:
     orientation_deg: float | None = None
     n_ground_targets: int = 0
     is_shaped: bool = False
+    panel_height_m: float = 0.0
 
 
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
@@ -96,7 +99,7 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
     Raises
     ------
     InputError
-        No such preset, or an orientation for a collector that turns.
+        No such preset, an orientation for a collector that turns, or heights of panels for a mirror without a shape.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
@@ -112,6 +115,9 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
     if chosen.orientation_deg is not None:
         around = scene.world.surroundings.turned(chosen.orientation_deg)
         scene = replace(scene, world=replace(scene.world, surroundings=around))
+    if chosen.panel_height_m:
+        mirror = with_panel_heights(scene.world.mirror, chosen.panel_height_m, np.random.default_rng([chosen.seed, 7]))
+        scene = replace(scene, world=replace(scene.world, mirror=mirror))
     return with_ground_targets(scene, chosen.n_ground_targets, np.random.default_rng([chosen.seed, 6]))
 
 

@@ -28,6 +28,7 @@ class TroughSection(Section):
     panel_edges_x_m: tuple[Number, ...] = ()
     panel_edges_y_m: tuple[Number, ...] = ()
     panel_gap_mm: Sigma = 0.0
+    panel_height_sigma_mm: Sigma = 0.2
     support_y_m: tuple[Number, ...] = ()
     support_width_m: Positive = 0.3
     orientation_deg: Number = 0.0

@@ -69,6 +69,7 @@ glass_inner_diameter_mm = 109.0
 #: panel_edges_x_m = [-2.5, -1.34, 0.0, 1.34, 2.5]   # all edges of the panels, those of the aperture too
 #: panel_edges_y_m = [-3.945, 0.0, 3.945]
 #: panel_gap_mm = 10.0
+#: panel_height_sigma_mm = 0.2   # how well the mean height of each panel is the design's; 1 where nobody measured it
 #: support_y_m = [-3.945, 0.0, 3.945]   # receiver supports
 #: support_width_m = 0.3
 

@@ -63,6 +63,8 @@ class Collector:
         Positions of the receiver supports (with bellows and shields) along the trough [m].
     support_width_m : float, optional
         Length along the trough that a support with its bellows hides [m].
+    panel_height_sigma_m : float, optional
+        How well each panel's mean height is the design's, as a standard deviation; 0: exactly [m].
 
     Raises
     ------
@@ -80,6 +82,7 @@ class Collector:
     panel_gap_m: float = 0.0
     support_y_m: FloatArray = ()  # type: ignore[assignment]
     support_width_m: float = 0.3
+    panel_height_sigma_m: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("aperture_width_m", "length_m", "focal_length_m", "absorber_diameter_m", "support_width_m"):
@@ -101,6 +104,10 @@ class Collector:
             )
         if self.panel_gap_m < 0:
             raise InputError(f"collector panel_gap_m: {self.panel_gap_m:g} m is negative")
+        if not 0 <= self.panel_height_sigma_m < self.focal_length_m:
+            raise InputError(
+                f"collector panel_height_sigma_m: {self.panel_height_sigma_m:g} m; 0 or some millimetres are usual"
+            )
         for name, half in (("panel_edges_x_m", self.aperture_width_m / 2), ("panel_edges_y_m", self.length_m / 2)):
             edges = float_array(f"collector {name}", getattr(self, name), (None,))
             if len(edges) == 0:
@@ -117,6 +124,11 @@ class Collector:
     def surface(self) -> Quadric:
         """The design parabola."""
         return trough(self.focal_length_m)
+
+    @property
+    def n_panels(self) -> int:
+        """Number of panels."""
+        return (len(self.panel_edges_x_m) - 1) * (len(self.panel_edges_y_m) - 1)
 
     @property
     def rim_height_m(self) -> float:

@@ -43,6 +43,9 @@ _MISFIT_FACTOR = 3.0
 #: Slopes that vary along a row as much as this jump at panel edges: mirrors of one piece have 1e-4 to 3e-3, a mirror of
 #: four panels that was stated to be one 0.15 [rad^2 / m^3].
 _JUMPING = 0.02
+#: Heights of panels whose sigma is less than this share of the prior's were told by the reflection; from so many on
+#: their mean square over what is expected says something.
+_TOLD_SHARE, _FEWEST_HEIGHTS, _HEIGHTS_EXCESS = 0.95, 4, 4.0
 #: No camera that sees a collector is further away than this many times its largest dimension.
 _FARTHEST_TIMES = 100.0
 
@@ -288,6 +291,35 @@ def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
     return (
         "slopes jump along x as at edges of panels, but the mirror is stated to be one piece across: without "
         "collector.panel_edges_x_m slopes are smeared over the edges, and sigma is large everywhere"
+    )
+
+
+def heights_doubt(reflector: Reflector) -> str | None:
+    """Say whether panels are higher or lower than their stated accuracy lets expect.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution, of which their heights are unknowns.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where they fit, or are held.
+    """
+    height, sigma = reflector.unknowns.panel_heights_m(reflector.errors.common, reflector.errors.covariance_common)
+    unit = reflector.unknowns.height_unit_m
+    told = sigma < _TOLD_SHARE * unit if unit else np.zeros(height.size, dtype=bool)
+    if np.count_nonzero(told) < _FEWEST_HEIGHTS:
+        return None
+    # Before the measurement an estimate is expected to have the variance that it took from the prior.
+    excess = float(np.mean(height[told] ** 2 / (unit**2 - sigma[told] ** 2)))
+    if excess < _HEIGHTS_EXCESS:
+        return None
+    return (
+        f"collector.panel_height_sigma_mm = {1e3 * unit:g} does not fit: the reflection's width says that panels are "
+        f"{np.sqrt(excess):.1f} times as far from the design's height; state {1e3 * unit * np.sqrt(excess):.1g} mm, "
+        "until then slopes are less certain than their sigma says"
     )
 
 

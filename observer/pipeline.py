@@ -29,7 +29,7 @@ from observer.absorber import AbsorberSolution, solve_absorber
 from observer.absorber_path import AbsorberPath
 from observer.absorber_product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.design import Collector
-from observer.design_checks import panels_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.design_checks import heights_doubt, panels_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
 from observer.longitudinal import incidence_warning
 from observer.pipeline_camera import blamed, explained, stated_camera_doubt
@@ -332,7 +332,7 @@ def evaluate(
         sparse = sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m)
         good = camera is None and sparse is None
         design = (
-            camera, panels_doubt(reflector.roughness, collector), sparse,
+            camera, panels_doubt(reflector.roughness, collector), heights_doubt(reflector) if good else None, sparse,
             *design_doubts((files, views), reflector, slope_map, absorber, collector, with_dimensions=good),
         )  # fmt: skip
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)

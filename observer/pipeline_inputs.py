@@ -56,7 +56,7 @@ def build_collector(section: TroughSection) -> Collector:
     return Collector(
         section.aperture_width_m, section.length_m, section.focal_length_m, 1e-3 * section.absorber_diameter_mm, glass,
         np.array(section.panel_edges_x_m), np.array(section.panel_edges_y_m), 1e-3 * section.panel_gap_mm,
-        np.array(section.support_y_m), section.support_width_m,
+        np.array(section.support_y_m), section.support_width_m, 1e-3 * section.panel_height_sigma_mm,
     )  # fmt: skip
 
 

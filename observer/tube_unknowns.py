@@ -9,7 +9,9 @@ says how the tube lies to the mirror, but other things change it too, and are un
 - a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are told;
 - the middle of the glass beside that of the tube: the glass turns a line that touches the metal by kappa while it is
   inside, so that with the tube d beside the middle of the glass and the line's direction u the tube looks wider by
-  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm).
+  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm);
+- the mean height of each panel, with the accuracy of its mounting as prior: a millimetre looks like 0.15 mrad of slope
+  at the rim, which nothing tells from slope, and like 0.03 mrad of width, which many edges together do tell.
 
 What is left out of these comes back as wrong poses: with the glass 6 mm beside the tube they err by four times their
 standard deviation, and slopes by 0.1 mrad.
@@ -26,7 +28,7 @@ from observer.absorber_path import AbsorberPath
 from observer.camera_modes import CameraModes
 from observer.glass import turned_rad
 from observer.reflection import Expectation, ReflectionEdges
-from observer.sight import Misfit, Sights, change_across
+from observer.sight import Misfit, Sights, change_across, misfit
 from observer.slope_field import IntArray
 
 #: What the stated radius is good for, as a share of it.
@@ -36,13 +38,15 @@ _GLASS_M = 3e-3
 #: How far edges may lie outward, in standard deviations of the noise of one: all of them (0.05 px at a noise of 0.025
 #: px), and those of one photo beyond that. In ray-traced photos it is 0.003 to 0.006 px.
 _OUTWARD, _OUTWARD_OF_PHOTO = 2.0, 0.4
+#: Height by which derivatives are taken [m].
+_LIFT_M = 1e-3
 #: Unknowns of the tube beside its place: radius, displacement of all edges, x and z of the glass.
 _TUBE_UNKNOWNS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonUnknowns:
-    """Unknowns that move many lines, in this order: poses, widths of photos, the tube's place, the tube itself.
+    """Unknowns that move many lines: poses, widths of photos, the tube's place, the tube itself, heights of panels.
 
     Parameters
     ----------
@@ -60,6 +64,8 @@ class CommonUnknowns:
         Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
     steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
         Step of each photo's pose (`RigidTransform.moved`) for one unit of its first unknowns [rad, m].
+    height_unit_m : float
+        Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
     """
 
     index: IntArray
@@ -69,6 +75,7 @@ class CommonUnknowns:
     n_stations: int
     units: FloatArray
     steps: FloatArray
+    height_unit_m: float = 0.0
 
     @property
     def place(self) -> slice:
@@ -86,6 +93,25 @@ class CommonUnknowns:
         which = np.zeros(len(self.covariance), dtype=bool)
         which[self.place] = True
         return which
+
+    def panel_heights_m(self, common: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much each panel is higher than its design, and the standard deviation.
+
+        Parameters
+        ----------
+        common : ndarray, shape (k,)
+            The solution.
+        covariance : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        height_m, sigma_m : ndarray, shape (p,)
+            In the order of `Collector.panel_index`; empty where heights are held [m].
+        """
+        first = self.radius + _TUBE_UNKNOWNS
+        sigma = np.sqrt(np.diagonal(covariance)[first:])
+        return self.height_unit_m * common[first:], self.height_unit_m * sigma
 
     def moved_poses(
         self, poses: Sequence[RigidTransform], covariance: FloatArray, common: FloatArray, covariance_common: FloatArray
@@ -188,13 +214,16 @@ def common_unknowns(
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
     place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube, units = _tube(found, sights, expected, outward, unit)
+    panel, lifted, n_panels = _lifted(sights, found, expected)
     first_tube = n_photo + 2 * n_stations
+    first_panel = first_tube + _TUBE_UNKNOWNS
     index = np.column_stack([
         modes.index, n_modes + edges.photo, n_photo + place[0],
         np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
+        first_panel + panel,
     ])  # fmt: skip
-    derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube])
-    covariance = np.eye(first_tube + _TUBE_UNKNOWNS)
+    derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube, lifted])
+    covariance = np.eye(first_panel + n_panels)
     covariance[:n_modes, :n_modes] = modes.covariance
     if n_stations:
         # A micrometre keeps the matrix positive definite.
@@ -202,7 +231,32 @@ def common_unknowns(
         if with_poses is not None:
             covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
             covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
-    return CommonUnknowns(index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units, modes.steps)
+    return CommonUnknowns(
+        index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units, modes.steps,
+        collector.panel_height_sigma_m,
+    )  # fmt: skip
+
+
+def _lifted(sights: Sights, found: Misfit, expected: Expectation) -> tuple[IntArray, FloatArray, int]:
+    """Return each line's panel and what its height does to the line, shapes (m, 1), and the number of panels.
+
+    Without a column where heights are held. The line of sight stays; it meets the panel at another place.
+    """
+    collector, m = expected.collector, len(sights.side)
+    unit, focal = collector.panel_height_sigma_m, collector.focal_length_m
+    if unit == 0:
+        return np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)), 0
+    x, y, _ = sights.points_m.T
+    way = sights.points_m - sights.eyes_m
+    points = sights.points_m + (_LIFT_M / (way[:, 2] - x / (2 * focal) * way[:, 0]))[:, None] * way
+    slopes = points[:, 0] / (2 * focal), np.zeros(m)
+    later = misfit(
+        Sights(points, sights.eyes_m, sights.side), slopes, expected.absorber, collector.absorber_diameter_m / 2
+    )
+    by_height = (later.angle_rad - found.angle_rad) / _LIFT_M
+    panel = collector.panel_index(x, y)
+    derivative = np.where(panel >= 0, unit * by_height, 0.0)
+    return np.maximum(panel, 0)[:, None].astype(np.intp), derivative[:, None], collector.n_panels
 
 
 def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:

@@ -330,3 +330,18 @@ def test_a_shaped_preset_has_the_heights_that_its_slopes_say_and_no_panel_stands
     means = [np.nanmean(height[panel == k]) for k in range(mirror.n_panels)]
     assert np.abs(means).max() < 1e-4
     assert "evaluation" not in observer_content(scene, ".png")
+
+
+def test_panels_mounted_too_high_or_low() -> None:
+    usual = trough_scene("small", TroughChoice(3, 2, is_shaped=True)).world.mirror
+    other = trough_scene("small", TroughChoice(3, 2, is_shaped=True, panel_height_m=2e-3)).world.mirror
+    assert other.collector.panel_height_sigma_m == 2e-3
+    assert usual.panels is not None
+    assert other.panels is not None
+    lift = other.panels.heights - usual.panels.heights
+    assert 0.5e-3 < lift.std() < 4e-3
+    x, y = np.array([-1.9, 0.7]), np.array([-0.8, 0.8])
+    panel = other.collector.panel_index(x, y)
+    np.testing.assert_allclose(other.deviation(x, y)[0] - usual.deviation(x, y)[0], lift[panel], atol=1e-9)
+    with pytest.raises(InputError, match="panel heights: only a mirror that is shaped"):
+        trough_scene("small", TroughChoice(3, 2, panel_height_m=2e-3))
