@@ -71,12 +71,15 @@ def align_command(
         Path | None, typer.Option("--mounts", metavar="FILE", help="Table of the mounts: columns x_m, y_m.")
     ] = None,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
 ) -> None:
-    """Prescribe how panels are to be aligned to the absorber: panels.csv, mounts.csv, overlay.csv."""
+    """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
     from observer.pipeline_alignment import headline_text, run, write
 
-    result = into_folder(out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress())
+    result = into_folder(
+        out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress(), report=not no_report
+    )
     tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 

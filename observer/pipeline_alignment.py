@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from heliogauge.camera import Camera
 from heliogauge.errors import InputError
+from heliogauge.figures_canvas import png_of
 from heliogauge.slope_map import SlopeMap
 from heliogauge.store import PhotoPose, Summary, hash_files, write_summary, write_table_csv
 from heliogauge.store_arrays import read_arrays
@@ -16,12 +17,16 @@ from heliogauge.store_tables import read_cameras_json, read_table_csv
 from heliogauge.validate import FloatArray
 from observer.absorber_path import AbsorberPath
 from observer.design import Collector
+from observer.figures_alignment import moves_figure
 from observer.panel_alignment import LEAST_SHARE, PanelTilts, image_edges, mount_moves, panel_tilts
 from observer.pipeline_inputs import read_absorber
-from observer.store_report import ANGLES, COLLECTOR, read_collector
+from observer.store_report import ANGLES, COLLECTOR, OVERLAY, OVERLAY_PHOTO, read_collector, read_overlay
 
-#: Kind of the summary; `heliogauge.report` has no page of its own for it.
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 KIND = "observer-alignment"
+OVERLAY_FIGURE, MOVES_FIGURE = "overlay.png", "mounts.png"
 #: Distance of assumed mounts from the edges of their panel [m].
 _INSET_M = 0.1
 #: Number of the first panel in all files and texts, as in the panels.csv of the measurement: with a prescription that
@@ -49,6 +54,8 @@ class Result:
         What makes the prescription doubtful.
     input_sha256 : dict of str to str
         Hash of each file read.
+    picture : Figure or None, optional
+        The theoretical image over the photo that the result holds; None where it holds none.
     """
 
     collector: Collector
@@ -59,6 +66,7 @@ class Result:
     cameras: dict[str, tuple[Camera, PhotoPose]]
     warnings: tuple[str, ...]
     input_sha256: dict[str, str]
+    picture: "Figure | None" = None
 
 
 def run(folder: Path, mounts: Path | None = None) -> Result:
@@ -94,11 +102,46 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     cameras, poses = read_cameras_json(files[4])
     to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_a)
     places = _corners(collector) if mounts is None else _read_mounts(mounts)
+    absorber = read_absorber(files[3])
+    picture = None
+    if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
+        picture = _picture(folder, slope_map, (collector, absorber), poses)
     return Result(
-        collector, to_absorber, panel_tilts(theta_r, slope_map, collector), places, read_absorber(files[3]),
+        collector, to_absorber, panel_tilts(theta_r, slope_map, collector), places, absorber,
         {name: (cameras[pose.camera], pose) for name, pose in poses.items()},
         _doubts(slope_map, to_absorber, mounts is None), hash_files([*files, *([] if mounts is None else [mounts])]),
+        picture,
     )  # fmt: skip
+
+
+def _picture(
+    folder: Path, slope_map: SlopeMap, trough: tuple[Collector, AbsorberPath], poses: dict[str, PhotoPose]
+) -> "Figure | None":
+    """Draw the theoretical image over the photo that the result holds."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    from observer.figures_alignment import theory_figure
+
+    image, nodes, name = read_overlay(folder)
+    if name not in poses:
+        return None
+    x, y = (
+        axis[np.unique(np.linspace(0, axis.size - 1, count).round().astype(int))]
+        for axis, count in zip((slope_map.x_m, slope_map.y_m), nodes["x_px"].shape[::-1], strict=True)
+    )
+    pixels = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1)
+    where = RegularGridInterpolator((y, x), pixels, bounds_error=False)
+    collector, absorber = trough
+    gap = collector.panel_gap_m / 2
+    ends = np.stack([collector.panel_edges_y_m[:-1] + gap, collector.panel_edges_y_m[1:] - gap], axis=1)
+    lines = []
+    for low, high in ends:
+        along = np.clip(np.linspace(low, high, 9), y[0], y[-1])
+        eye = poses[name].cam_from_world.inverse().translation_m
+        found = image_edges(eye, along, collector, absorber)
+        columns = found.reshape(along.size, -1).T
+        lines += [where(np.stack([along, column], axis=1)) for column in columns if np.isfinite(column).all()]
+    return theory_figure(image, name, lines, (nodes["x_px"], nodes["y_px"], nodes["beside_measured"]))
 
 
 def _corners(collector: Collector) -> FloatArray:
@@ -137,7 +180,7 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> tuple[str,
 
 
 def write(result: Result, folder: Path) -> None:
-    """Write panels.csv, mounts.csv and overlay.csv into an existing folder.
+    """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder.
 
     Parameters
     ----------
@@ -167,6 +210,10 @@ def write(result: Result, folder: Path) -> None:
         "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
     })  # fmt: skip
     write_table_csv(folder / "overlay.csv", _overlay(result))
+    if result.picture is not None:
+        (folder / OVERLAY_FIGURE).write_bytes(png_of(result.picture))
+    drawn = moves_figure(result.collector, absorber.tilt_rad, result.mounts_m, (move, sigma))
+    (folder / MOVES_FIGURE).write_bytes(png_of(drawn))
     write_summary(folder / "summary.json", summarise(result))
 
 

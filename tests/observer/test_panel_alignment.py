@@ -9,12 +9,15 @@ from data_synth.trough_presets import ls2_panelled
 from heliogauge.errors import InputError
 from heliogauge.slope_map import SlopeMap, no_common_modes
 from heliogauge.store_tables import read_table_csv
+from observer import report_alignment as report
 from observer.absorber_path import AbsorberPath
 from observer.design import ls3
 from observer.panel_alignment import image_edges, mount_moves, panel_tilts, target_plane_edges
-from observer.pipeline_alignment import Result, headline_text, write
+from observer.pipeline_alignment import Result, headline_text, run, write
 from observer.pipeline_headline import panel_columns
 from observer.slope_product import angle_maps
+from observer.store_report import read_overlay
+from tests.observer.test_report import result_folder
 
 
 def test_effective_edges_of_the_checked_case():
@@ -133,3 +136,29 @@ def test_panels_have_the_numbers_of_the_measurements_report(tmp_path):
     assert f"panel {worst}:" in headline_text(result)
     assert read_table_csv(tmp_path / "panels.csv", ("panel",))["panel"] == [str(number) for number in measured["panel"]]
     assert read_table_csv(tmp_path / "mounts.csv", ("panel",))["panel"] == [str(worst)]
+
+
+def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
+    """In the cut-out photo the lines of TOP are where lines of sight at the design's mirror touch the tube."""
+    result_folder(tmp_path)
+    result = run(tmp_path)
+    assert result.picture is not None
+    _, nodes, _ = read_overlay(tmp_path)
+    places = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1).reshape(-1, 2)
+    drawn = [line.get_xydata() for line in result.picture.axes[0].lines]
+    assert len(drawn) == 2
+    beside = nodes["beside_design"].ravel()
+    for line in drawn:
+        nearest = [int(np.argmin(np.hypot(*(places - point).T))) for point in line[2:-2]]
+        # A node is 42 mm from the next, 3 mrad; the tube of the list is 1 mm beside the design's.
+        assert np.abs(beside[nearest]).max() < 3e-3
+    assert np.nanmax(np.abs(beside)) > 0.1
+    out = tmp_path / "out"
+    out.mkdir()
+    write(result, out)
+    found = report.open_alignment(out)
+    assert report.overlay(found).text.count("<img") == 1
+    assert report.moves(found).text.count("<img") == 1
+    assert "panel alignment" in report.head(found).text
+    (out / "overlay.png").unlink()
+    assert "no photo" in report.overlay(found).text
