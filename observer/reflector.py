@@ -242,11 +242,12 @@ def solve_reflector(
         whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
-    share = _shape_told(nominal, expected, whole, (usable, noise), grid, roughness)
-    if shaped is None and not share.has_shape:
-        present = replace(whole, height_m=none[..., 0])
-    lines = _joint(_lines(nominal, expected, present, grid), nominal)
-    lines = replace(lines, sigma_rad=noise * lines.sigma_rad)
+    flat = replace(whole, height_m=none[..., 0])
+    both = tuple(_lines(nominal, expected, surface, grid) for surface in (whole, flat))
+    share = _shape_told(nominal, both, (usable, noise), grid, roughness)
+    is_flat = shaped is False or (shaped is None and not share.has_shape)
+    present, lines = (flat, both[1]) if is_flat else (whole, both[0])
+    lines = _joint(replace(lines, sigma_rad=noise * lines.sigma_rad), nominal)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
     shadows = has_shadows(fate)
@@ -272,20 +273,19 @@ def solve_reflector(
 
 def _shape_told(
     nominal: "_Nominal",
-    expected: Expectation,
-    whole: "_Surface",
+    both: tuple[TouchingLines, ...],
     usable: tuple[BoolArray, float],
     grid: RowGrid,
     roughness: Roughness,
 ) -> ShapeShare:
     """Compare the edges on the mirror with the heights of its slopes and without."""
     keep, noise = usable
-    flat = replace(whole, height_m=np.zeros_like(whole.height_m))
-    both = [_joint(_lines(nominal, expected, surface, grid), nominal) for surface in (whole, flat)]
     # Where all edges are a little too far to one side, the mirror point moves across.
     by_edge = nominal.edges.side * nominal.across_rad_per_m
     keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
-    shaped, plain = (replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in both)
+    shaped, plain = (
+        replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in (_joint(both[0], nominal), both[1])
+    )
     return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
 
 
