@@ -16,9 +16,10 @@ _LEAST_CURVE = 6
 _CONTINUED_STEP_M = 0.05
 #: From one row to the next an edge moves by at most so many distances of the rows.
 _STEEPEST_CURVE = 4.0
-#: With more than this share of edges that step the wrong way there are shadows in the reflection: 0.2 % under a clear
-#: or cloudy sky, 1 % where the mirror bends so much that the reflection folds, 4 % with the collector's own shadow.
-_SHADOWS_SHARE = 0.02
+#: With more than this share of edges that step the wrong way and go on from row to row there are shadows in the
+#: reflection: below 0.1 % under a clear or cloudy sky, 0.5 % in a mirror of steep waves, 2 % with the ground in a strip,
+#: 2.6 to 3.4 % with the collector's own shadow.
+_SHADOWS_SHARE = 0.008
 #: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
 #: usually does: where a shadow or a thing on the ground ends beside it the edge is up to 4 mrad off.
 _MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
@@ -125,13 +126,17 @@ def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolA
     return alone
 
 
-def has_shadows(fate: IntArray) -> bool:
+def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool:
     """Return whether shadows as dark as the tube are in the reflection.
 
     Parameters
     ----------
+    edges : ReflectionEdges
+        Candidates of all photos.
     fate : ndarray of int, shape (m,)
         Of all edges.
+    y_m : ndarray, shape (r,)
+        Rows [m].
 
     Returns
     -------
@@ -141,9 +146,11 @@ def has_shadows(fate: IntArray) -> bool:
     Notes
     -----
     Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such edges
-    as they have right ones, which nothing in their brightness tells from the tube's.
+    as they have right ones, which nothing in their brightness tells from the tube's. Noise and glints within the tube
+    step either way, but do not go on from row to row.
     """
-    return bool(np.mean(fate == EdgeFate.WRONG_STEP) > _SHADOWS_SHARE)
+    wrong = fate == EdgeFate.WRONG_STEP
+    return bool(np.mean(wrong & ~is_alone(edges, wrong, y_m)) > _SHADOWS_SHARE)
 
 
 def unchecked_doubt(fate: IntArray) -> str | None:

@@ -250,7 +250,7 @@ def solve_reflector(
     lines = _joint(replace(lines, sigma_rad=noise * lines.sigma_rad), nominal)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
-    shadows = has_shadows(fate)
+    shadows = has_shadows(edges, fate, expected.y_m)
     if shadows:
         fate, errors, roughness, agreed = _without_shadows(
             lines, edges, (fate, errors, roughness), unknowns.covariance, grid

@@ -20,6 +20,8 @@ AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float
 _HALF_PX = 3
 #: Rounds in which the middle is found.
 _ROUNDS = 4
+#: Steps of the brightness below this share of the usual one are none of an edge.
+_LEAST_STEP = 0.2
 #: Edges that are enough to tell.
 _ENOUGH = 100
 #: Where no targets tell: photos that are lopsided by more than this towards the dark are no linear ones. Those have
@@ -142,7 +144,13 @@ def find_tone(
 
 def _lopsidedness(profiles: FloatArray) -> float:
     """Return the usual third moment of the edges' slope over the usual second moment's power 3/2."""
-    share = (profiles - profiles[:, :1]) / (profiles[:, -1:] - profiles[:, :1])
+    step = profiles[:, -1] - profiles[:, 0]
+    # Something thin and dark that is as bright on both sides is no edge.
+    is_step = step > _LEAST_STEP * float(np.median(step))
+    profiles, step = profiles[is_step], step[is_step]
+    if step.size == 0:
+        return float("nan")
+    share = (profiles - profiles[:, :1]) / step[:, None]
     size = share.shape[1]
     from_middle = np.arange(0.5 - _HALF_PX, _HALF_PX)
     middle = np.zeros(len(share))

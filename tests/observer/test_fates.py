@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from observer.edge_fates import EdgeFate, first_fate, is_alone, unchecked_doubt
+from observer.edge_fates import EdgeFate, first_fate, has_shadows, is_alone, unchecked_doubt
 from observer.edges import Edges
 from observer.rectify import Strip
 from observer.reflection import ReflectionEdges, _is_tube_dark, _Look, _unevenness
@@ -33,6 +33,20 @@ def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() ->
     np.testing.assert_array_equal(alone, np.repeat([False, True, False, True], [40, 4, 26, 3]))
     # Rows 0.4 m apart do not show how an edge goes on.
     assert not is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
+
+
+def test_noise_that_does_not_go_on_from_row_to_row_is_no_shadow() -> None:
+    rng = np.random.default_rng(1)
+    tube = [curve(photo, np.arange(40), 0.1 + 0.05 * np.arange(40)) for photo in range(20)]
+    noise = [curve(photo, np.arange(0, 40, 8), rng.uniform(-2, 2, 5)) for photo in range(20)]
+    shadow = [curve(photo, np.arange(10, 20), np.full(10, -0.5)) for photo in range(20)]
+    for wrong, is_shadow in ((noise, False), (shadow, True)):
+        edges = ReflectionEdges(
+            *(np.concatenate([getattr(one, name) for one in (*tube, *wrong)]) for name in ReflectionEdges.__slots__)
+        )
+        fate = np.full(edges.row.size, int(EdgeFate.USED))
+        fate[800:] = int(EdgeFate.WRONG_STEP)
+        assert has_shadows(edges, fate, Y) is is_shadow
 
 
 def edges_between(dark: np.ndarray, bright: np.ndarray) -> Edges:

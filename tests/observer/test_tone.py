@@ -34,6 +34,18 @@ def test_edges_tell_how_photos_are_encoded(blur_px: float) -> None:
     assert abs(found.lopsided) < 0.045 < found.as_stored
 
 
+def test_thin_lines_that_are_as_bright_on_both_sides_tell_nothing() -> None:
+    stored = encoded(edges(np.random.default_rng(2)))
+    line = np.full((3, PLACE.size), 0.6)
+    line[:, PLACE.size // 2] = 0.2
+    line[1, -1] += 1e-3
+    both = np.concatenate([stored, line])
+    found, alone = find_tone(both, decoded(both)), find_tone(stored, decoded(stored))
+    assert found.tone is Tone.SRGB
+    assert abs(found.as_stored - alone.as_stored) < 0.02
+    assert find_tone(np.repeat(line[:1], 200, axis=0), np.repeat(line[:1], 200, axis=0)).tone is Tone.LINEAR
+
+
 def test_few_edges_tell_nothing() -> None:
     stored = encoded(edges(np.random.default_rng(1), n=40))
     assert find_tone(stored, decoded(stored)).tone is Tone.LINEAR
