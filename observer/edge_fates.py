@@ -17,7 +17,7 @@ _CONTINUED_STEP_M = 0.05
 #: From one row to the next an edge moves by at most so many distances of the rows.
 _STEEPEST_CURVE = 4.0
 #: With more than this share of edges that step the wrong way and go on from row to row there are shadows in the
-#: reflection: below 0.1 % under a clear or cloudy sky, 0.5 % in a mirror of steep waves, 2 % with the ground in a strip,
+#: reflection: below 0.1 % under a clear or cloudy sky, 0.5 % in a mirror of steep waves, 2 % with ground in a strip,
 #: 2.6 to 3.4 % with the collector's own shadow.
 _SHADOWS_SHARE = 0.008
 #: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
