@@ -39,12 +39,14 @@ NOTEBOOK_PACKAGES: dict[str, str] = {
     "photogrammetry-plan": "photogrammetry", "observer": "observer", "heliostat": "calibration.heliostat",
     "heliostat-field": "calibration.heliostat", "observer-overview": "observer",
     "observer-plan": "observer", "observer-compare": "observer", "observer-alignment": "observer",
+    "observer-absorber": "observer",
 }  # fmt: skip
 #: Notebooks that are called otherwise, where a package has several.
 OTHER_NOTEBOOKS: dict[str, str] = {
     "photogrammetry-plan": "report_plan.ipynb", "heliostat-field": "report_field.ipynb",
     "observer-overview": "report_overview.ipynb", "observer-plan": "report_plan.ipynb",
     "observer-compare": "report_compare.ipynb", "observer-alignment": "report_alignment.ipynb",
+    "observer-absorber": "report_absorber.ipynb",
 }  # fmt: skip
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.

@@ -104,17 +104,23 @@ def absorber_command(
     out: OutFolder,
     jobs: Jobs = None,
     force: Force = False,
+    no_report: NoReport = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, summary.json."""
+    """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
     from heliogauge.measurement import load_observer
     from heliogauge.terminal import terminal_progress
     from observer.pipeline_absorber import Options, headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
-        out, lambda: run(load_observer(folder), Options(jobs=jobs), progress), write, force=force, progress=progress
+        out,
+        lambda: run(load_observer(folder), Options(jobs=jobs), progress),
+        write,
+        force=force,
+        progress=progress,
+        report=not no_report,
     )
     tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 

@@ -25,9 +25,10 @@ from observer.pipeline_headline import absorber_numbers
 from observer.pipeline_inputs import absorber_start, as_photogrammetry, build_collector
 from observer.reflection import Expectation, Shot
 from observer.reflector import Photos
+from observer.store_report import COLLECTOR, write_collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 
-#: Kind of the summary; `heliogauge.report` has no page of its own for it.
+#: Kind of the summary, which names its report.
 KIND = "observer-absorber"
 
 
@@ -168,6 +169,7 @@ def write(result: Result, folder: Path) -> None:
     write_table_csv(folder / "absorber.csv", absorber_columns(solution.path, solution, collector))
     spans = tube_spans(solution.path, solution, collector, result.orientation_rad)
     write_table_csv(folder / "absorber_spans.csv", span_columns(spans))
+    write_collector(folder / COLLECTOR, collector)
     write_points_csv(folder / "points.csv", result.network.points)
     refused = result.network.refused
     write_table_csv(

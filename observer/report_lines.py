@@ -1,6 +1,6 @@
 """Profiles of the absorber, intercept factor and residuals in a trough's report."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from heliogauge.figures_canvas import FAINT, INK, LINE_X, LINE_Y, add_legend, ch
 from heliogauge.notation import number_text
 from heliogauge.report_html import Html, join, show, table
 from heliogauge.validate import FloatArray
+from observer.design import Collector
 from observer.report_results import Columns, TroughResults, numbers
 from observer.sight import Sights, change_across, misfit
 
@@ -19,12 +20,25 @@ _MM, _MRAD = 1e3, 1e3
 _HEIGHT_IN = 3.6
 
 
-def absorber(results: TroughResults) -> Html:
+class HasAbsorber(Protocol):
+    """Results that say where an absorber runs."""
+
+    @property
+    def collector(self) -> Collector:
+        """The design."""
+        ...
+
+    def table(self, name: str) -> Columns | None:
+        """Return a table as text; None where there is none."""
+        ...
+
+
+def absorber(results: HasAbsorber) -> Html:
     """Return where the absorber runs.
 
     Parameters
     ----------
-    results : TroughResults
+    results : HasAbsorber
         The results.
 
     Returns
@@ -37,12 +51,12 @@ def absorber(results: TroughResults) -> Html:
     return join(drawn, listed(results.table("absorber_spans.csv")))
 
 
-def absorber_figure(results: TroughResults, axis: str) -> "Figure":
+def absorber_figure(results: HasAbsorber, axis: str) -> "Figure":
     """Draw the absorber's departure from the focal line.
 
     Parameters
     ----------
-    results : TroughResults
+    results : HasAbsorber
         The results.
     axis : str
         "x" or "z".

@@ -306,3 +306,18 @@ def test_report_does_without_what_was_not_computed(tmp_path) -> None:
     assert report.intercept(results).text == ""
     assert report.panels(results).text == ""
     assert "no photo" in report.overlay(results).text
+
+
+def test_an_absorber_measured_alone_has_its_report(tmp_path) -> None:
+    from observer import report_absorber as report
+
+    result_folder(tmp_path)
+    numbers = {"absorber_mean_x_m": 1e-3, "sigma_absorber_mean_x_m": 2e-4, "photos_count": 2}
+    write_summary(tmp_path / "summary.json", Summary("observer-absorber", "a tube", numbers))
+    results = report.open_absorber(tmp_path)
+    assert "a tube" in report.head(results).text
+    assert "1.00 \u00b1 0.20 mm" in report.overview(results).text
+    shown = report.absorber(results).text
+    assert shown.count("<img") == 2
+    assert "5 stations" in shown
+    assert "too few targets" in report.refused(results).text
