@@ -23,8 +23,9 @@ from observer.visibility import Visibility
 #: A node is refused where noise and the distance to the next edge leave it less sure than this, and less sure than so
 #: many times the usual: 0.5 mrad keeps 97 % of what can show the tube of an LS-2 in 100 photos.
 _LARGEST_SIGMA_RAD = 0.5e-3
-#: ... and than this where shadows are in the reflection: one edge that a shadow has pulled is then not borne out.
-_LARGEST_IN_SHADOW_RAD = 0.3e-3
+#: ... and than this, whatever is usual, where shadows are in the reflection: what two sides know no better may be one
+#: edge that a shadow has pulled. Settled on three drawn troughs (60 photos).
+_LARGEST_IN_SHADOW_RAD = 0.2e-3
 _LARGEST_TIMES_USUAL = 3.0
 #: Values that others may rest on are surer than this, or than so many times the usual: inside an island that no edge
 #: came near to all rows err together.
@@ -141,8 +142,9 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     error, variance = reflector.errors.slopes[..., 0], reflector.errors.random[..., 0, 0]
     near = aperture & reflector.measured
     usual = float(np.median(variance[near])) if near.any() else 0.0
-    largest = _LARGEST_IN_SHADOW_RAD if reflector.has_shadows else _LARGEST_SIGMA_RAD
-    limit = max(largest**2, _LARGEST_TIMES_USUAL**2 * usual)
+    limit = max(_LARGEST_SIGMA_RAD**2, _LARGEST_TIMES_USUAL**2 * usual)
+    if reflector.has_shadows:
+        limit = _LARGEST_IN_SHADOW_RAD**2
     lone = lone_values(error, variance, near & (variance < limit), panel)
     firm = near & ~lone & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     step = float(reflector.y_m[1] - reflector.y_m[0]) if reflector.y_m.size > 1 else 1.0
