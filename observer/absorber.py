@@ -139,8 +139,9 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     if count < 2:
         raise EstimationError(
             f"absorber: {count} photos show both edges of the tube within {1e3 * SEARCH_M:.0f} mm of where it should "
-            "be, two from different sides are needed; are absorber_diameter_mm and focal_length_m right? Give "
-            "[absorber] photos of its own, or a file with its position"
+            "be, two from different sides are needed. Is the tube as bright as what is seen behind it, or lit by the "
+            "sun on one side? Photograph it in shade or before another sky. Are absorber_diameter_mm and "
+            'focal_length_m right? Else give [absorber] photos of its own, a file, or source = "design"'
         )
     x, z = start.at(stations_m)
     path = AbsorberPath(stations_m, x, z, np.zeros((2 * stations_m.size, 2 * stations_m.size)))

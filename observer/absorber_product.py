@@ -193,7 +193,8 @@ def absorber_warnings(
     if abs(share) > _DIAMETER_SHARE:
         said.append(
             f"absorber: the tube looks {1e3 * solution.diameter_m:.1f} mm thick, absorber_diameter_mm says "
-            f"{1e3 * collector.absorber_diameter_m:.1f}; are the diameter, the targets and the camera right?"
+            f"{1e3 * collector.absorber_diameter_m:.1f}; are the diameter, the targets and the camera right, and is "
+            "the tube much darker than what is seen behind it?"
         )
     measured = measured_stations(path, solution)
     if measured.mean() < _WARN_SHARE:

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -225,6 +226,38 @@ def test_stated_dimension_too_small(trough, rewrite):
     """Mirror and absorber both say more, the mirror by a third of what is wrong."""
     rewrite(trough, (r"^focal_length_m = .*", "focal_length_m = 1.4751"))
     assert "collector.focal_length_m = 1.4751 m does not fit" in warnings_of(trough)
+
+
+def drawn_otherwise(folder: Path, **finish: float) -> Path:
+    """Return the same scene with parts of another brightness."""
+    scene = trough_scene("small", TroughChoice(n_photos=16))
+    scene = replace(scene, world=replace(scene.world, finish=replace(scene.world.finish, **finish)))
+    write_trough_dataset(folder, scene, TroughOptions(0))
+    return folder
+
+
+@pytest.mark.slow
+def test_tube_as_bright_as_the_sky_ends_with_the_reason(tmp_path):
+    assert re.search(r"absorber: 0 photos .* as bright as what is seen behind it", refused(
+        drawn_otherwise(tmp_path / "shiny", absorber=0.6)
+    ))  # fmt: skip
+
+
+@pytest.mark.slow
+def test_weak_mirror_is_not_blamed_for_its_width(tmp_path):
+    """At a reflectance of 0.7 it is as bright as the ground behind its rims."""
+    assert "aperture_width_m" not in warnings_of(drawn_otherwise(tmp_path / "weak", reflectance=0.7))
+
+
+@pytest.mark.slow
+def test_overexposed_targets_are_said_and_the_camera_is_not_blamed(tmp_path):
+    scene = trough_scene("small", TroughChoice(n_photos=16))
+    bright = replace(scene.optics, sensor=replace(scene.optics.sensor, exposure=1.6))
+    write_trough_dataset(tmp_path / "bright", replace(scene, optics=bright), TroughOptions(0))
+    said = warnings_of(tmp_path / "bright")
+    assert "overexposed white" in said
+    assert "camera:" not in said
+    assert "absorber_diameter" not in said
 
 
 @pytest.mark.slow
