@@ -1,6 +1,7 @@
 """Points, cameras and poses on disk: ``points.csv``, ``camera.json``, ``cameras.json`` and other small tables."""
 
 import csv
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -172,12 +173,14 @@ def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArra
 
 def _csv_cells(column: list[Any], *, alone: bool) -> list[Any]:
     """Return cells whose text is what CSV needs; a row is never empty."""
-    if all(type(cell) is int for cell in column):
+    kinds = set(map(type, column))
+    if kinds <= {int}:
         return column
-    if all(type(cell) is float for cell in column):
+    if kinds == {float}:
         # NaN is the one float that differs from itself; the text of the others is short enough to read them back.
-        cells: list[Any] = ["" if cell != cell else cell for cell in column]
-    elif all(type(cell) is str for cell in column):
+        has_gaps = any(map(operator.ne, column, column))
+        cells: list[Any] = ["" if cell != cell else cell for cell in column] if has_gaps else column
+    elif kinds == {str}:
         # Names come many times.
         known = {cell: _csv_cell(cell) for cell in set(column)}
         cells = [known[cell] for cell in column]
