@@ -24,7 +24,7 @@ from observer.visibility import Visibility
 #: many times the usual: 0.5 mrad keeps 97 % of what can show the tube of an LS-2 in 100 photos.
 _LARGEST_SIGMA_RAD = 0.5e-3
 #: ... and than this, whatever is usual, where shadows are in the reflection: what two sides know no better may be one
-#: edge that a shadow has pulled. Settled on three drawn troughs (60 photos).
+#: edge that a shadow has pulled. Settled on three drawn troughs, confirmed on a fourth.
 _LARGEST_IN_SHADOW_RAD = 0.2e-3
 _LARGEST_TIMES_USUAL = 3.0
 #: Values that others may rest on are surer than this, or than so many times the usual: inside an island that no edge
