@@ -4,8 +4,7 @@ What a photo shows of the tube is looked for as soon as its targets give it a pr
 listed; the adjustment of all photos comes later, and what was found is carried to its poses (`observer.carried`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,10 +19,11 @@ from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.progress import Progress
 from heliogauge.rigid import RigidTransform
+from heliogauge.threads import side_by_side
 from observer.absorber_bearings import Bearings, tube_bearings
 from observer.carried import View, carried_bearings, carried_edges
 from observer.pipeline_slices import Slices, empty_slices
-from observer.pipeline_tone import Sample, sizes_of, some_of, tone_of
+from observer.pipeline_tone import Sample, sizes_of, some_of, tone_of, usual_tone
 from observer.reflection import Expectation, ReflectionEdges, Shot, joined, reflection_edges
 from observer.tone import Tone, linear_light
 from photogrammetry.mirrored_codes import refuse_mirrored_codes
@@ -43,7 +43,6 @@ from photogrammetry.target_following import (
 )
 
 _Part = TypeVar("_Part", ReflectionEdges, Bearings)
-_Result = TypeVar("_Result")
 
 #: Most photos that are followed through: each run begins with a search of the whole photo and is one thread's work.
 _MOST_IN_RUN = 125
@@ -365,7 +364,7 @@ def look_first_at_each(
                     images.clear()
             return own
 
-        found = _side_by_side(one_run, range(len(parts)), jobs)
+        found = side_by_side(one_run, range(len(parts)), jobs)
     if leader.search.dictionary is not None:
         read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
         refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
@@ -409,7 +408,7 @@ def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, One
             samples.append(Sample(image, (camera, pose)))
             size_m = None if stated is None else 1e-3 * stated
             sizes.append(sizes_of(samples[-1], found, finder.known, finder.search, size_m))
-    return tone_of(samples, finder.expected, sizes) if samples else None
+    return tone_of(samples, finder.expected, sizes, usual_tone(files)) if samples else None
 
 
 def look_again(
@@ -451,7 +450,8 @@ def look_again(
     expected = finder.expected
     tone = first.tone
     if tone is None:
-        tone = tone_of([Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))], expected)
+        samples = [Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))]
+        tone = tone_of(samples, expected, usual=usual_tone(files))
     finder = replace(finder, tone=tone)
     if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
         raise InputError(
@@ -477,7 +477,7 @@ def look_again(
         return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]
 
     with progress.stage("find the reflection", len(late)) as stage:
-        found = dict(zip(late, _side_by_side(one, late, jobs), strict=True))
+        found = dict(zip(late, side_by_side(one, late, jobs), strict=True))
     edges = [found[k][0] if k in found else first.edges[file.name] for k, file in enumerate(files)]
     bearings = [found[k][1] if k in found else first.bearings[file.name] for k, file in enumerate(files)]
     everything = [_renumbered(part, k) for k, part in enumerate(edges)]
@@ -497,14 +497,3 @@ def _distance_m(first: RigidTransform, second: RigidTransform) -> float:
 
 def _renumbered(part: _Part, number: int) -> _Part:
     return replace(part, photo=np.full(part.photo.size, number, dtype=np.intp))
-
-
-def _side_by_side(work: Callable[[int], _Result], numbers: Sequence[int], jobs: int | None) -> list[_Result]:
-    """Do the same for many numbers in several threads; the first error ends it."""
-    with ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(work, number) for number in numbers]
-        try:
-            return [future.result() for future in waiting]
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -108,10 +109,27 @@ def sizes_of(
     return ratios[0], ratios[1]
 
 
+def usual_tone(files: Sequence[Path]) -> Tone:
+    """Return how photos are encoded where nothing in them tells: JPEG for the eye, as cameras write them.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos.
+
+    Returns
+    -------
+    Tone
+        Linear unless all of them are JPEG.
+    """
+    return Tone.SRGB if all(file.suffix.lower() in (".jpg", ".jpeg") for file in files) else Tone.LINEAR
+
+
 def tone_of(
     samples: Sequence[Sample],
     expected: Expectation,
     sizes: Sequence[tuple[FloatArray, FloatArray]] = (),
+    usual: Tone = Tone.LINEAR,
 ) -> Tone:
     """Return how photos are encoded.
 
@@ -123,12 +141,14 @@ def tone_of(
         Collector, absorber and rows.
     sizes : sequence of (ndarray, ndarray), optional
         Of their targets, from `sizes_of`.
+    usual : Tone, optional
+        From `usual_tone`.
 
     Returns
     -------
     Tone
-        The encoding under which targets are as large as stated and edges of the reflection are even; linear where too
-        few are seen.
+        The encoding under which targets are as large as stated and edges of the reflection are even; the usual one
+        where too few are seen.
     """
     profiles: list[list[FloatArray]] = [[], []]
     for one in samples:
@@ -137,4 +157,4 @@ def tone_of(
     ratios = None
     if sizes:
         ratios = (np.concatenate([one[0] for one in sizes]), np.concatenate([one[1] for one in sizes]))
-    return find_tone(np.concatenate(profiles[0]), np.concatenate(profiles[1]), ratios).tone
+    return find_tone(np.concatenate(profiles[0]), np.concatenate(profiles[1]), ratios, usual=usual).tone

@@ -45,7 +45,7 @@ class ToneFound:
     Parameters
     ----------
     tone : Tone
-        The encoding that leaves edges most even; linear where too few edges tell.
+        The encoding that leaves edges most even; the usual one where too few edges tell.
     lopsided : float
         What it leaves; 0 is even. NaN where too few edges tell.
     as_stored : float
@@ -112,7 +112,11 @@ def _decoded(share: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 
 
 def find_tone(
-    as_stored: FloatArray, decoded: FloatArray, sizes: tuple[FloatArray, FloatArray] | None = None
+    as_stored: FloatArray,
+    decoded: FloatArray,
+    sizes: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    usual: Tone = Tone.LINEAR,
 ) -> ToneFound:
     """Tell from targets, and from edges of the tube's reflection, how photos are encoded.
 
@@ -124,6 +128,8 @@ def find_tone(
         The same in the photos taken for sRGB.
     sizes : (ndarray, ndarray), shapes (i,) and (j,), optional
         Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
+    usual : Tone, optional
+        What such photos usually are, where neither targets nor edges tell.
 
     Returns
     -------
@@ -137,6 +143,8 @@ def find_tone(
         if min(misfit) < _FITS and abs(misfit[0] - misfit[1]) > _BETTER:
             linear = misfit[0] < misfit[1]
             return ToneFound(Tone.LINEAR if linear else Tone.SRGB, stored if linear else as_srgb, stored, True)
+    if np.isnan(stored):
+        return ToneFound(usual, stored, stored)
     if stored > _CLEARLY and stored > abs(as_srgb):
         return ToneFound(Tone.SRGB, as_srgb, stored)
     return ToneFound(Tone.LINEAR, stored, stored)

@@ -1,9 +1,12 @@
 """How photos are encoded: blurred edges are even in light, lopsided in numbers drawn apart for the eye."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from observer.pipeline_tone import usual_tone
 from observer.tone import Tone, find_tone, full_scale, linear_light
 
 PLACE = np.arange(-6, 7)
@@ -50,6 +53,12 @@ def test_few_edges_tell_nothing() -> None:
     stored = encoded(edges(np.random.default_rng(1), n=40))
     assert find_tone(stored, decoded(stored)).tone is Tone.LINEAR
     assert find_tone(stored[:0], stored[:0]).tone is Tone.LINEAR
+    # Then they are what such files usually are.
+    assert find_tone(stored[:0], stored[:0], usual=Tone.SRGB).tone is Tone.SRGB
+    assert usual_tone([Path("a.JPG"), Path("b.jpeg")]) is Tone.SRGB
+    assert usual_tone([Path("a.jpg"), Path("b.png")]) is Tone.LINEAR
+    light = edges(np.random.default_rng(3))
+    assert find_tone(light, decoded(light), usual=Tone.SRGB).tone is Tone.LINEAR
 
 
 def test_srgb_numbers_become_light_in_every_depth() -> None:
