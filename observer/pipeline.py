@@ -407,7 +407,8 @@ def write(result: Result, folder: Path) -> None:
     network.mkdir()
     photogrammetry_pipeline.write(result.network, network)
     write_intercept(result.intercept, folder)
-    write_table_csv(folder / "panels.csv", panel_columns(result.slope_map, result.angles, result.collector))
+    panels = panel_columns(result.slope_map, result.angles, result.collector, result.reflector)
+    write_table_csv(folder / "panels.csv", panels)
     tube, turn = (result.absorber, result.absorber_solution, result.collector), result.orientation_rad
     write_table_csv(folder / "absorber.csv", absorber_columns(*tube))
     write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(*tube, turn)))

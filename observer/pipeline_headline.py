@@ -168,7 +168,9 @@ def surface_text(reflector: Reflector) -> str:
     return "heights from the slopes found" if reflector.height_m.any() else "the design's, with normals as found"
 
 
-def panel_columns(slope_map: SlopeMap, angles: AngleMaps, collector: Collector) -> dict[str, Any]:
+def panel_columns(
+    slope_map: SlopeMap, angles: AngleMaps, collector: Collector, reflector: Reflector | None = None
+) -> dict[str, Any]:
     """Return what ``panels.csv`` holds.
 
     Parameters
@@ -179,11 +181,13 @@ def panel_columns(slope_map: SlopeMap, angles: AngleMaps, collector: Collector) 
         The same as angles.
     collector : Collector
         The panels.
+    reflector : Reflector, optional
+        The solution, of which the panels' heights are unknowns.
 
     Returns
     -------
     dict
-        Columns: mean slope error and focal length of each panel with their sigma.
+        Columns: mean slope error, focal length and, with the solution, height of each panel with their sigma.
     """
     tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
     shapes = panel_shapes(slope_map, collector)
@@ -196,8 +200,17 @@ def panel_columns(slope_map: SlopeMap, angles: AngleMaps, collector: Collector) 
         "focal_length_m": shapes.focal_length_m,
         "sigma_focal_length_m": shapes.sigma_focal_length_m,
         "rest_slope_rad": shapes.rest_rad,
+        **({} if reflector is None else _height_columns(reflector, tilts.tilt_rad.size)),
         "measured_share": tilts.measured_share,
     }
+
+
+def _height_columns(reflector: Reflector, n_panels: int) -> dict[str, Any]:
+    """Return how high each panel sits over its design; NaN where heights are held."""
+    errors = reflector.errors
+    height, sigma = reflector.unknowns.panel_heights_m(errors.common, errors.covariance_common)
+    held = np.full(n_panels, np.nan)
+    return {"height_m": height if height.size else held, "sigma_height_m": sigma if sigma.size else held}
 
 
 def headline_text(summary: Summary) -> str:

@@ -10,6 +10,7 @@ from heliogauge.errors import InputError
 from heliogauge.rigid import RigidTransform
 from observer.design import ls2
 from observer.design_checks import heights_doubt
+from observer.pipeline_headline import _height_columns
 from observer.reflection import ReflectionEdges, joined
 from observer.reflector import Photos, Reflector, solve_reflector
 from observer.simulated_edges import EdgeNoise, Scene, measured_edges, seen_again, true_edges
@@ -85,6 +86,14 @@ def test_held_heights_are_no_unknowns():
     found = solved(0.0, 0)
     assert heights_of(found)[0].size == 0
     assert heights_doubt(found) is None
+
+
+def test_heights_stand_in_the_table_of_panels():
+    n = short_trough().n_panels
+    table = _height_columns(solved(SIGMA_M, 0), n)
+    assert len(table["height_m"]) == len(table["sigma_height_m"]) == n
+    assert (table["sigma_height_m"] > 0).all()
+    assert np.isnan(_height_columns(solved(0.0, 0), n)["height_m"]).all()
 
 
 def test_panels_far_from_the_design_are_told():
