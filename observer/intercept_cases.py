@@ -25,6 +25,7 @@ from observer.intercept import (
     station_shares,
 )
 from observer.intercept_missing import MissingPart, missing_part
+from observer.slope_sums import with_bridged
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -159,9 +160,13 @@ def measured_trough(
     if from_reflection:
         follows[moves] = -seen.d_middle_d_absorber[moves] / seen.d_slope_x[moves, None]
     shares = station_shares(absorber, seen.passing_y_m)
+    if slope_covariance is None:
+        sums = covariance_from_map(slope_map, absorber_held=from_reflection)
+    else:
+        sums = with_bridged(slope_covariance, slope_map)
     stations = hstack([shares.multiply(one[:, None]) for one in follows.T], format="csr")
     return MeasuredTrough(
-        nodes, absorber, collector, slope_covariance or covariance_from_map(slope_map, absorber_held=from_reflection),
+        nodes, absorber, collector, sums,
         slope_map.sigma_slope()[0].reshape(-1)[nodes.node], stations,
         missing_part(slope_map, collector.panel_edges_x_m),
     )  # fmt: skip
