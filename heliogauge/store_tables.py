@@ -219,13 +219,17 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); save it as UTF-8") from error
+    except (OSError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from error
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in needed if name not in header]
     if missing:
+        other = next((sign for sign in (";", "\t") if len(header) == 1 and sign in header[0]), None)
         raise InputError(
             f"{path}: the columns {', '.join(missing)} are missing; there are: {', '.join(header) or 'none'}"
+            + ("" if other is None else f"; cells are parted by {other!r}: save it with commas and decimal points")
         )
     body = [(number, row) for number, row in enumerate(rows[1:], start=2) if row]
     for number, row in body:

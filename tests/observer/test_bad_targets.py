@@ -6,6 +6,7 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from observer.design import ls2
 from observer.frame_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
+from observer.pipeline_inputs import target_constraints
 
 RIMS = np.array([[side * 2.7, y, 1.05] for side in (-1, 1) for y in (-3.0, 0.0, 3.0)])
 KNOWN = np.full(RIMS.shape, 1e-3)
@@ -62,3 +63,16 @@ def test_strays_are_few_and_far():
     assert not stray_targets(np.array([0.1, 0.1, 0.1, 90.0]), sigma[:4]).any()
     assert not stray_targets(np.array([0.1] * 6 + [90.0] * 6), sigma).any()
     assert not stray_targets(np.zeros(0), np.zeros(0)).any()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"target;x_m;y_m;z_m\n1;0,5;1;0\n", "save it with commas and decimal points"),
+        ("target,x_m,y_m,z_m\nSüd,0,1,0\n".encode("latin1"), "save it as UTF-8"),
+    ],
+)
+def test_tables_as_other_programs_save_them(tmp_path, content, said):
+    (tmp_path / "targets.csv").write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        target_constraints(tmp_path / "targets.csv")
