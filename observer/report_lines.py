@@ -46,7 +46,7 @@ def absorber(results: HasAbsorber) -> Html:
     Html
         Two profiles.
     """
-    note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations that no two photos show from different sides."
+    note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations without a value; absorber.csv says why."
     drawn = show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
     return join(drawn, listed(results.table("absorber_spans.csv")))
 
