@@ -144,7 +144,7 @@ def histogram(results: TroughResults) -> "Figure":
         normal = np.exp(-0.5 * ((fine - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
         axes.plot(fine, normal, color=INK, linewidth=1, label="normal, as wide as theta_r")
     axes.set_xlim(bins[0], bins[-1])
-    axes.set_ylim(top=1.25 * axes.get_ylim()[1])
+    axes.set_ylim(top=1.55 * axes.get_ylim()[1])
     add_legend(axes, loc="upper right")
     return figure
 
