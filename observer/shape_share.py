@@ -59,8 +59,11 @@ class ShapeShare:
 
     @property
     def has_shape(self) -> bool:
-        """Whether the mirror rather deviates as its slopes say; as real mirrors do where nothing tells."""
-        return self.share > _BORDER or not self.sigma < _MOST_SIGMA
+        """Whether the mirror deviates as its slopes say, as real ones do where the reflection is not clear.
+
+        Taken for turned normals, two shaped mirrors in 40 photos (0.41 and 0.27 +- 0.41) had errors of 2.5 sigma.
+        """
+        return self.share > _BORDER or not self.is_decided
 
 
 def find_shape_share(
@@ -149,9 +152,8 @@ def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) 
         return f"evaluation.shape_from_slopes = {str(stated).lower()} does not fit: {told}; the other way {matters}"
     if stated is not None or found.is_decided:
         return None
-    kinds = ("a mirror that deviates as its slopes say", "normals that are turned on the design's surface")
-    first, second = kinds if found.has_shape else kinds[::-1]
     return (
-        f"{told}, which was taken for {first}; {second} would fit nearly as well, and {matters}. Real mirrors deviate "
-        "as their slopes say: evaluation.shape_from_slopes = true settles it"
+        f"{told}, which was taken for a mirror that deviates as its slopes say; normals that are turned on the design's "
+        f"surface would fit nearly as well, and {matters}. Real mirrors deviate as their slopes say: "
+        "evaluation.shape_from_slopes = true settles it"
     )

@@ -51,7 +51,7 @@ def test_what_is_said() -> None:
     assert shape_doubt(clear, None, 1e-4) is None
     assert shape_doubt(clear, False, 1e-4) is None
     assert "shape_from_slopes = true does not fit" in str(shape_doubt(clear, True, 1e-4))
-    assert "taken for normals that are turned" in str(shape_doubt(unclear, None, 1e-4))
+    assert "taken for a mirror that deviates" in str(shape_doubt(unclear, None, 1e-4))
     assert shape_doubt(unclear, True, 1e-4) is None
     assert shape_doubt(ShapeShare(0.4, 0.3, 2e-5), None, 1e-4) is None
 
@@ -69,3 +69,9 @@ def test_a_factor_that_no_mirror_has_says_nothing() -> None:
 def test_an_uncertain_factor_contradicts_nothing() -> None:
     """-1.7 +- 1.0 is no hint that the mirror has its shape."""
     assert shape_doubt(ShapeShare(-1.7, 1.0, 2e-4), False, 1e-4) is None
+
+
+def test_turned_normals_need_evidence() -> None:
+    assert not ShapeShare(0.02, 0.1, 2e-4).has_shape
+    assert ShapeShare(0.27, 0.41, 2e-4).has_shape
+    assert ShapeShare(1.05, 0.1, 2e-4).has_shape
