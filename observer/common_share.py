@@ -12,7 +12,9 @@ _DEGREE = 6
 _FITTED = 64
 
 
-def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) -> tuple[CommonModes, FloatArray]:
+def common_share(
+    errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray], *, to_tube: bool = False
+) -> tuple[CommonModes, FloatArray]:
     """Split the variance that cameras and absorber bring into smooth modes and a rest that counts as random.
 
     Parameters
@@ -21,6 +23,8 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
         The solution.
     nodes_m : (ndarray, ndarray), shapes (nx,) and (r,)
         Columns and rows [m].
+    to_tube : bool, optional
+        Whether the share of the slope against the tube as it is is wanted (`TubeShare`), where the solution has it.
 
     Returns
     -------
@@ -33,16 +37,17 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
     center = np.array([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])])
     scale = 0.5 * max(float(np.ptp(x)), float(np.ptp(y)), 1e-3)
     columns = np.unique(np.linspace(0, x.size - 1, min(_FITTED, x.size)).round().astype(np.intp))
-    parts = [
-        ("camera poses", errors.modes[:, :, columns], y[errors.mode_rows]),
-        ("absorber", errors.modes_apart[:, :, columns], y[errors.mode_rows]),
-    ]
+    at_y, whole = y[errors.mode_rows], errors.shared[..., 0]
+    parts = [("camera poses", errors.modes[:, :, columns]), ("absorber", errors.modes_apart[:, :, columns])]
+    if to_tube and errors.to_tube is not None:
+        whole = errors.to_tube.variance
+        parts = [("camera poses and absorber", errors.to_tube.modes[:, :, columns])]
     sources: list[str] = []
     coefficients = []
     # Where no edge is near, as behind supports, nothing hangs on cameras and absorber: the modes do not go on there.
     noise = errors.random[errors.mode_rows][:, columns, 0, 0]
     weight = 1 / np.sqrt(noise + np.median(noise))
-    for source, modes, at_y in parts:
+    for source, modes in parts:
         if modes.shape[0] == 0:
             continue
         # Few rows determine few powers of y.
@@ -55,7 +60,6 @@ def common_share(errors: SlopeErrors, nodes_m: tuple[FloatArray, FloatArray]) ->
         fitted[:, 0, allowed] = np.linalg.lstsq(*weighted, rcond=None)[0].T
         coefficients.append(fitted)
         sources += [source] * len(modes)
-    whole = errors.shared[..., 0]
     if not sources:
         return no_common_modes(), whole
     common = CommonModes(tuple(sources), np.concatenate(coefficients), center, scale)

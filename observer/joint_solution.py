@@ -34,6 +34,26 @@ _NEXT_ORDER_PER_M2 = 100.0
 _INTERVALS, _DIFFERENCE = 32, 0.125
 
 
+#: From rows and columns of nodes to by how much those unknowns that are apart look like slope there, shape (s, n, l).
+LooksLikeSlope = Callable[[IntArray, IntArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TubeShare:
+    """What the common unknowns do to the slope less what the tube's place looks like, which is theta_ra as a slope.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (r, nx)
+        Variance from the common unknowns [rad^2].
+    modes : ndarray, shape (k, s, nx)
+        Change for one standard deviation of each of the strongest independent combinations of them [rad].
+    """
+
+    variance: FloatArray
+    modes: FloatArray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeErrors:
     """Solution for the rows and for what they share.
@@ -58,6 +78,8 @@ class SlopeErrors:
     modes_apart : ndarray, shape (l, s, nx)
         The same of those unknowns that are shown apart, with what the others do along with them; `modes` are then what
         the others do besides.
+    to_tube : TubeShare or None, optional
+        Common share of the slope against the tube as it is; None where it was not asked for.
     """
 
     slopes: FloatArray
@@ -68,6 +90,7 @@ class SlopeErrors:
     mode_rows: IntArray
     modes: FloatArray
     modes_apart: FloatArray
+    to_tube: TubeShare | None = None
 
 
 def find_roughness(
@@ -167,6 +190,7 @@ def solve_jointly(
     covariance: FloatArray,
     *,
     with_shares: bool | BoolArray | None = True,
+    looks_like: LooksLikeSlope | None = None,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -184,6 +208,8 @@ def solve_jointly(
         Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
         there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
         With None not even the covariance of the common unknowns is computed; it is empty.
+    looks_like : callable, optional
+        By how much the unknowns that are shown apart look like slope across, for the share of both together.
 
     Returns
     -------
@@ -211,12 +237,12 @@ def solve_jointly(
     if columns is None:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
     apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
-    variance, modes = _shares(reduced, apart)
+    beside = None if looks_like is None else looks_like(rows, columns)
+    variance, modes = _shares(reduced, apart, beside)
     shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
-    shown, shown_apart = (_between_columns(np.moveaxis(one, 0, -1), columns, grid) for one in modes)
-    return SlopeErrors(
-        slopes, random, shared, common, posterior, rows, np.moveaxis(shown, -1, 0), np.moveaxis(shown_apart, -1, 0)
-    )
+    shown = [np.moveaxis(_between_columns(np.moveaxis(one, 0, -1), columns, grid), -1, 0) for one in modes]
+    to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
+    return SlopeErrors(slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube)
 
 
 def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:
@@ -302,11 +328,12 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     return replace(some, row=number[some.row]), RowGrid(grid.x_m, grid.joined, rows.size)
 
 
-def _shares(reduced: Reduced, apart: BoolArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tuple[FloatArray, list[FloatArray]]:
     """Return what the slopes have from the common unknowns.
 
     That is the variance, shape (r, n, 2), and the strongest independent changes of dz/dx, shape (k, r, n) each, by the
-    unknowns that are not apart with the others held, and by these, the former following along.
+    unknowns that are not apart with the others held, and by these, the former following along. With what those apart
+    look like beside there is a third variance, and the strongest changes of that slope.
     """
     from scipy.linalg import blas
 
@@ -322,9 +349,17 @@ def _shares(reduced: Reduced, apart: BoolArray) -> tuple[FloatArray, tuple[Float
         flat = np.asarray(blas.strsm(1.0, np.asfortranarray(root, dtype=np.float32), flat, lower=1))
     variance = np.einsum("ck,ck->k", flat, flat).astype(np.float64).reshape(n_rows, n_columns, 2)
     first = int(np.count_nonzero(~apart))
-    modes = (_strongest(one.reshape(-1, n_rows * n_columns, 2)[..., 0]) for one in (flat[:first], flat[first:]))
-    both = [one.reshape(-1, n_rows, n_columns) for one in modes]
-    return variance, (both[0], both[1])
+    across = flat.reshape(-1, n_rows * n_columns, 2)[..., 0]
+    shown = [across[:first], across[first:]]
+    if beside is not None:
+        # What only the last unknowns do stays zero before them.
+        extra = np.asfortranarray(beside.reshape(n_rows * n_columns, -1).T, dtype=np.float32)
+        if first < count:
+            extra = blas.strsm(1.0, np.asfortranarray(root[first:, first:], dtype=np.float32), extra, lower=1)
+        shown.append(np.concatenate([across[:first], across[first:] + extra]))
+        third = np.square(shown[2]).sum(axis=0, dtype=np.float64).reshape(n_rows, n_columns, 1)
+        variance = np.concatenate([variance, third], axis=2)
+    return variance, [_strongest(one).reshape(-1, n_rows, n_columns) for one in shown]
 
 
 def _strongest(changes: npt.NDArray[np.float32]) -> FloatArray:

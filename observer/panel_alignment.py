@@ -115,7 +115,7 @@ def _first_zero(x_m: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def panel_tilts(
-    angle_rad: FloatArray, slope_map: SlopeMap, collector: Collector, sigma_beside_rad: FloatArray | None = None
+    angle_rad: FloatArray, slope_map: SlopeMap, collector: Collector, sigma_rad: FloatArray | None = None
 ) -> PanelTilts:
     """Average an angle over each panel.
 
@@ -127,8 +127,8 @@ def panel_tilts(
         The mirror; gives nodes and uncertainty.
     collector : Collector
         The panels.
-    sigma_beside_rad : ndarray, shape (ny, nx), optional
-        Standard deviation that the angle has beside that of the slope, the same over a panel [rad].
+    sigma_rad : ndarray, shape (k,), optional
+        Standard deviation of each panel's mean as `panels.csv` has it; by default what the map tells of theta_r [rad].
 
     Returns
     -------
@@ -150,10 +150,12 @@ def panel_tilts(
         if share[number] < LEAST_SHARE:
             continue
         tilt[number] = angle_rad[own].mean()
+        if sigma_rad is not None:
+            sigma[number] = sigma_rad[number]
+            continue
         noise = slope_map.noise_correlation * np.sum((turn * slope_map.sigma_random_x)[own] ** 2) / own.sum() ** 2
         together = np.sum((modes[:, own] * turn[own]).mean(axis=1) ** 2)
-        beside = 0.0 if sigma_beside_rad is None else float(np.mean(sigma_beside_rad[own])) ** 2
-        sigma[number] = np.sqrt(noise + together + beside)
+        sigma[number] = np.sqrt(noise + together)
     centre_x, centre_y = np.meshgrid((columns[:-1] + columns[1:]) / 2, (rows[:-1] + rows[1:]) / 2)
     return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share)
 

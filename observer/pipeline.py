@@ -63,7 +63,7 @@ from observer.reflection import Expectation
 from observer.reflector import Photos, Reflector, solve_reflector
 from observer.shape_share import shape_doubt
 from observer.slope_field import Roughness
-from observer.slope_product import AngleMaps, angle_maps, known_theta_r, slope_map_of
+from observer.slope_product import AngleMaps, angle_maps, known_theta_r, slope_map_of, slopes_to_tube
 from observer.store_report import (
     ANGLES,
     COLLECTOR,
@@ -313,7 +313,7 @@ def evaluate(
         slope_map = slope_map_of(reflector, collector, visible)
         if not slope_map.valid.any():
             raise EstimationError(f"reflection: {sparse_doubt(0.0, photos.eyes_m)}")
-        angles = angle_maps(slope_map, absorber, collector)
+        angles = angle_maps(slope_map, absorber, collector, slopes_to_tube(reflector, slope_map))
     with progress.stage("intercept factor"):
         intercept = evaluate_intercept(
             prepared.sun, model.optics, slope_map, absorber, collector, reflector.sum_covariance()

@@ -90,24 +90,24 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     InputError
         Not such a folder, or mounts that cannot be.
     """
-    files = [folder / name for name in ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json")]
+    names = ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json", "panels.csv")
+    files = [folder / name for name in names]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise InputError(f"{folder}: there is no {missing[0]}; give the folder that `heliogauge observer` wrote")
     slope_map, collector = read_slope_map(files[0]), read_collector(files[2])
-    angles, _ = read_arrays(files[1], ("theta_ra", "theta_r", "sigma_theta_a"))
-    theta_ra, theta_r, sigma_a = (
-        np.asarray(angles[name], dtype=np.float64) for name in ("theta_ra", "theta_r", "sigma_theta_a")
-    )
+    angles, _ = read_arrays(files[1], ("theta_ra", "theta_r"))
+    theta_ra, theta_r = (np.asarray(angles[name], dtype=np.float64) for name in ("theta_ra", "theta_r"))
+    sigma_ra, sigma_r = _read_sigmas(files[5], collector.n_panels)
     cameras, poses = read_cameras_json(files[4])
-    to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_a)
+    to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_ra)
     places = _corners(collector) if mounts is None else _read_mounts(mounts)
     absorber = read_absorber(files[3])
     picture = None
     if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
         picture = _picture(folder, slope_map, (collector, absorber), poses)
     return Result(
-        collector, to_absorber, panel_tilts(theta_r, slope_map, collector), places, absorber,
+        collector, to_absorber, panel_tilts(theta_r, slope_map, collector, sigma_r), places, absorber,
         {name: (cameras[pose.camera], pose) for name, pose in poses.items()},
         _doubts(slope_map, to_absorber, mounts is None), hash_files([*files, *([] if mounts is None else [mounts])]),
         picture,
@@ -151,6 +151,16 @@ def _corners(collector: Collector) -> FloatArray:
     along = np.sort(np.concatenate([y[:-1] + inset_y, y[1:] - inset_y]))
     grid = np.meshgrid(across, along)
     return np.stack([grid[0].ravel(), grid[1].ravel()], axis=1)
+
+
+def _read_sigmas(path: Path, n_panels: int) -> tuple[FloatArray, FloatArray]:
+    """Return the sigmas of the panels' mean theta_ra and theta_r: with the noise that neighbouring nodes share."""
+    names = ("sigma_mean_theta_ra_rad", "sigma_mean_theta_r_rad")
+    table = read_table_csv(path, ("panel", *names))
+    first, second = (np.array([float(cell) if cell else np.nan for cell in table[name]]) for name in names)
+    if first.size != n_panels:
+        raise InputError(f"{path}: {first.size} panels, but {COLLECTOR} has {n_panels}; measure again")
+    return first, second
 
 
 def _read_mounts(path: Path) -> FloatArray:

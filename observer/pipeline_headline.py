@@ -56,12 +56,29 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -
         "mean_theta_r_rad": float(theta_r.mean()),
         "rms_theta_r_rad": float(np.sqrt((theta_r**2).mean())),
         "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
+        "sigma_rms_theta_r_rad": _sigma_rms(angles.theta_r_rad, slope_map),
+        "sigma_rms_theta_ra_rad": _sigma_rms(angles.theta_ra_rad, angles.to_tube),
         "median_sigma_slope_x_rad": float(np.median(sigma)),
         "median_sigma_theta_r_rad": float(np.median(turn * sigma)),
+        "median_sigma_theta_ra_rad": float(np.median(angles.sigma_theta_ra_rad[slope_map.valid])),
         "measured_share": slope_map.measured_share,
         "seeable_share": seeable,
         "seeable_measured_share": measured,
     }
+
+
+def _sigma_rms(angle_rad: FloatArray, slope_map: SlopeMap) -> float:
+    """Return the sigma of the RMS of an angle by the noise and the common modes of a map [rad].
+
+    First order, as `heliogauge.slope_statistics` has it.
+    """
+    valid = slope_map.valid
+    angle, turn = angle_rad[valid], 1 / (1 + slope_map.slope_x[valid] ** 2)
+    pull = angle * turn / max(float(np.linalg.norm(angle)) * np.sqrt(angle.size), 1e-12)
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    modes = slope_map.common.evaluate(x[valid], y[valid])[:, 0]
+    noise = slope_map.noise_correlation * float(np.sum((pull * slope_map.sigma_random_x[valid]) ** 2))
+    return float(np.sqrt(noise + np.sum((modes @ pull) ** 2)))
 
 
 def _across_only(slope_map: SlopeMap) -> SlopeMap:
@@ -187,9 +204,10 @@ def panel_columns(
     Returns
     -------
     dict
-        Columns: mean slope error, focal length and, with the solution, height of each panel with their sigma.
+        Columns: mean angles, focal length and, with the solution, height of each panel with their sigma.
     """
     tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
+    to_tube = panel_tilts(angles.theta_ra_rad, angles.to_tube, collector)
     shapes = panel_shapes(slope_map, collector)
     return {
         "panel": np.arange(1, tilts.tilt_rad.size + 1),
@@ -197,6 +215,8 @@ def panel_columns(
         "centre_y_m": tilts.centre_y_m,
         "mean_theta_r_rad": tilts.tilt_rad,
         "sigma_mean_theta_r_rad": tilts.sigma_rad,
+        "mean_theta_ra_rad": to_tube.tilt_rad,
+        "sigma_mean_theta_ra_rad": to_tube.sigma_rad,
         "focal_length_m": shapes.focal_length_m,
         "sigma_focal_length_m": shapes.sigma_focal_length_m,
         "rest_slope_rad": shapes.rest_rad,
@@ -241,7 +261,8 @@ def headline_text(summary: Summary) -> str:
         f"  slope error SDx  {said('sdx_rad')} of dz/dx; without mean tilt {said('sdx_tilt_removed_rad')}",
         f"  as an angle      theta_r {said('rms_theta_r_rad')} RMS; with the absorber, theta_ra "
         f"{said('rms_theta_ra_rad')}",
-        f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r (median)",
+        f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
+        "theta_ra (median)",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
         f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
         f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "

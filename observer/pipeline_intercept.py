@@ -304,12 +304,14 @@ def _put_best(numbers: Numbers, why: dict[str, str], best: Best | None, keys: tu
         for key in (*keys, ratio_key):
             numbers[key], why[key] = None, "it lies too far away, see the warnings"
         return
+    if not np.isfinite(best.covariance).all():
+        # What it would be at a place that nobody can name helps nobody.
+        for key in (*keys, ratio_key):
+            numbers[key], why[key] = None, "the intercept factor hardly changes there: the maximum is flat"
+        return
     numbers[ratio_key] = best.ratio
     for i, key in enumerate(keys):
-        if np.isfinite(best.covariance).all():
-            numbers[key], numbers[f"sigma_{key}"] = float(best.place[i]), float(np.sqrt(best.covariance[i, i]))
-        else:
-            numbers[key], why[key] = None, "the intercept factor hardly changes there: the maximum is flat"
+        numbers[key], numbers[f"sigma_{key}"] = float(best.place[i]), float(np.sqrt(best.covariance[i, i]))
 
 
 def write_intercept(result: InterceptResult, folder: Path) -> None:

@@ -23,7 +23,7 @@ MAPS = "overview.nc"
 _MOST_NODES = 160
 #: Numbers of each module in the summary.
 _FACET_KEYS = (
-    "sdx_tilt_removed_rad", "sigma_sdx_tilt_removed_rad", "rms_theta_ra_rad", "sigma_rms_theta_ra_rad",
+    "rms_theta_r_rad", "sigma_rms_theta_r_rad", "rms_theta_ra_rad", "sigma_rms_theta_ra_rad",
     "intercept_ratio", "sigma_intercept_ratio", "measured_share",
 )  # fmt: skip
 
@@ -243,9 +243,9 @@ def headline_text(result: Result) -> str:
     lines = []
     for label, module in zip(result.labels, result.modules, strict=True):
         slope, aimed, kept = (
-            module.numbers.get(key) for key in ("sdx_tilt_removed_rad", "rms_theta_ra_rad", "intercept_ratio")
+            module.numbers.get(key) for key in ("rms_theta_r_rad", "rms_theta_ra_rad", "intercept_ratio")
         )
-        said = [f"SDx {1e3 * slope:.2f} mrad" if slope is not None else "no slopes"]
+        said = [f"theta_r {1e3 * slope:.2f} mrad RMS" if slope is not None else "no slopes"]
         said += [f"theta_ra {1e3 * aimed:.2f} mrad RMS"] if aimed is not None else []
         said += [f"intercept factor {kept:.4f}"] if kept is not None else []
         said += [f"{len(module.warnings)} warning{'s' if len(module.warnings) > 1 else ''}"] if module.warnings else []

@@ -268,7 +268,10 @@ def solve_reflector(
         )
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
-    errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place)
+    errors = solve_jointly(
+        used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place,
+        looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
+    )  # fmt: skip
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],

@@ -216,7 +216,9 @@ def panels(results: TroughResults) -> Html:
     columns = results.table("panels.csv")
     if columns is None:
         return Html("")
-    return join(Html("<h2>Panels</h2>"), listed(columns))
+    # Short headings, and nothing where all cells are empty: the table must not be wider than the page.
+    shown = {name.replace("mean_", "").replace("centre_", ""): cells for name, cells in columns.items() if any(cells)}
+    return join(Html("<h2>Panels</h2><p>Means of the angles; the middle of each panel.</p>"), listed(shown))
 
 
 def listed(columns: Columns | None) -> Html:

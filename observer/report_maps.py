@@ -54,7 +54,8 @@ def maps(results: TroughResults) -> Html:
         theta_r_map(results, limit),
         _angle_map(results, "theta_a", "theta_a (+ to +x): absorber alone", None),
         _untilted(results, limit),
-        _sigma_map(results),
+        _sigma_map(results, "theta_r"),
+        _sigma_map(results, "theta_ra"),
         with_panels(flag_map(slope_map), results.collector),
     ]
     more = [histogram(results), *_along(results), *_height(results)]
@@ -106,10 +107,10 @@ def _untilted(results: TroughResults, limit: float) -> "Figure":
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 
-def _sigma_map(results: TroughResults) -> "Figure":
-    values = np.where(results.base.slope_map.valid, results.angles["sigma_theta_r"], np.nan)
+def _sigma_map(results: TroughResults, angle: str) -> "Figure":
+    values = np.where(results.base.slope_map.valid, results.angles[f"sigma_{angle}"], np.nan)
     note = f"median {_MRAD * float(np.nanmedian(values)):.3f} mrad"
-    style = MapStyle("Uncertainty of theta_r (1 sigma)", "mrad", _MRAD, diverging=False, note=note)
+    style = MapStyle(f"Uncertainty of {angle} (1 sigma)", "mrad", _MRAD, diverging=False, note=note)
     return _panelled(results, values, style)
 
 

@@ -14,7 +14,7 @@ from observer.pipeline_overview import MAPS, TABLE, read_maps
 _MRAD = 1e3
 #: Columns of the table of modules, and what they are called there.
 _COLUMNS = (
-    ("sdx_tilt_removed_rad", "SDx without tilt", "rad"),
+    ("rms_theta_r_rad", "theta_r RMS", "rad"),
     ("rms_theta_ra_rad", "theta_ra RMS", "rad"),
     ("absorber_mean_x_m", "absorber X_a", "m"),
     ("absorber_mean_z_offset_m", "Z_a - focal length", "m"),
@@ -107,7 +107,7 @@ def numbers(results: OverviewResults) -> Html:
     names = [results.table["result"][row] for row in rows]
     panels = []
     for key, title, factor in (
-        ("sdx_tilt_removed_rad", "SDx without tilt [mrad]", _MRAD),
+        ("rms_theta_r_rad", "theta_r RMS [mrad]", _MRAD),
         ("rms_theta_ra_rad", "theta_ra RMS [mrad]", _MRAD),
         ("intercept_ratio", "intercept factor", 1.0),
     ):

@@ -124,7 +124,7 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
         A file is missing or damaged.
     """
     folder = Path(folder)
-    names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a")
+    names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a", "sigma_theta_ra")
     angles, _ = read_arrays(folder / ANGLES, names)
     base = open_results(folder)
     rows, columns = _outline(base.slope_map.aperture)

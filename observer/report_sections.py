@@ -37,6 +37,7 @@ LABELS: dict[str, str] = {
     "rms_theta_r_rad": "RMS of theta_r, the same as angle of the normal",
     "rms_theta_ra_rad": "RMS of theta_ra, mirror and absorber together",
     "median_sigma_theta_r_rad": "Uncertainty of theta_r at one point (median)",
+    "median_sigma_theta_ra_rad": "Uncertainty of theta_ra at one point (median)",
     "measured_share": "Share of the mirror measured",
     "absorber_mean_x_m": "Absorber, mean X_a",
     "absorber_mean_z_offset_m": "Absorber, mean Z_a above the focal line",
@@ -84,7 +85,8 @@ def in_words(summary: Summary) -> Html:
         f"{said('median_sigma_theta_r_rad')}; {said('measured_share')} of the mirror could be measured.",
         f"On average the absorber is {said('absorber_mean_x_m')} beside the plane of symmetry (+ towards +x) and "
         f"{said('absorber_mean_z_offset_m')} above the focal line (+ away from the mirror).",
-        f"Mirror and absorber together, which is what the sun meets, are theta_ra, {said('rms_theta_ra_rad')} RMS.",
+        f"Mirror and absorber together, which is what the sun meets, are theta_ra, {said('rms_theta_ra_rad')} RMS, at "
+        f"one point known to {said('median_sigma_theta_ra_rad')}.",
     ]
     if "intercept_ratio" in summary.numbers:
         text = f"The intercept factor is {said('intercept_ratio')}"

@@ -56,6 +56,7 @@ def write_angles(path: Path, slope_map: SlopeMap, angles: AngleMaps) -> None:
         "theta_r": (angles.theta_r_rad, "slope error across the trough"),
         "theta_a": (angles.theta_a_rad, "what the displaced absorber looks like"),
         "sigma_theta_r": (sigma, "standard deviation of theta_r"),
+        "sigma_theta_ra": (angles.sigma_theta_ra_rad, "standard deviation of theta_ra, cameras and absorber included"),
         "sigma_theta_a": (angles.sigma_theta_a_rad, "standard deviation of theta_a"),
     }
     # float32 keeps 0.3 nrad of 5 mrad at half the bytes.

@@ -94,6 +94,36 @@ class CommonUnknowns:
         which[self.place] = True
         return which
 
+    def place_as_slope(self, expected: Expectation, y_m: FloatArray, x_m: FloatArray) -> FloatArray:
+        """Return by how much the tube's place looks like slope across: its theta_a is that of so much less slope.
+
+        Parameters
+        ----------
+        expected : Expectation
+            Collector and the tube's place.
+        y_m, x_m : ndarray, shapes (r,) and (n,)
+            Rows and columns of nodes [m].
+
+        Returns
+        -------
+        ndarray, shape (r, n, 2 k)
+            For each coordinate of the stations, x first; k is 0 where the tube is held [rad/m].
+        """
+        path, focal, k = expected.absorber, expected.collector.focal_length_m, self.n_stations
+        found = np.zeros((y_m.size, x_m.size, 2 * k))
+        if k == 0:
+            return found
+        axis_x, axis_z = path.at(y_m)
+        to_x, to_z = axis_x[:, None] - x_m, axis_z[:, None] - x_m**2 / (4 * focal)
+        # theta_r changes by -1 / (1 + slope^2) of a slope, theta_a by -to_z / (2 R^2) of x and to_x / (2 R^2) of z.
+        scale = (1 + (x_m / (2 * focal)) ** 2) / (2 * (to_x**2 + to_z**2))
+        before, share = path.shares(y_m)
+        row = np.arange(y_m.size)
+        for place, weight in ((before, 1 - share), (np.minimum(before + 1, k - 1), share)):
+            found[row, :, place] += -weight[:, None] * to_z * scale
+            found[row, :, k + place] += weight[:, None] * to_x * scale
+        return found
+
     def panel_heights_m(self, common: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return by how much each panel is higher than its design, and the standard deviation.
 

@@ -1,5 +1,7 @@
 """The numbers of the headline: angles beside angles, slopes beside slopes."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -37,5 +39,8 @@ def test_mirror_alone_and_with_the_absorber_are_compared_as_angles():
          "intercept_gain_absorber_aligned_ratio", "intercept_gain_mirror_perfect_ratio"), 0.5,
     )  # fmt: skip
     said = headline_text(Summary("observer", "t", numbers | others, texts={"design": "d"}))
-    assert "theta_r 2 mrad RMS; with the absorber, theta_ra 2 mrad" in said
+    assert re.search(r"theta_r 2\.0\d* ± [\d.]+ mrad RMS; with the absorber, theta_ra 2\.0\d* ± [\d.]+ mrad", said)
+    # Independent nodes, and a tube whose place is held.
+    assert numbers["sigma_rms_theta_r_rad"] == pytest.approx(1e-4 / np.sqrt(2000), rel=3e-3)
+    assert numbers["median_sigma_theta_ra_rad"] == pytest.approx(numbers["median_sigma_theta_r_rad"], rel=1e-6)
     assert "mrad of dz/dx" in said

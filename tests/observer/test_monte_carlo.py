@@ -7,8 +7,10 @@ import pytest
 
 from heliogauge.errors import EstimationError
 from observer.monte_carlo import monte_carlo
+from observer.panel_alignment import panel_tilts
 from observer.simulated_edges import EdgeNoise
 from observer.simulated_flight import Evaluation, Simulated, error_theta_ra, simulate
+from observer.slope_product import angle_maps, slopes_to_tube
 from observer.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough
 
@@ -51,6 +53,28 @@ def test_errors_of_theta_ra_are_those_of_both_parts() -> None:
     shift = np.hypot(one.absorber.x_m - one.true_x_m, one.absorber.z_m - one.true_z_m).max()
     # Seen from a mirror point at least 1.49 m away, half the angle under which the shift appears.
     assert 0 < np.nanmax(np.abs(theta_a_error)) < 0.5 * shift / 1.48
+
+
+def test_sigma_of_theta_ra_is_its_scatter_and_not_the_sum_of_both_parts() -> None:
+    # Cameras good for 4 mm leave the tube's place uncertain by 1 mm: theta_r and theta_a err by half a milliradian,
+    # each by what the other does.
+    over, panels, share = [], [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        scene = short_scene(TypicalMirror.drawn(short_trough(), rng, 2e-3, 1e-3), photos=32)
+        collector, truth = scene.truth.collector, scene.truth.absorber
+        believed = believed_with_errors(scene, rng, position_m=4e-3)
+        one = simulate(scene, believed, EdgeNoise(reflection_px=0.3, absorber_px=0.1), EVALUATION, rng)
+        angles = angle_maps(one.slope_map, one.absorber, collector, slopes_to_tube(one.reflector, one.slope_map))
+        error = error_theta_ra(one, collector.focal_length_m, truth)
+        means = panel_tilts(error, angles.to_tube, collector)
+        over.append(np.nanmean((error / angles.sigma_theta_ra_rad) ** 2))
+        panels.append(np.nanmean((means.tilt_rad / means.sigma_rad) ** 2))
+        apart = np.hypot(one.sigma_slope_x / (1 + one.slope_map.slope_x**2), angles.sigma_theta_a_rad)
+        share.append(np.nanmedian(angles.sigma_theta_ra_rad / apart))
+    assert np.sqrt(np.mean(over)) == pytest.approx(0.9, abs=0.15)
+    assert 0.7 < np.sqrt(np.mean(panels)) < 1.5
+    assert max(share) < 0.4
 
 
 def test_simulations_that_fail_are_counted_and_named() -> None:

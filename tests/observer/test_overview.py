@@ -22,18 +22,18 @@ def result_of(folder, kind="observer", warnings=(), **numbers):
 
 
 def test_a_row_for_each_module(tmp_path):
-    first = result_of(tmp_path / "a1", sdx_tilt_removed_rad=3e-3, rms_theta_ra_rad=2.5e-3)
-    second = result_of(tmp_path / "a2", warnings=("a doubt",), sdx_tilt_removed_rad=None, edges_used_count=12)
+    first = result_of(tmp_path / "a1", rms_theta_r_rad=3e-3, rms_theta_ra_rad=2.5e-3)
+    second = result_of(tmp_path / "a2", warnings=("a doubt",), rms_theta_r_rad=None, edges_used_count=12)
     result = run([first, second])
     (tmp_path / "out").mkdir()
     write(result, tmp_path / "out")
     table = read_table_csv(tmp_path / "out" / "overview.csv", ("result", "name"))
     assert table["name"] == ["A1", "A2"]
-    assert [float(table["sdx_tilt_removed_rad"][0]), table["sdx_tilt_removed_rad"][1]] == [3e-3, ""]
+    assert [float(table["rms_theta_r_rad"][0]), table["rms_theta_r_rad"][1]] == [3e-3, ""]
     assert table["edges_used_count"] == ["", "12"]
     assert table["warnings"] == ["0", "1"]
     assert result.warnings == (f"{second}: a doubt",)
-    assert "SDx 3.00 mrad, theta_ra 2.50 mrad RMS" in headline_text(result)
+    assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in headline_text(result)
     assert len(result.input_sha256) == 2
 
 
@@ -49,7 +49,7 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
     from observer import report_overview as report
 
     folders = [
-        result_of(tmp_path / name, sdx_tilt_removed_rad=3e-3, sigma_sdx_tilt_removed_rad=1e-4, intercept_ratio=0.99)
+        result_of(tmp_path / name, rms_theta_r_rad=3e-3, sigma_rms_theta_r_rad=1e-4, intercept_ratio=0.99)
         for name in ("one", "two")
     ]
     write(replace(run(folders, base=tmp_path), failed={"three": "no <targets>"}), tmp_path)

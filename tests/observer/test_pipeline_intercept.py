@@ -107,6 +107,16 @@ def test_numbers_fit_each_other_and_the_summary(tmp_path: Path) -> None:
     assert "specularity 1 mrad" in found.light
 
 
+def test_no_gain_is_said_for_a_place_that_is_not_determined(tmp_path: Path) -> None:
+    found = result(tmp_path)
+    assert found.shift is not None
+    flat = replace(found, shift=replace(found.shift, covariance=np.full((2, 2), np.inf)))
+    numbers, why = intercept_numbers(flat)
+    for key in ("best_absorber_shift_x_m", "best_absorber_shift_z_m", "intercept_best_absorber_ratio"):
+        assert numbers[key] is None
+        assert "flat" in why[key]
+
+
 def test_curves_are_written_as_tables(tmp_path: Path) -> None:
     found = result(tmp_path)
     write_intercept(found, tmp_path)

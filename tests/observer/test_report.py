@@ -222,7 +222,10 @@ def result_folder(folder) -> None:
         "tracking_offset_rad": offset, "intercept_ratio": 0.9 - 1e3 * offset**2,
         "sigma_intercept_ratio": np.full(7, 0.001),
     })  # fmt: skip
-    write_table_csv(folder / "panels.csv", {"panel": ["1"], "tilt_rad": [0.0015], "n": [12]})
+    write_table_csv(folder / "panels.csv", {
+        "panel": ["1"], "mean_theta_r_rad": [0.0015], "sigma_mean_theta_r_rad": [2e-4],
+        "mean_theta_ra_rad": [0.0011], "sigma_mean_theta_ra_rad": [1e-4], "height_m": [""], "sigma_height_m": [""],
+    })  # fmt: skip
     (folder / "network").mkdir()
     poses = {
         name: PhotoPose(
@@ -250,14 +253,15 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
 
     result_folder(tmp_path)
     results = report.open_trough(tmp_path)
-    # Six maps, the distribution, and the slope along the trough.
-    assert report.maps(results).text.count("<img") == 8
+    # Seven maps, the distribution, and the slope along the trough.
+    assert report.maps(results).text.count("<img") == 9
     assert report.absorber(results).text.count("<img") == 2
     assert report.intercept(results).text.count("<img") == 1
     assert report.overlay(results).text.count("<img") == 1
     assert report.slices(results).text.count("<img") == 10
     assert report.residuals(results).text.count("<img") == 2
     assert "1.5" in report.panels(results).text
+    assert "height" not in report.panels(results).text
     assert "too few targets" in report.refused(results).text
     # sqrt(3 + 2 * 15.04^2) m: a turn of 1 rad swings the camera by its distance.
     assert "21315.48 mm from the targets alone, 10659.85 mm with the reflection, which moved it by 3.00 mm" in (
@@ -285,7 +289,7 @@ def test_maps_of_a_single_panel_are_cut_out(tmp_path) -> None:
     assert results.base.slope_map.x_m[-1] < 1.34
     assert results.base.slope_map.aperture.all()
     assert results.angles["theta_r"].shape == results.base.slope_map.shape
-    assert report.maps(results).text.count("<img") == 8
+    assert report.maps(results).text.count("<img") == 9
 
 
 def test_a_table_joins_values_and_their_sigmas() -> None:

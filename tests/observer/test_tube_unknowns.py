@@ -15,6 +15,7 @@ from observer.sight import Misfit, Sights
 from observer.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.simulated_flight import Believed, Evaluation, simulate
 from observer.slope_field import Roughness
+from observer.slope_product import angle_maps
 from observer.tube_unknowns import CommonUnknowns, common_unknowns
 from observer.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough
@@ -192,3 +193,19 @@ def test_a_tube_that_is_thicker_than_stated_is_found_so() -> None:
         found.append(float(reflector.errors.common[reflector.unknowns.radius] * reflector.unknowns.units[0]))
     # A share of it goes to the displacement of all edges, which is as uncertain.
     assert 0.05e-3 < found[1] - found[0] < 0.25e-3
+
+
+def test_place_looks_like_the_slope_that_theta_a_is() -> None:
+    rng = np.random.default_rng(3)
+    where = expected(PRIOR_M**2 * np.eye(34))
+    unknowns, _ = unknowns_of(*some_edges(rng), where)
+    scene = short_scene(TypicalMirror.drawn(short_trough(), rng, 2e-3, 0.0), rows=4)
+    believed = believed_with_errors(scene, rng)
+    mirror = simulate(scene, believed, EdgeNoise(), Evaluation(measures_absorber=False), rng).slope_map
+    move = 1e-5 * rng.standard_normal((2, 17))
+    path = where.absorber
+    moved = replace(path, x_m=path.x_m + move[0], z_m=path.z_m + move[1])
+    before, after = (angle_maps(mirror, one, LS2).theta_a_rad for one in (path, moved))
+    looks = unknowns.place_as_slope(where, mirror.y_m, mirror.x_m) @ move.reshape(-1)
+    turned = looks / (1 + (mirror.x_m / (2 * LS2.focal_length_m)) ** 2)
+    np.testing.assert_allclose(turned, after - before, atol=1e-4 * np.abs(turned).max())
