@@ -1,4 +1,4 @@
-"""How well weighted sums of slopes are known: with the noise that neighbours share and with what all rows share."""
+"""How well weighted sums of slopes are known: with what neighbours and what all rows share."""
 
 from collections.abc import Callable
 
@@ -8,14 +8,22 @@ from heliogauge.flags import SampleFlag
 from heliogauge.slope_map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
 from observer.reduction import derivatives_of
-from observer.slope_field import Roughness, RowGrid, TouchingLines, assemble
+from observer.slope_field import IntArray, Roughness, RowGrid, TouchingLines, assemble
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
+#: Panels that suffice to tell how much neighbouring nodes err together.
+_PANELS = 10
 
 
 def sum_covariance(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance_common: FloatArray, free: BoolArray | None = None
+    lines: TouchingLines,
+    grid: RowGrid,
+    prior: Roughness,
+    covariance_common: FloatArray,
+    free: BoolArray | None = None,
+    *,
+    alike: FloatArray | None = None,
 ) -> Callable[[FloatArray], FloatArray]:
     """Return a function for the covariance of weighted sums of the slopes across; the rows are factorised once.
 
@@ -31,6 +39,9 @@ def sum_covariance(
         Covariance of the common unknowns, the slopes eliminated.
     free : ndarray of bool, shape (c,), optional
         Those of them that are not held; by default all.
+    alike : ndarray, shape (r, r), optional
+        Correlation between the slope errors of the rows' mirror (`observer.row_likeness`); by default none, which lets
+        what lies between edges average out over rows.
 
     Returns
     -------
@@ -41,9 +52,16 @@ def sum_covariance(
     -----
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
+
+    Rows are solved as if nothing were known of one from the next. What a row errs is ``-A^-1 Q s`` from its own slopes
+    s, which have the prior precision Q, and what noise makes. Slopes that two rows share to the correlation R share the
+    former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows, which costs a second
+    solution. Exact where the prior is the mirror's and the correlation is the same at all places of a row.
     """
     rows = assemble(lines, grid)
     system = rows.under(prior)
+    precision = _dense_precision(system.bands)
+    others = None if alike is None else alike - np.eye(grid.n_rows)
     by_slopes, by_common = rows.derivatives(), derivatives_of(lines, len(covariance_common))
 
     def covariance(weights: FloatArray) -> FloatArray:
@@ -53,13 +71,58 @@ def sum_covariance(
         for first in range(0, count, _AT_ONCE):
             some = slice(first, min(first + _AT_ONCE, count))
             solved = system.factor.solve(nodes[some].reshape(-1, grid.n_rows, 2 * grid.x_m.size))
-            own[:, some] = np.tensordot(weights, solved[..., 0::2], axes=((1, 2), (1, 2)))
+            erring = solved
+            if others is not None:
+                nearby = np.swapaxes(np.tensordot(others, solved, axes=(1, 1)), 0, 1)
+                erring = solved + system.factor.solve(np.ascontiguousarray(nearby @ precision))
+            own[:, some] = np.tensordot(weights, erring[..., 0::2], axes=((1, 2), (1, 2)))
             shared[some] = (by_common.T @ (by_slopes @ solved.reshape(len(solved), -1).T)).T
         if free is not None:
             shared *= free
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
 
     return covariance
+
+
+def _dense_precision(bands: FloatArray) -> FloatArray:
+    """Return the prior's precision of one row, shape (2 nx, 2 nx), from its bands (`prior_bands`)."""
+    size = 2 * bands.shape[1]
+    whole = np.zeros((size, size))
+    for reach, band in enumerate(bands):
+        first = np.arange(size - 2 * reach)
+        whole[first, first + 2 * reach] = whole[first + 2 * reach, first] = band.reshape(-1)[: first.size]
+    return whole
+
+
+def noise_correlation(covariance: Callable[[FloatArray], FloatArray], slope_map: SlopeMap, panel: IntArray) -> float:
+    """Return by how much sums over panels vary more than if the nodes of the map were independent.
+
+    Parameters
+    ----------
+    covariance : callable
+        Of weighted sums of the slopes without their common share, from `sum_covariance`.
+    slope_map : SlopeMap
+        The mirror.
+    panel : ndarray of int, shape (r, nx)
+        Panel of each node, -1 for none.
+
+    Returns
+    -------
+    float
+        What `SlopeMap.noise_correlation` is: the median over means and bends of some panels, at least 1.
+    """
+    x = np.broadcast_to(slope_map.x_m, panel.shape)
+    number, count = np.unique(panel[slope_map.valid & (panel >= 0)], return_counts=True)
+    number = number[2 * count >= count.max(initial=0)]
+    weights = []
+    for one in number[np.unique(np.linspace(0, number.size - 1, min(number.size, _PANELS)).round().astype(np.intp))]:
+        own = (panel == one) & slope_map.valid
+        beside = np.where(own, x - x[own].mean(), 0.0)
+        # In units of what independent nodes would give, so that sums and their covariance are about one.
+        weights += [shape / np.linalg.norm((shape * slope_map.sigma_random_x)[own]) for shape in (1.0 * own, beside)]
+    if not weights:
+        return 1.0
+    return max(1.0, float(np.median(np.diagonal(with_bridged(covariance, slope_map)(np.stack(weights))))))
 
 
 def with_bridged(
