@@ -24,7 +24,7 @@ OutFolder = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.", show_default=False)
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but warnings.")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say when each stage starts, in plain lines.")]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Leave out report.html; `heliogauge report` makes it later.")

@@ -18,6 +18,7 @@ from observer.design import Collector
 from observer.reflector import Reflector
 from observer.row_bridging import bridge_rows, lone_values
 from observer.slope_field import IntArray
+from observer.slope_sums import noise_correlation, sum_covariance
 from observer.visibility import Visibility
 
 #: A node is refused where noise and the distance to the next edge leave it less sure than this, and less sure than so
@@ -117,7 +118,7 @@ def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility
     bridged = (nodes.flags & np.uint32(SampleFlag.SMOOTHED_GAP)) > 0
     has_along = valid & ~bridged & (sigma_y < _LEAST_GAIN * reflector.roughness.along_rad)
     error_y = reflector.errors.slopes[..., 1]
-    return SlopeMap(
+    slope_map = SlopeMap(
         grid.x_m, y,
         design_x + nodes.error, np.where(has_along, design_y + error_y, np.nan),
         design_x, design_y,
@@ -127,6 +128,10 @@ def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility
         frame="trough: origin at the vertex in the middle, x across, y along, z to the absorber",
         removed="nothing",
     )  # fmt: skip
+    # Cameras and absorber, which all have in common, are told apart.
+    lines = reflector.lines.alone(reflector.lines.misfit_rad, reflector.lines.sigma_rad)
+    own = sum_covariance(lines, grid, reflector.roughness, np.zeros((0, 0)), alike=reflector.alike)
+    return replace(slope_map, noise_correlation=noise_correlation(own, slope_map, panel))
 
 
 def _height(reflector: Reflector, collector: Collector, valid: BoolArray) -> FloatArray:
@@ -175,7 +180,8 @@ def slopes_to_tube(reflector: Reflector, slope_map: SlopeMap) -> SlopeMap:
     """Return the slope map with the noise and the common modes that theta_ra has instead of its own.
 
     The reflection tells where the mirror sends light beside the tube: an error of the tube's place is in theta_r and,
-    the other way round, in theta_a. Sigmas of both parts, taken as independent, were 1.3 to 6 times the one here in simulated flights.
+    the other way round, in theta_a. Sigmas of both parts, taken as independent, were 1.3 to 6 times the one here in
+    simulated flights.
 
     Parameters
     ----------
