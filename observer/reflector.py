@@ -17,6 +17,7 @@ from observer.edge_fates import EdgeFate, first_fate, has_shadows, is_alone
 from observer.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.mirror_shape import at_points, beside_chord, heights, on_surface
 from observer.reflection import Expectation, ReflectionEdges, design_misfit
+from observer.row_likeness import row_likeness
 from observer.shadows import borne_out, pulled_curves
 from observer.shape_share import ShapeShare, find_shape_share
 from observer.sight import Sights, change_across, misfit_with_slopes
@@ -42,17 +43,11 @@ _STEEPEST_RAD = 0.04
 _ALONG_KNOWN_RAD, _ALONG_GAIN = 0.7e-3, 0.5
 #: An edge says something of the mirror up to this distance along its row [m].
 _REACH_M = 0.12
-
-
 #: Edges tell the noise where they have less leverage than this. What those with more say of it hangs on their leverage:
 #: it came out as a third of what it is, and 24 photos of a shaped mirror were wrong by 3 mrad with a sigma of 0.3.
 _MOST_INFORMATIVE_LEVERAGE = 0.5
-
-
 #: An edge that others say nothing of has all the leverage; its residual is taken to have this share of its noise.
 _MOST_LEVERAGE = 0.98
-
-
 #: No mirror bends more than this beside its design; what does is noise [1/m].
 _MOST_BEND_PER_M = 0.05
 
@@ -144,8 +139,15 @@ class Reflector:
         callable
             From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
-        free = ~self.unknowns.is_place
-        return sum_covariance(self.lines, self.grid, self.roughness, self.errors.covariance_common, free)
+        return sum_covariance(
+            self.lines, self.grid, self.roughness, self.errors.covariance_common, ~self.unknowns.is_place,
+            alike=self.alike,
+        )  # fmt: skip
+
+    @property
+    def alike(self) -> FloatArray:
+        """Correlation of the rows' slope errors, shape (r, r)."""
+        return row_likeness(self.errors.slopes[..., 0], self.measured, self.grid, self.y_m)
 
 
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
