@@ -15,6 +15,7 @@ from heliogauge.validate import BoolArray, FloatArray
 from observer.absorber_bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
 from observer.absorber_path import AbsorberPath
 from observer.camera_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
+from observer.forgotten_glass import Widening, widening
 from observer.reduction import inverse_of, root_of, solve_with
 from observer.reflector import Photos
 from observer.slope_field import IntArray
@@ -84,6 +85,10 @@ class AbsorberSolution:
     with_poses : ndarray, shape (2 n, 6 p), optional
         Covariance of the axis (x of all stations, then z) with the steps of all poses: both err together with the
         coordinates of the targets [m rad, m^2].
+    pixel_m : float, optional
+        What a pixel covers at the tube, in the median; 0 where that is not known [m].
+    widening : Widening or None, optional
+        How much wider the tube looks near its own reflection; None where too few photos tell.
     """
 
     path: AbsorberPath
@@ -93,6 +98,8 @@ class AbsorberSolution:
     residual_rms_rad: float
     diameter_m: float
     with_poses: FloatArray | None = None
+    pixel_m: float = 0.0
+    widening: Widening | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +161,8 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
         raise EstimationError(_why_nothing(path, n_photos, bearings))
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
-    return AbsorberSolution(path, n_photos, fate, used, rms, float(np.median(bearings.diameter_m)), with_poses)
+    diameter, pixel = (float(np.median(one)) for one in (bearings.diameter_m, bearings.pixel_m))
+    return AbsorberSolution(path, n_photos, fate, used, rms, diameter, with_poses, pixel, widening(bearings))
 
 
 def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Directions:

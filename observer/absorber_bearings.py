@@ -46,7 +46,7 @@ _NEAR_PX, _NEAR_POWER = 1.35, 6
 _WIDER_PX, PULLED_SHARE = 0.15, 0.25
 #: Glass turns what passes it close to the metal by up to this: where the reflection is as near to the tube in the
 #: image, it shows up beside the tube [rad].
-_PRISM_RAD = 0.06
+PRISM_RAD = 0.06
 #: What passes the inner rim of the glass is turned by up to this: until then the reflection makes the background in the
 #: glass darker on one side [rad].
 _LARGEST_PRISM_RAD = 0.35
@@ -73,6 +73,11 @@ class Bearings:
         How thick the tube looks at the distance where it is expected [m].
     shared_rad : ndarray, shape (m,), optional
         Error that neighbouring rows of a photo have in common, from the background and the grid of pixels [rad].
+    pixel_m : ndarray, shape (m,), optional
+        What a pixel of the photo covers at the tube; 0 where that is not known [m].
+    to_reflection_rad : ndarray, shape (m,), optional
+        By what angle the line of sight through the tube misses it after the mirror: the smaller, the nearer to the tube
+        a prism of glass beside it shows its reflection [rad].
     """
 
     photo: IntArray
@@ -81,10 +86,13 @@ class Bearings:
     sigma_rad: FloatArray
     diameter_m: FloatArray
     shared_rad: FloatArray = ()  # type: ignore[assignment]
+    pixel_m: FloatArray = ()  # type: ignore[assignment]
+    to_reflection_rad: FloatArray = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        if len(self.shared_rad) == 0:
-            object.__setattr__(self, "shared_rad", np.zeros_like(self.sigma_rad))
+        for name, usual in (("shared_rad", 0.0), ("pixel_m", 0.0), ("to_reflection_rad", np.inf)):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full_like(self.sigma_rad, usual))
 
     def chosen(self, which: BoolArray | IntArray) -> "Bearings":
         """Return some of them."""
@@ -161,7 +169,7 @@ def _lookout(shot: Shot, expected: Expectation) -> _Lookout | None:
         # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
         return None
     to_reflection = _angle_to_reflection(eye, expected)
-    if to_reflection <= (0.0 if collector.glass is None else _PRISM_RAD):
+    if to_reflection <= (0.0 if collector.glass is None else PRISM_RAD):
         # The tube's reflection is its background; edges of both cannot be told apart.
         return None
     distance = float(np.hypot(eye[0] - middle, height))
@@ -216,7 +224,11 @@ def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expec
     too_wide = np.abs(wide - 2 * radius) - _WIDER_PX * distance * pixels_rad[which]
     pulled = PULLED_SHARE * np.maximum(too_wide, 0) / distance
     photo = np.array([one.shot.number for one in seen], dtype=np.intp)[which]
-    bearings = Bearings(photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared[which], pulled))
+    to_reflection = np.array([one.to_reflection_rad for one in seen])[which]
+    bearings = Bearings(
+        photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared[which], pulled),
+        distance * pixels_rad[which], to_reflection,
+    )  # fmt: skip
     kept = np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m)
     return [bearings.chosen(np.flatnonzero(kept & (which == k))) for k in range(len(seen))]
 

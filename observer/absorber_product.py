@@ -12,9 +12,13 @@ from observer.absorber_bearings import beside_support
 from observer.absorber_path import AbsorberPath
 from observer.absorber_shape import Span, alignment, spans, supports_of
 from observer.design import Collector
+from observer.forgotten_glass import glass_doubt
 
 #: A tube that looks thicker or thinner by this share is not the one of the collector's data.
 _DIAMETER_SHARE = 0.03
+#: ... and by so many pixels: blur, and the background through the glass, change the width of tubes 5 to 7 px wide by up
+#: to 0.21 px either way in ray-traced photos.
+_DIAMETER_PX = 0.3
 #: A place that is less certain than this is said to be so: it puts 0.5 mrad into the slopes of an LS-2 [m].
 _WARN_SIGMA_M = 1.5e-3
 #: With less than this share of the stations measured it is said which part is missing.
@@ -189,8 +193,11 @@ def absorber_warnings(
     if solution is None:
         return ()
     said = []
-    share = solution.diameter_m / collector.absorber_diameter_m - 1
-    if abs(share) > _DIAMETER_SHARE:
+    glass = glass_doubt(solution.widening, collector)
+    if glass is not None:
+        said.append(glass)
+    off = abs(solution.diameter_m - collector.absorber_diameter_m)
+    if off > max(_DIAMETER_SHARE * collector.absorber_diameter_m, _DIAMETER_PX * solution.pixel_m):
         said.append(
             f"absorber: the tube looks {1e3 * solution.diameter_m:.1f} mm thick, absorber_diameter_mm says "
             f"{1e3 * collector.absorber_diameter_m:.1f}; are the diameter, the targets and the camera right, and is "

@@ -133,6 +133,10 @@ def test_numbers_and_what_is_warned_of() -> None:
     assert absorber_warnings(path, solution_of(path), COLLECTOR, is_design=False) == ()
     (text,) = absorber_warnings(path, solution_of(path, 0.075), COLLECTOR, is_design=False)
     assert "looks 75.0 mm thick" in text
+    # With pixels of 12.3 mm 3 % are a sixth of one, as much as blur does.
+    for diameter, doubted in ((0.0674, False), (0.0723, False), (0.0745, True)):
+        coarse = replace(solution_of(path, diameter), pixel_m=12.3e-3)
+        assert bool(absorber_warnings(path, coarse, COLLECTOR, is_design=False)) == doubted
     (text,) = absorber_warnings(path, None, COLLECTOR, is_design=True)
     assert "not measured" in text
     assert "0.34 mrad" in text

@@ -228,6 +228,19 @@ def test_stated_dimension_too_small(trough, rewrite):
     assert "collector.focal_length_m = 1.4751 m does not fit" in warnings_of(trough)
 
 
+@pytest.mark.slow
+def test_glass_that_is_not_stated_is_told_and_a_bare_tube_is_not_blamed(trough, rewrite, tmp_path):
+    rewrite(trough, (r"^glass_.*\n", ""))
+    assert "there seems to be glass around the absorber" in warnings_of(trough)
+    scene = trough_scene("small", TroughChoice(n_photos=16))
+    receiver = scene.world.receiver
+    bare = replace(receiver, collector=replace(receiver.collector, glass=None))
+    bare_scene = replace(scene, world=replace(scene.world, receiver=bare))
+    write_trough_dataset(tmp_path / "bare", bare_scene, TroughOptions(0))
+    rewrite(tmp_path / "bare", (r"^glass_.*\n", ""))
+    assert "glass" not in warnings_of(tmp_path / "bare")
+
+
 def drawn_otherwise(folder: Path, **finish: float) -> Path:
     """Return the same scene with parts of another brightness."""
     scene = trough_scene("small", TroughChoice(n_photos=16))
