@@ -14,6 +14,9 @@ from heliogauge.measurement_photogrammetry import CoordinateSection, DistanceSec
 from heliogauge.measurement_targets import TargetsSection
 from heliogauge.video_names import video_of
 
+#: Largest distance of the nodes of a map [mm]; 20 mm is usual.
+_LARGEST_STEP_MM = 500.0
+
 
 class TroughSection(Section):
     """The collector module: lengths of mirror, absorber and glass; edges of the panels; receiver supports."""
@@ -145,6 +148,14 @@ class ObserverEvaluationSection(Section):
     largest_slope_error_mrad: Positive = 12.0
     longitudinal_slope_mrad: Positive = 2.0
     shape_from_slopes: bool | None = None
+
+    @field_validator("row_step_mm", "column_step_mm")
+    @classmethod
+    def _fine_enough(cls, step: float) -> float:
+        # An edge is believed where it goes on in neighbouring rows, and places of the absorber need several of them.
+        if step > _LARGEST_STEP_MM:
+            raise ValueError(f"{step:g} mm between nodes of the map is too coarse: at most {_LARGEST_STEP_MM:g} mm")
+        return step
 
 
 class ObserverModel(Section):

@@ -272,3 +272,12 @@ sys.exit(f"imported: {sorted(heavy)}" if heavy else 0)
 """
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("key", ["row_step_mm", "column_step_mm"])
+def test_nodes_of_a_trough_that_are_metres_apart_are_refused_by_their_key(key: str, tmp_path: Path) -> None:
+    # 3 m between rows ended in a doubt about the absorber's diameter.
+    content = tomllib.loads(write_template("observer", tmp_path / "new folder").read_text(encoding="utf-8"))
+    content["evaluation"] = {key: 3000.0}
+    with pytest.raises(InputError, match=rf"{key}.*3000 mm between nodes .* too coarse: at most 500 mm"):
+        parse_measurement(content, FILE)
