@@ -5,6 +5,7 @@ reflection and shadows on the ground are at other places in each, so that the me
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from heliogauge.camera import Camera
 from heliogauge.rigid import RigidTransform
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from observer.design import Collector
 from observer.rectify import rectified_strip
 
@@ -35,6 +36,11 @@ _FEWEST = 3
 _ALIKE_SHARE = 2.5e-3
 #: Lines need some contrast to be scaled by it [DN].
 _LEAST_STEP_DN = 1.0
+
+#: Lines that must be left beside square markers, whose steps are larger than the rim's.
+_FEWEST_LINES = 16
+#: A square marker's white rim is one of its six modules wide.
+_WHITE_SHARE = 1 / 6
 
 #: Photos that are looked at, and what glass edges and their clamps leave undecided of where a mirror ends [m].
 _PHOTOS = 7
@@ -60,7 +66,34 @@ class Span:
     middle_m: float
 
 
-def rims_in_photo(image: Photo, view: tuple[Camera, RigidTransform], collector: Collector) -> FloatArray:
+def plates_of(names: Sequence[str], points_m: FloatArray) -> FloatArray:
+    """Return what square markers cover of the plane across the optical axis.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of all targets; corners are called by marker and corner, "7.0" to "7.3".
+    points_m : ndarray, shape (n, 3)
+        Their coordinates; NaN where not known [m].
+
+    Returns
+    -------
+    ndarray, shape (k, 4)
+        Smallest and largest x, smallest and largest y of each marker with its white rim [m].
+    """
+    corners: dict[str, list[FloatArray]] = {}
+    for name, point in zip(names, points_m, strict=True):
+        if "." in name and np.isfinite(point).all():
+            corners.setdefault(name.partition(".")[0], []).append(point[:2])
+    plates = [(np.min(own, axis=0), np.max(own, axis=0)) for own in corners.values() if len(own) > 1]
+    spans = np.array([[low[0], high[0], low[1], high[1]] for low, high in plates]).reshape(-1, 4)
+    rim = _WHITE_SHARE * np.maximum(spans[:, 1] - spans[:, 0], spans[:, 3] - spans[:, 2])
+    return np.asarray(spans + rim[:, None] * [-1, 1, -1, 1])
+
+
+def rims_in_photo(
+    image: Photo, view: tuple[Camera, RigidTransform], collector: Collector, plates_m: FloatArray | None = None
+) -> FloatArray:
     """Find the mirror's four rims in one photo.
 
     Parameters
@@ -71,6 +104,8 @@ def rims_in_photo(image: Photo, view: tuple[Camera, RigidTransform], collector: 
         Its camera and ``cam_from_frame``.
     collector : Collector
         The design.
+    plates_m : ndarray, shape (k, 4), optional
+        From `plates_of`: lines that cross one are left out [m].
 
     Returns
     -------
@@ -87,9 +122,20 @@ def rims_in_photo(image: Photo, view: tuple[Camera, RigidTransform], collector: 
             columns, rows = (along_x, across) if is_end else (across, along_y)
             strip = rectified_strip(image, view, collector.surface, columns, rows)
             seen, values = (strip.seen.T, strip.image_dn.T) if is_end else (strip.seen, strip.image_dn)
-            lines = values[seen.all(axis=1)]
-            found.append(_step_place(lines, across) if 2 * len(lines) > _LINES else np.nan)
+            whole = seen.all(axis=1)
+            lines = values[whole & ~_on_plates(columns if is_end else rows, across, plates_m, is_end=is_end)]
+            enough = 2 * np.count_nonzero(whole) > _LINES and len(lines) >= _FEWEST_LINES
+            found.append(_step_place(lines, across) if enough else np.nan)
     return np.array(found)
+
+
+def _on_plates(lines_m: FloatArray, across_m: FloatArray, plates_m: FloatArray | None, *, is_end: bool) -> BoolArray:
+    """Return which lines across a rim cross a plate."""
+    if plates_m is None:
+        return np.zeros(lines_m.size, dtype=bool)
+    own, other = (plates_m[:, :2], plates_m[:, 2:]) if is_end else (plates_m[:, 2:], plates_m[:, :2])
+    near = (other[:, 1] > across_m[0]) & (other[:, 0] < across_m[-1])
+    return np.asarray(((lines_m[:, None] > own[near, 0]) & (lines_m[:, None] < own[near, 1])).any(axis=1))
 
 
 def clipped_share(image: Photo, view: tuple[Camera, RigidTransform], collector: Collector) -> float:

@@ -333,7 +333,7 @@ def evaluate(
         good = camera is None and sparse is None
         design = (
             camera, panels_doubt(reflector.roughness, collector), heights_doubt(reflector) if good else None, sparse,
-            *design_doubts((files, views), reflector, slope_map, absorber, collector, with_dimensions=good),
+            *design_doubts((files, views, network.points), reflector, slope_map, absorber, collector, with_sizes=good),
         )  # fmt: skip
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
     shadows = unchecked_doubt(reflector.fate)

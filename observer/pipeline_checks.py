@@ -10,6 +10,7 @@ from heliogauge.images import read_luma
 from heliogauge.measurement import PhotogrammetryMeasurement
 from heliogauge.measurement_photogrammetry import CoordinateSection
 from heliogauge.slope_map import SlopeMap
+from heliogauge.store_tables import PointTable
 from observer.absorber_path import AbsorberPath
 from observer.carried import View
 from observer.design import Collector
@@ -22,7 +23,7 @@ from observer.design_checks import (
     overexposure_doubt,
 )
 from observer.frame_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
-from observer.outline import clipped_share, photos_from_above, rims_in_photo, spans_of
+from observer.outline import clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
 from observer.pipeline_inputs import AXES
 from observer.pipeline_photos import Finder, FirstLook
 from observer.reflector import Reflector
@@ -33,20 +34,20 @@ _POINT_PX = 0.3
 
 
 def design_doubts(
-    photos: tuple[Sequence[Path], Sequence[View]],
+    photos: tuple[Sequence[Path], Sequence[View], PointTable],
     reflector: Reflector,
     slope_map: SlopeMap,
     absorber: AbsorberPath,
     collector: Collector,
     *,
-    with_dimensions: bool = True,
+    with_sizes: bool = True,
 ) -> tuple[str, ...]:
     """Compare width, length, focal length and tube diameter as stated with what the photos show.
 
     Parameters
     ----------
-    photos : (sequence of Path, sequence of (Camera, RigidTransform))
-        Files and views of the network's photos; seven of them are read.
+    photos : (sequence of Path, sequence of (Camera, RigidTransform), PointTable)
+        Files and views of the network's photos, of which seven are read; its targets.
     reflector : Reflector
         The mirror.
     slope_map : SlopeMap
@@ -55,7 +56,7 @@ def design_doubts(
         The tube's axis.
     collector : Collector
         The design.
-    with_dimensions : bool, optional
+    with_sizes : bool, optional
         Whether focal length and tube are judged; not by a wrong camera or by a few photos, which contradict right ones.
 
     Returns
@@ -68,15 +69,16 @@ def design_doubts(
     InputError
         A photo cannot be read.
     """
-    files, views = photos
+    files, views, targets = photos
+    plates = plates_of(targets.ids, targets.xyz_m)
     eyes = np.array([pose.inverse().translation_m for _, pose in views])
     rims, clipped = [], []
     for number in photos_from_above(eyes):
         image = read_luma(files[number])
-        rims.append(rims_in_photo(image, views[number], collector))
+        rims.append(rims_in_photo(image, views[number], collector, plates))
         clipped.append(clipped_share(image, views[number], collector))
     said = [overexposure_doubt(float(np.median(clipped)))]
-    if with_dimensions:
+    if with_sizes:
         said += [
             focal_length_doubt(focal_length_of_mirror(slope_map, collector), absorber, collector),
             diameter_doubt(diameter_of_absorber(reflector, collector), collector),

@@ -21,7 +21,7 @@ from observer.design_checks import (
     refuse_impossible_cameras,
     sparse_doubt,
 )
-from observer.outline import Span, clipped_share, photos_from_above, rims_in_photo, spans_of
+from observer.outline import Span, clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
 from observer.slope_field import Roughness
 
 CAMERA = Camera(480, 640, 1030.0, 1030.0, 239.5, 319.5)
@@ -150,6 +150,21 @@ def drawn_mirror(
     return np.clip(picture + rng.normal(0, 2, picture.size), 0, 255).astype(np.uint8).reshape(height, width)
 
 
+def drawn_with_markers(
+    view: tuple[Camera, RigidTransform], middles: list[tuple[float, float]], rng: np.random.Generator
+) -> np.ndarray:
+    """A mirror little brighter than the ground, with black squares of 0.26 m around places beside it."""
+    image = drawn_mirror(SHORT, view, rng, behind=160.0, plate=0.0).astype(float)
+    camera, pose = view
+    for x, y in middles:
+        corners = np.array([[x + dx, y + dy, 1.2] for dx in (-0.13, 0.13) for dy in (-0.13, 0.13)])
+        low, high = (
+            np.round(edge(camera.project(pose.apply(corners)), axis=0)).astype(int) for edge in (np.min, np.max)
+        )
+        image[max(low[1], 0) : high[1] + 1, max(low[0], 0) : high[0] + 1] = 10.0
+    return image.astype(np.uint8)
+
+
 @pytest.fixture(scope="module")
 def seven():
     views = [camera_above(x) for x in np.linspace(-0.9, 0.9, 7)]
@@ -185,6 +200,29 @@ def test_no_width_from_plates_beside_a_mirror_as_bright_as_what_is_behind_it(sev
     across, along = spans_of(rims)
     assert np.isnan(across.value_m)
     assert outline_doubts(across, along, SHORT) == ()
+
+
+def test_square_markers_beside_the_rim_are_not_the_rim(seven):
+    """Black borders that begin 70 mm beside a weak rim, along more than half of it."""
+    _, views = seven
+    rng = np.random.default_rng(6)
+    middles = [(side * 2.7, y) for side in (-1, 1) for y in np.linspace(-1.3, 1.3, 6)]
+    offsets = 0.13 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
+    names = [f"{k}.{corner}" for k in range(len(middles)) for corner in range(4)]
+    points = np.array([[x + dx, y + dy, 1.1] for x, y in middles for dx, dy in offsets])
+    images = [drawn_with_markers(view, middles, rng) for view in views]
+    plates = plates_of([*names, "17"], np.vstack([points, [[0.0, 0.0, 0.0]]]))
+    assert plates.shape == (12, 4)
+    np.testing.assert_allclose(plates[0], [-2.873, -2.527, -1.473, -1.127], atol=1e-3)
+    alone, masked = (
+        spans_of(
+            np.array([rims_in_photo(image, view, SHORT, known) for image, view in zip(images, views, strict=True)])
+        )
+        for known in (None, plates)
+    )
+    assert outline_doubts(*masked, SHORT) == ()
+    assert masked[0].value_m == pytest.approx(5.0, abs=5e-3)
+    assert any("aperture_width_m" in text for text in outline_doubts(*alone, SHORT))
 
 
 def test_no_width_from_steps_that_are_elsewhere_in_each_photo():
