@@ -55,28 +55,29 @@ def sum_covariance(
 
     Rows are solved as if nothing were known of one from the next. What a row errs is ``-A^-1 Q s`` from its own slopes
     s, which have the prior precision Q, and what noise makes. Slopes that two rows share to the correlation R share the
-    former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows, which costs a second
-    solution. Exact where the prior is the mirror's and the correlation is the same at all places of a row.
+    former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows. Exact where the prior is
+    the mirror's and the correlation is the same at all places of a row.
     """
     rows = assemble(lines, grid)
     system = rows.under(prior)
-    precision = _dense_precision(system.bands)
     others = None if alike is None else alike - np.eye(grid.n_rows)
     by_slopes, by_common = rows.derivatives(), derivatives_of(lines, len(covariance_common))
 
     def covariance(weights: FloatArray) -> FloatArray:
         count = len(weights)
         own, shared = np.empty((count, count)), np.empty((count, len(covariance_common)))
-        nodes = np.stack([weights, np.zeros_like(weights)], axis=-1)
+        solved = np.empty((count, grid.n_rows, 2 * grid.x_m.size))
         for first in range(0, count, _AT_ONCE):
             some = slice(first, min(first + _AT_ONCE, count))
-            solved = system.factor.solve(nodes[some].reshape(-1, grid.n_rows, 2 * grid.x_m.size))
-            erring = solved
-            if others is not None:
-                nearby = np.swapaxes(np.tensordot(others, solved, axes=(1, 1)), 0, 1)
-                erring = solved + system.factor.solve(np.ascontiguousarray(nearby @ precision))
-            own[:, some] = np.tensordot(weights, erring[..., 0::2], axes=((1, 2), (1, 2)))
-            shared[some] = (by_common.T @ (by_slopes @ solved.reshape(len(solved), -1).T)).T
+            nodes = np.stack([weights[some], np.zeros_like(weights[some])], axis=-1)
+            solved[some] = system.factor.solve(nodes.reshape(-1, grid.n_rows, 2 * grid.x_m.size))
+            own[:, some] = np.tensordot(weights, solved[some, :, 0::2], axes=((1, 2), (1, 2)))
+            shared[some] = (by_common.T @ (by_slopes @ solved[some].reshape(some.stop - first, -1).T)).T
+        if others is not None:
+            for first in range(0, count, _AT_ONCE):
+                some = slice(first, first + _AT_ONCE)
+                pulled = _pulled(np.matmul(others, solved[some]), system.bands)
+                own[:, some] += solved.reshape(count, -1) @ pulled.reshape(len(pulled), -1).T
         if free is not None:
             shared *= free
         return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
@@ -84,14 +85,15 @@ def sum_covariance(
     return covariance
 
 
-def _dense_precision(bands: FloatArray) -> FloatArray:
-    """Return the prior's precision of one row, shape (2 nx, 2 nx), from its bands (`prior_bands`)."""
-    size = 2 * bands.shape[1]
-    whole = np.zeros((size, size))
-    for reach, band in enumerate(bands):
-        first = np.arange(size - 2 * reach)
-        whole[first, first + 2 * reach] = whole[first + 2 * reach, first] = band.reshape(-1)[: first.size]
-    return whole
+def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:
+    """Multiply slopes, shape (k, r, 2 nx), by the prior's precision of one row, given by its bands (`prior_bands`)."""
+    pulled = slopes * bands[0].reshape(-1)
+    for reach in range(1, len(bands)):
+        far = 2 * reach
+        band = bands[reach].reshape(-1)[:-far]
+        pulled[..., :-far] += band * slopes[..., far:]
+        pulled[..., far:] += band * slopes[..., :-far]
+    return np.asarray(pulled)
 
 
 def noise_correlation(covariance: Callable[[FloatArray], FloatArray], slope_map: SlopeMap, panel: IntArray) -> float:
