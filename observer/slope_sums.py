@@ -76,7 +76,8 @@ def sum_covariance(
         if others is not None:
             for first in range(0, count, _AT_ONCE):
                 some = slice(first, first + _AT_ONCE)
-                pulled = _pulled(np.matmul(others, solved[some]), system.bands)
+                # One after the other: a sum's slopes stay in the processor's cache.
+                pulled = np.stack([_pulled(others @ one, system.bands) for one in solved[some]])
                 own[:, some] += solved.reshape(count, -1) @ pulled.reshape(len(pulled), -1).T
         if free is not None:
             shared *= free
@@ -86,14 +87,14 @@ def sum_covariance(
 
 
 def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:
-    """Multiply slopes, shape (k, r, 2 nx), by the prior's precision of one row, given by its bands (`prior_bands`)."""
-    pulled = slopes * bands[0].reshape(-1)
+    """Multiply slopes, shape (r, 2 nx), by the prior's precision of one row, given by its bands (`prior_bands`)."""
+    pulled = np.asarray(slopes * bands[0].reshape(-1))
     for reach in range(1, len(bands)):
         far = 2 * reach
         band = bands[reach].reshape(-1)[:-far]
-        pulled[..., :-far] += band * slopes[..., far:]
-        pulled[..., far:] += band * slopes[..., :-far]
-    return np.asarray(pulled)
+        pulled[:, :-far] += band * slopes[:, far:]
+        pulled[:, far:] += band * slopes[:, :-far]
+    return pulled
 
 
 def noise_correlation(covariance: Callable[[FloatArray], FloatArray], slope_map: SlopeMap, panel: IntArray) -> float:
