@@ -153,7 +153,7 @@ def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) 
     if stated is not None or found.is_decided:
         return None
     return (
-        f"{told}, which was taken for a mirror that deviates as its slopes say; normals that are turned on the "
-        f"design's surface would fit nearly as well, and {matters}. Real mirrors deviate as their slopes say: "
-        "evaluation.shape_from_slopes = true settles it"
+        f"whether the mirror's surface follows its slopes is not clear from the reflection (by {found.share:.2f} +- "
+        f"{found.sigma:.2f}); it was taken to, as real mirrors do. For normals that are turned on the design's surface "
+        f"{matters}. evaluation.shape_from_slopes = true says that it does"
     )
