@@ -94,7 +94,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
 
     def write(result, folder):
         write_summary(folder / "summary.json", Summary(
-            "observer", result.name, {"sdx_tilt_removed_rad": 3e-3}, warnings=("a doubt",),
+            "observer", result.name, {"rms_theta_r_rad": 3e-3}, warnings=("a doubt",),
             input_sha256=result.input_sha256,
         ))  # fmt: skip
 
@@ -120,7 +120,7 @@ def test_a_module_that_fails_is_told_and_stops_nobody(tmp_path: Path, solved: di
     assert table["failed"] == ["", "reflection: only 0 edges"]
     summary = read_summary(out)
     assert summary.numbers == {"modules_count": 1, "failed_count": 1}
-    assert summary.facets == {"A": {"sdx_tilt_removed_rad": 3e-3}}
+    assert summary.facets == {"A": {"rms_theta_r_rad": 3e-3}}
     assert list(summary.durations_s) == ["hash inputs", "A", "B: adjust", "overview"]
     assert result.all_warnings == ("B: not measured: reflection: only 0 edges", "A: a doubt")
 
