@@ -1,6 +1,7 @@
 """What the report notebooks call: each function returns a piece of HTML that the cell shows."""
 
 import html
+from typing import Protocol
 
 import numpy as np
 
@@ -11,18 +12,21 @@ from heliogauge.report_results import Results, open_results
 from heliogauge.report_sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
 from heliogauge.slope_map import SlopeMap
 from heliogauge.slope_statistics import Removal, statistics
-from heliogauge.store import unit_of
+from heliogauge.store import Summary, unit_of
 
 __all__ = [
+    "HasSummary",
     "Html",
     "Results",
     "duration_table",
     "facet_table",
     "flag_table",
+    "head",
     "headline_table",
     "image_figures",
     "input_table",
     "join",
+    "name_and_line",
     "number_text",
     "open_results",
     "pose_table",
@@ -60,6 +64,49 @@ LABELS: dict[str, str] = {
 }
 
 
+class HasSummary(Protocol):
+    """Results of any kind: what title, warnings, times and inputs are shown of."""
+
+    @property
+    def summary(self) -> Summary:
+        """The summary of the folder."""
+
+
+def name_and_line(name: str, line: str) -> Html:
+    """Return a name as heading of the report with a line below it.
+
+    Parameters
+    ----------
+    name, line : str
+        Both as text.
+
+    Returns
+    -------
+    Html
+        The heading.
+    """
+    return Html(f'<h1>{html.escape(name)}</h1><p class="subtitle">{html.escape(line)}</p>')
+
+
+def head(results: HasSummary, line: str) -> Html:
+    """Return heading and warnings of a report.
+
+    Parameters
+    ----------
+    results : HasSummary
+        The results.
+    line : str
+        What they are; the version is added.
+
+    Returns
+    -------
+    Html
+        Name, line and the box of warnings.
+    """
+    summary = results.summary
+    return join(name_and_line(summary.name, f"{line}; heliogauge {summary.version}"), warnings_box(results))
+
+
 def title(results: Results) -> Html:
     """Return the head of the report.
 
@@ -75,15 +122,15 @@ def title(results: Results) -> Html:
     """
     summary = results.summary
     line = f"{summary.kind}; design: {results.slope_map.design}; heliogauge {summary.version}"
-    return Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
+    return name_and_line(summary.name, line)
 
 
-def warnings_box(results: Results) -> Html:
+def warnings_box(results: HasSummary) -> Html:
     """Return the warnings, or the statement that there are none.
 
     Parameters
     ----------
-    results : Results
+    results : HasSummary
         The results.
 
     Returns
@@ -260,12 +307,12 @@ def pose_table(results: Results) -> Html:
     return table(head, rows, numbers=(4,)) if rows else Html("")
 
 
-def duration_table(results: Results) -> Html:
+def duration_table(results: HasSummary) -> Html:
     """Return how long each stage took.
 
     Parameters
     ----------
-    results : Results
+    results : HasSummary
         The results.
 
     Returns
@@ -278,12 +325,12 @@ def duration_table(results: Results) -> Html:
     return table(("stage", "wall time"), [*rows, ("together", f"{sum(durations.values()):.2f} s")], numbers=(1,))
 
 
-def input_table(results: Results) -> Html:
+def input_table(results: HasSummary) -> Html:
     """Return the files that were read, with their hashes, folded away.
 
     Parameters
     ----------
-    results : Results
+    results : HasSummary
         The results.
 
     Returns

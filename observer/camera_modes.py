@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -161,13 +162,19 @@ def _turned_into_steps(pose: RigidTransform) -> FloatArray:
 def _by_photo(values: FloatArray, photo: IntArray, tables: FloatArray) -> FloatArray:
     """Multiply each row of values, shape (m, k), with the table, (n, k, l), of its photo."""
     result = np.empty((len(values), tables.shape[2]))
-    order = np.argsort(photo, kind="stable")
-    bounds = np.searchsorted(photo[order], np.arange(len(tables) + 1))
-    is_sorted = bool((np.diff(photo) >= 0).all())
-    for k, table in enumerate(tables):
-        some = slice(bounds[k], bounds[k + 1]) if is_sorted else order[bounds[k] : bounds[k + 1]]
+    for table, some in zip(tables, _rows_of(photo, len(tables)), strict=True):
         result[some] = values[some] @ table
     return result
+
+
+def _rows_of(photo: IntArray, count: int) -> list[IntArray | slice]:
+    """Return where the lines of each of n photos stand: slices where photos follow each other."""
+    if (np.diff(photo) >= 0).all():
+        bounds = np.searchsorted(photo, np.arange(count + 1))
+        return [slice(first, last) for first, last in pairwise(bounds)]
+    order = np.argsort(photo, kind="stable")
+    bounds = np.searchsorted(photo[order], np.arange(count + 1))
+    return [order[first:last] for first, last in pairwise(bounds)]
 
 
 def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> CameraModes:
@@ -196,12 +203,7 @@ def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatA
     root = scale[:, :, None] * vectors * np.sqrt(values)[:, None, :]
     back = np.swapaxes(vectors / np.sqrt(values)[:, None, :], 1, 2) / scale[:, None, :]
     effect = _by_photo(derivatives, photo, root)
-    products = np.zeros((count, 6, 6))
-    order = np.argsort(photo, kind="stable")
-    bounds = np.searchsorted(photo[order], np.arange(count + 1))
-    for k in range(count):
-        some = effect[order[bounds[k] : bounds[k + 1]]]
-        products[k] = some.T @ some
+    products = np.stack([effect[some].T @ effect[some] for some in _rows_of(photo, count)])
     strongest = np.linalg.eigh(products)[1][:, :, ::-1][:, :, :MODES_PER_PHOTO]
     steps, reading = root @ strongest, np.swapaxes(strongest, 1, 2) @ back
     # Each photo's unknowns read its own six movements only: blocks, not a product of whole matrices.

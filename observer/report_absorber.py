@@ -1,6 +1,5 @@
 """Sections of the report of an absorber measured alone; each is one cell of its notebook."""
 
-import html
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,10 +65,7 @@ def open_absorber(folder: str | Path = ".") -> AbsorberResults:
 
 def head(results: AbsorberResults) -> Html:
     """Return title and warnings."""
-    summary = results.summary
-    line = f"absorber of a trough; {summary.texts.get('design', '')}; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results))  # type: ignore[arg-type]
+    return page.head(results, f"absorber of a trough; {results.summary.texts.get('design', '')}")
 
 
 def overview(results: AbsorberResults) -> Html:
@@ -94,4 +90,4 @@ def refused(results: AbsorberResults) -> Html:
 
 def making(results: AbsorberResults) -> Html:
     """Return times and input files."""
-    return join(page.duration_table(results), page.input_table(results))  # type: ignore[arg-type]
+    return join(page.duration_table(results), page.input_table(results))

@@ -48,10 +48,7 @@ def open_alignment(folder: str | Path = ".") -> AlignmentResults:
 
 def head(results: AlignmentResults) -> Html:
     """Return title and warnings."""
-    summary = results.summary
-    line = f"prescription for {len(results.panels['panel'])} panels; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results))  # type: ignore[arg-type]
+    return page.head(results, f"prescription for {len(results.panels['panel'])} panels")
 
 
 def moves(results: AlignmentResults) -> Html:
@@ -77,7 +74,7 @@ def overlay(results: AlignmentResults) -> Html:
 
 def making(results: AlignmentResults) -> Html:
     """Return the input files."""
-    return page.input_table(results)  # type: ignore[arg-type]
+    return page.input_table(results)
 
 
 def _image(path: Path, note: str) -> Html:

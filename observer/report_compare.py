@@ -1,6 +1,5 @@
 """Sections of the report of a gravity study; each is one cell of its notebook."""
 
-import html
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -81,10 +80,7 @@ def _parts(columns: Columns) -> list[tuple[str, Columns]]:
 
 def head(results: StudyResults) -> Html:
     """Return title and warnings."""
-    summary = results.summary
-    line = f"one trough at {len(results.profiles)} orientations; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results))  # type: ignore[arg-type]
+    return page.head(results, f"one trough at {len(results.profiles)} orientations")
 
 
 def weight(results: StudyResults) -> Html:
@@ -148,4 +144,4 @@ def mirror(results: StudyResults) -> Html:
 
 def making(results: StudyResults) -> Html:
     """Return the input files."""
-    return page.input_table(results)  # type: ignore[arg-type]
+    return page.input_table(results)

@@ -70,10 +70,7 @@ def open_overview(folder: str | Path = ".") -> OverviewResults:
 
 def head(results: OverviewResults) -> Html:
     """Return title and warnings."""
-    summary = results.summary
-    line = f"overview of {len(results.table['name'])} modules; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results))  # type: ignore[arg-type]
+    return page.head(results, f"overview of {len(results.table['name'])} modules")
 
 
 def modules(results: OverviewResults) -> Html:
@@ -131,7 +128,7 @@ def maps(results: OverviewResults) -> Html:
 
 def making(results: OverviewResults) -> Html:
     """Return times and input files."""
-    pieces = [page.input_table(results)]  # type: ignore[arg-type]
+    pieces = [page.input_table(results)]
     if results.summary.durations_s:
-        pieces.insert(0, page.duration_table(results))  # type: ignore[arg-type]
+        pieces.insert(0, page.duration_table(results))
     return join(*pieces)

@@ -1,6 +1,5 @@
 """Sections of the report of a planned pass; each is one cell of its notebook."""
 
-import html
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -83,10 +82,7 @@ def open_plan(folder: str | Path = ".") -> PlanResults:
 
 def head(results: PlanResults) -> Html:
     """Return title and warnings, which say where to fly."""
-    summary = results.base.summary
-    line = f"plan of a pass over a trough; design: {results.base.slope_map.design}; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results.base))
+    return page.head(results.base, f"plan of a pass over a trough; design: {results.base.slope_map.design}")
 
 
 def overview(results: PlanResults) -> Html:

@@ -1,6 +1,5 @@
 """Results of a network as its report reads them, and the tables of the report."""
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,13 +124,6 @@ def open_network(folder: str | Path = ".") -> NetworkResults:
         poses=poses,
         tables={name: read_table_csv(folder / f"{name}.csv") for name in _TABLES},
     )
-
-
-def title(results: NetworkResults) -> Html:
-    """Return the head of the report: name, size of the network, version."""
-    summary = results.summary
-    line = f"{summary.kind}; {len(results.poses)} photos, {len(results.known)} points; heliogauge {summary.version}"
-    return Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
 
 
 def headline_table(summary: Summary, labels: dict[str, str] = LABELS) -> Html:

@@ -1,6 +1,5 @@
 """Sections of the report of a planned network; each is one cell of its notebook."""
 
-import html
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,10 +97,7 @@ def open_plan(folder: str | Path = ".") -> PlanResults:
 
 def head(results: PlanResults) -> Html:
     """Return title and warnings."""
-    summary = results.summary
-    line = f"plan of a photogrammetric measurement; heliogauge {summary.version}"
-    top = Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
-    return join(top, page.warnings_box(results))  # type: ignore[arg-type]
+    return page.head(results, "plan of a photogrammetric measurement")
 
 
 def overview(results: PlanResults) -> Html:
@@ -256,4 +252,4 @@ def stations(results: PlanResults) -> Html:
 
 def making(results: PlanResults) -> Html:
     """Return times and input files."""
-    return join(page.duration_table(results), page.input_table(results))  # type: ignore[arg-type]
+    return join(page.duration_table(results), page.input_table(results))

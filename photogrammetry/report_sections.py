@@ -23,7 +23,8 @@ __all__ = [
 
 def head(results: NetworkResults) -> Html:
     """Return title and warnings."""
-    return join(network.title(results), page.warnings_box(results))  # type: ignore[arg-type]
+    line = f"{results.summary.kind}; {len(results.poses)} photos, {len(results.known)} points"
+    return page.head(results, line)
 
 
 def overview(results: NetworkResults) -> Html:
@@ -75,4 +76,4 @@ def refused(results: NetworkResults) -> Html:
 
 def making(results: NetworkResults) -> Html:
     """Return times and input files."""
-    return join(page.duration_table(results), page.input_table(results))  # type: ignore[arg-type]
+    return join(page.duration_table(results), page.input_table(results))

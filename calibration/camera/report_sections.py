@@ -11,6 +11,7 @@ from calibration.camera.intrinsics import tilt_and_roll
 from calibration.camera.report_summary import comparison_lines, verdict_text
 from calibration.camera.result import Result
 from calibration.camera.store_calibration import open_calibration
+from heliogauge import report_page as page
 from heliogauge.notation import number_text
 from heliogauge.report_html import Html, join, show, table
 from heliogauge.store import Summary, read_summary, read_table_csv
@@ -70,7 +71,7 @@ def title(report: CalibrationReport) -> Html:
         f"calibration of a camera; {camera.width_px} x {camera.height_px} px, {len(report.result.photos)} photos; "
         f"{summary.texts.get('board', '').split(';')[0]}; heliogauge {summary.version}"
     )
-    return Html(f'<h1>{html.escape(summary.name)}</h1><p class="subtitle">{html.escape(line)}</p>')
+    return page.name_and_line(summary.name, line)
 
 
 def headline(report: CalibrationReport) -> Html:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.heliostat import figures_residuals as figures
 from calibration.heliostat.report_results import FieldReport, HeliostatReport
+from heliogauge import report_page as page
 from heliogauge.notation import number_text
 from heliogauge.report_html import Html, join, show, table
 
@@ -35,7 +36,7 @@ def title(report: HeliostatReport) -> Html:
         f"calibration of a heliostat; {counts['used']} of {counts['n']} observations used; model "
         f"{content['model']['kind']}, {content['model']['name']}; heliogauge {summary.version}"
     )
-    return _head(str(content["heliostat"]), line)
+    return page.name_and_line(str(content["heliostat"]), line)
 
 
 def headline(report: HeliostatReport) -> Html:
@@ -195,7 +196,7 @@ def field_title(report: FieldReport) -> Html:
         f"calibration of heliostats; {numbers['calibrated_count']} of {numbers['heliostats_count']} calibrated; "
         f"{summary.texts.get('split', '')} split; heliogauge {summary.version}"
     )
-    return _head(summary.name, line)
+    return page.name_and_line(summary.name, line)
 
 
 def field_doubts(report: FieldReport) -> Html:
@@ -255,10 +256,6 @@ def field_table(report: FieldReport) -> Html:
     command = "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat."
     note = f"{more}Angles in mrad, RMS; reasons in full in field.csv. {command}"
     return join(table(head, cells, numbers=(3, 4, 5, 6)), _caption(note))
-
-
-def _head(name: str, line: str) -> Html:
-    return Html(f'<h1>{html.escape(name)}</h1><p class="subtitle">{html.escape(line)}</p>')
 
 
 def _caption(text: str) -> Html:
