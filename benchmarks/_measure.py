@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from calibration.screen.response import ScreenResponse
-from data_synth.fringe_scene import FringeScene, SyntheticFringes
-from data_synth.knowledge import Knowledge, measurement_content, response_table
-from data_synth.mirror import Design, SyntheticFacet
-from data_synth.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
-from data_synth.wall import Wall
-from deflectometry.evaluate import MirrorInput, Observation
-from deflectometry.inputs import build_setup
-from deflectometry.opencsp_import import OpencspOptions, import_opencsp
-from deflectometry.pipeline import describe_mirror
-from deflectometry.screen_map import ScreenMapLimits
-from deflectometry.setup import Setup
-from heliogauge.measurement import DeflectometryMeasurement, parse_measurement
-from heliogauge.progress import RunningStage, SilentProgress
+from data_synth.fringes.knowledge import Knowledge, measurement_content, response_table
+from data_synth.fringes.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
+from data_synth.fringes.scene import FringeScene, SyntheticFringes
+from data_synth.optics.mirror import Design, SyntheticFacet
+from data_synth.optics.wall import Wall
+from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.fringes.screen_map import ScreenMapLimits
+from deflectometry.pipeline.evaluate import MirrorInput, Observation
+from deflectometry.pipeline.inputs import build_setup
+from deflectometry.pipeline.measure import describe_mirror
+from deflectometry.setup.bench import Setup
+from heliogauge.measurement.load import DeflectometryMeasurement, parse_measurement
+from heliogauge.running.progress import RunningStage, SilentProgress
 
 ROOT = Path(__file__).resolve().parents[1]
 OPENCSP = ROOT.parent / "shared" / "data" / "opencsp"

@@ -16,13 +16,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from heliogauge.camera import Camera
-from heliogauge.distortion import BrownDistortion
-from heliogauge.rigid import RigidTransform
-from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
-from photogrammetry.bundle_state import camera_with_intrinsics, intrinsics_of
-from photogrammetry.bundle_statistics import examine_image_points
-from photogrammetry.observations import ImagePoints
+from heliogauge.camera.distortion import BrownDistortion
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.state import camera_with_intrinsics, intrinsics_of
+from photogrammetry.bundle.statistics import examine_image_points
+from photogrammetry.image_points import ImagePoints
 
 # The eight intrinsics of COLMAP's model OPENCV.
 FREE = ("focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2")

@@ -17,18 +17,18 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calibration.camera.boards import Chessboard
-from calibration.camera.detect import BoardPoints, find_chessboard
-from calibration.camera.pipeline import Options, run
-from data_synth.board_scene import board_scene, board_table
-from data_synth.markers import chessboard_print
-from data_synth.photo import View
-from data_synth.sheets import Sheet
-from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
-from data_synth.target_presets import LARGE_CAMERA, look_at
-from data_synth.target_scene import Conditions, TargetScene, render_photo
-from heliogauge.camera import PARAMETER_NAMES
-from heliogauge.measurement import load_camera_calibration
-from heliogauge.rigid import RigidTransform
+from calibration.camera.corners.detection import BoardPoints, find_chessboard
+from calibration.camera.pipeline.measure import Options, run
+from data_synth.optics.markers import chessboard_print
+from data_synth.optics.photo import View
+from data_synth.optics.sheets import Sheet
+from data_synth.targets.board_scene import board_scene, board_table
+from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
+from data_synth.targets.presets import LARGE_CAMERA, look_at
+from data_synth.targets.scene import Conditions, TargetScene, render_photo
+from heliogauge.camera.model import PARAMETER_NAMES
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.load import load_camera_calibration
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL = {

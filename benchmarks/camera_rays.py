@@ -9,7 +9,7 @@ import tracemalloc
 import cv2
 import numpy as np
 
-from heliogauge.camera_formats import from_opencv
+from heliogauge.camera.formats import from_opencv
 
 WIDTH_PX, HEIGHT_PX = 1624, 1232
 LENSES = {

@@ -14,17 +14,17 @@ from dataclasses import replace
 import numpy as np
 from _measure import ROOT, row, title
 
-from heliogauge.camera import Camera
-from heliogauge.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.images import read_image
-from photogrammetry.alignment import aligned_to_control
-from photogrammetry.bundle import BundleOptions, BundleProblem, CameraModel, ResidualSpace, adjust
-from photogrammetry.centroid import CENTER_OPERATORS
-from photogrammetry.detect import SearchLimits, find_candidates, measure_center
-from photogrammetry.eccentricity import eccentricities_px, estimate_discs
-from photogrammetry.network import build_network
-from photogrammetry.observations import image_points
+from heliogauge.images.photos import read_image
+from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, ResidualSpace, adjust
+from photogrammetry.bundle.alignment import aligned_to_control
+from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
+from photogrammetry.centers.centroid import CENTER_OPERATORS
+from photogrammetry.detection.detect import SearchLimits, find_candidates, measure_center
+from photogrammetry.image_points import image_points
+from photogrammetry.start_values.network import build_network
 
 FOLDER = ROOT.parent / "shared" / "data" / "photogrammetry" / "dbat_camcal"
 SIGMA_PX = 0.1

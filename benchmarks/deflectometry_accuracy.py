@@ -13,20 +13,20 @@ import h5py
 import numpy as np
 from _measure import EXPECTED, evaluation_inputs, import_real_facet, row, title
 
-from data_synth.fringe_scene import FringeScene, expected_light
-from data_synth.knowledge import Knowledge
-from data_synth.presets import STANDARD_PERIODS, preset_scene
-from data_synth.surface_errors import SurfaceErrors
-from deflectometry.evaluate import Align, Choices, Evaluation, Observation, evaluate_frames
-from deflectometry.patterns import Axis, make_pattern
-from deflectometry.pipeline import Options, run, write
-from deflectometry.screen_map import ScreenMapLimits, measure_screen_map
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import STANDARD_PERIODS, preset_scene
+from data_synth.fringes.scene import FringeScene, expected_light
+from data_synth.optics.surface_errors import SurfaceErrors
+from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map
+from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, Observation, evaluate_frames
+from deflectometry.pipeline.measure import Options, run, write
+from deflectometry.setup.patterns import Axis, make_pattern
 from heliogauge.errors import QualityWarning
 from heliogauge.flags import SampleFlag
-from heliogauge.measurement import load_measurement
-from heliogauge.progress import SilentProgress
-from heliogauge.slope_statistics import fit_quadratic
-from heliogauge.store_slope_map import read_pixels, read_slope_map
+from heliogauge.measurement.load import load_measurement
+from heliogauge.results.slope_map_file import read_pixels, read_slope_map
+from heliogauge.running.progress import SilentProgress
+from heliogauge.slopes.statistics import fit_quadratic
 
 #: Variance of rounding to whole digital numbers [DN^2].
 ROUNDING = 1 / 12

@@ -28,11 +28,11 @@ from _measure import (
     title,
 )
 
-from data_synth.fringe_scene import render_fringes
-from data_synth.knowledge import Knowledge
-from data_synth.presets import full_scene
-from deflectometry.evaluate import Choices, Observation, evaluate_frames
-from deflectometry.frame_checks import check_frames
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import full_scene
+from data_synth.fringes.scene import render_fringes
+from deflectometry.frames.checks import check_frames
+from deflectometry.pipeline.evaluate import Choices, Observation, evaluate_frames
 from heliogauge.errors import QualityWarning
 
 ASKED_CPU_S, ASKED_MIB = 0.5, 300

@@ -17,12 +17,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calibration.heliostat.aiming import aim
-from calibration.heliostat.design import PlaneTarget
-from calibration.heliostat.presets import azimuth_elevation
-from heliogauge.measurement_writer import dump_toml
-from heliogauge.store_tables import write_table_csv
-from heliogauge.sun import Site, sun_directions
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model.presets import azimuth_elevation
+from heliogauge.geometry.sun import Site, sun_directions
+from heliogauge.measurement.writer import dump_toml
+from heliogauge.results.tables import write_table_csv
 
 SITE = Site(37.0, -2.0, 500.0)
 TARGET = PlaneTarget.facing("tower", np.array([0.0, 0.0, 80.0]), 0.0, 12.0, 10.0)

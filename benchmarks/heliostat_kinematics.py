@@ -8,9 +8,9 @@ import time
 import numpy as np
 from _measure import row, title
 
-from calibration.heliostat.aiming import aim
-from calibration.heliostat.kinematics import mirror_poses, pose_derivatives
-from calibration.heliostat.presets import ActuatorNumbers, linear_actuators
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses, pose_derivatives
+from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, linear_actuators
 
 OBSERVATIONS = 100
 

@@ -11,15 +11,16 @@ from functools import cache
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.aiming import aim
-from calibration.heliostat.design import PlaneTarget
-from calibration.heliostat.fit import fit
-from calibration.heliostat.fit_result import FitOptions
-from calibration.heliostat.kinematics import mirror_poses
-from calibration.heliostat.observations import BeamSpots, Observations, Place, Pointings
-from calibration.heliostat.presets import drone_heliostat
-from calibration.heliostat.rtk import rtk_statistics
-from calibration.heliostat.simulate import (
+from calibration.heliostat.fitting.fit import fit
+from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+from calibration.heliostat.kinematic_model.presets import drone_heliostat
+from calibration.heliostat.observations.observations import BeamSpots, Observations, Place, Pointings
+from calibration.heliostat.observations.rtk import rtk_statistics
+from calibration.heliostat.observations.visibility import ConcaveMirror
+from calibration.heliostat.planning.simulate import (
     RTK_SIGMA_M,
     beam_angles,
     commanded_offsets,
@@ -27,9 +28,8 @@ from calibration.heliostat.simulate import (
     drawn_sightings,
     monte_carlo,
 )
-from calibration.heliostat.visibility import ConcaveMirror
-from heliogauge.rays import intersect_plane, reflect
-from heliogauge.sun import Site, sun_directions
+from heliogauge.geometry.rays import intersect_plane, reflect
+from heliogauge.geometry.sun import Site, sun_directions
 
 SITE = Site(-33.9272, 18.8653, 100.0)
 TOWER = np.array([11.0, 27.0, 4.25])

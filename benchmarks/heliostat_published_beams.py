@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.design import HeliostatDesign, PlaneTarget
-from calibration.heliostat.fit import fit
-from calibration.heliostat.fit_result import FitOptions
-from calibration.heliostat.presets import azimuth_elevation, with_drive_terms
-from calibration.heliostat.simulate import Control, commanded_offsets, drawn_beams, monte_carlo
-from heliogauge.sun import Site, sun_directions
+from calibration.heliostat.fitting.fit import fit
+from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
+from calibration.heliostat.kinematic_model.presets import azimuth_elevation, with_drive_terms
+from calibration.heliostat.planning.simulate import Control, commanded_offsets, drawn_beams, monte_carlo
+from heliogauge.geometry.sun import Site, sun_directions
 
 STELLENBOSCH = Site(-33.9281, 18.8654, 120.0)
 TABLE_61 = {"position_e": 1.02, "position_n": -0.53, "position_u": 0.11, "tilt_north": -13.27e-3, "tilt_east": -4.56e-3,

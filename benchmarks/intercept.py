@@ -9,14 +9,14 @@ import time
 import numpy as np
 from scipy.special import ndtri
 
-from heliogauge.slope_map import SlopeMap, no_common_modes
-from heliogauge.sun_shapes import BuieSun, GaussianSun
-from observer.absorber_path import AbsorberPath
-from observer.beam_profile import beam_profile, sun_profile
-from observer.design import Collector
-from observer.intercept import TroughOptics, mirror_nodes
-from observer.intercept_spread import beam_spread, gaussian_short_form
-from observer.intercept_trace import Sunlight, trace_intercept
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun
+from observer.light.beam_profile import beam_profile, sun_profile
+from observer.light.intercept import TroughOptics, mirror_nodes
+from observer.light.spread import beam_spread, gaussian_short_form
+from observer.light.trace import Sunlight, trace_intercept
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
 
 TROUGH = Collector(5.774, 4.0, 1.71, 0.070)
 SUN = GaussianSun(2.73e-3)

@@ -2,7 +2,7 @@
 
 Run: OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/network_job.py [PHOTOS TARGETS]
 The lens is AICON's (A1 to A3 with r0, B1, B2, C1, C2), all ten parameters free, from a start 2 % off; image points come
-from the formulas of `heliogauge.camera_millimetres` on a numeric network. Prints what the command needs and how far the
+from the formulas of `heliogauge.camera.millimetres` on a numeric network. Prints what the command needs and how far the
 coordinates are from the truth, beside their sigmas.
 """
 
@@ -19,12 +19,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bundle import HEIGHT, SIGMA_PX, WIDTH, look_at
 
-from heliogauge.camera_millimetres import LensForm, Sensor, SensorParameters
-from heliogauge.cli import main as command
-from heliogauge.measurement_writer import dump_toml
-from heliogauge.store_tables import read_table_csv
-from photogrammetry.observations import ImagePoints
-from photogrammetry.store_image_points import write_image_points_csv
+from heliogauge.camera.millimetres import LensForm, Sensor, SensorParameters
+from heliogauge.measurement.writer import dump_toml
+from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import main as command
+from photogrammetry.exchange.image_point_files import write_image_points_csv
+from photogrammetry.image_points import ImagePoints
 
 SENSOR = Sensor(WIDTH, HEIGHT, 0.006, LensForm.AICON, zero_radius_mm=14.0)
 VALUES = np.array([33.7, 0.06, -0.05, -4e-5, 5e-8, -1e-11, 4e-6, -7e-6, 1e-4, -5e-5])

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from _measure import row, title
 
-from data_synth.trough_dataset import read_trough_truth
-from heliogauge.measurement import load_observer
-from observer.pipeline import Options, Result, run
-from observer.visibility import shares
+from data_synth.troughs.dataset import read_trough_truth
+from heliogauge.measurement.load import load_observer
+from observer.pipeline.measure import Options, Result, run
+from observer.trough.visibility import shares
 
 #: RMS of the error of theta_r after tilt removal [mrad] that is asked of each preset.
 ASKED_RMS = {

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 from _measure import title as with_columns
 
-from heliogauge.measurement_observer_plan import ObserverPlanModel
-from observer.absorber_path import AbsorberPath
-from observer.design import ls2
-from observer.figures_of_merit import flight_figures
-from observer.longitudinal import error_of_theta_ra
-from observer.pipeline_flight import believed_after, drawn_network, planned_network
-from observer.pipeline_plan import planned_passes
-from observer.reflection import Expectation
-from observer.simulated_edges import EdgeNoise, Scene
-from observer.simulated_flight import Believed, Evaluation, error_theta_ra, simulate
-from observer.typical_mirror import TypicalMirror
+from observer.photo_edges.reflection_edges import Expectation
+from observer.pipeline.photo_network import believed_after, drawn_network, planned_network
+from observer.planning.keys import ObserverPlanModel
+from observer.planning.plan import planned_passes
+from observer.planning.simulated_edges import EdgeNoise, Scene
+from observer.planning.simulated_flight import Believed, Evaluation, error_theta_ra, simulate
+from observer.product.figures_of_merit import flight_figures
+from observer.product.longitudinal import error_of_theta_ra
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import ls2
+from observer.trough.typical_mirror import TypicalMirror
 
 TABLE_7_2 = {15: (6.3, 8.1, 20.3, 16.0), 20: (8.4, 6.1, 15.0, 11.9), 25: (10.5, 4.9, 11.9, 9.5),
              30: (12.6, 4.1, 9.9, 7.9), 35: (14.7, 3.5, 8.4, 6.7)}  # fmt: skip

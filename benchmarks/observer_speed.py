@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import cv2
 from _measure import StageClock, row, title
 
-from heliogauge.measurement import load_observer
-from observer.pipeline import Options, run
+from heliogauge.measurement.load import load_observer
+from observer.pipeline.measure import Options, run
 
 ASKED_RATIO, ASKED_MIB = 1.5, 1536
 

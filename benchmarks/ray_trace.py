@@ -1,4 +1,4 @@
-"""Rays per second of `heliogauge.beam.trace` on one core, beside one Python call per ray in the same run.
+"""Rays per second of `heliogauge.sunlight.beam.trace` on one core, beside one Python call per ray in the same run.
 
 Run with one thread: ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/ray_trace.py [rays]``.
 """
@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 
-from heliogauge.beam import Illumination, facing_target, trace
-from heliogauge.slope_map import SlopeMap, no_common_modes
-from heliogauge.sun_shapes import BuieSun, GaussianSun, PillboxSun
-from heliogauge.surfaces import paraboloid
+from heliogauge.geometry.surfaces import paraboloid
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from heliogauge.sunlight.beam import Illumination, facing_target, trace
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun
 
 #: Rays per second known for the incumbent (OpenCSP) on one core; not measured here.
 INCUMBENT_RAYS_PER_S = 31e3

@@ -22,9 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 def write_results(folder: Path, nodes: int) -> None:
     import numpy as np
 
-    from heliogauge.slope_map import CommonModes, SlopeMap
-    from heliogauge.slope_statistics import statistics
-    from heliogauge.store import Summary, write_pixels, write_slope_map, write_summary
+    from heliogauge.results.folder import Summary, write_pixels, write_slope_map, write_summary
+    from heliogauge.slopes.map import CommonModes, SlopeMap
+    from heliogauge.slopes.statistics import statistics
 
     rng = np.random.default_rng(1)
     x_m, y_m = np.linspace(-0.6, 0.6, nodes), np.linspace(-0.45, 0.45, nodes * 3 // 4)
@@ -50,9 +50,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_results(folder, nodes)
-        program = (
-            f"from pathlib import Path; from heliogauge.report import build_report; build_report(Path({str(folder)!r}))"
-        )
+        program = f"from pathlib import Path; from heliogauge.reporting.build import build_report; build_report(Path({str(folder)!r}))"
         environment = {**os.environ, **THREADS, "PYTHONPATH": str(ROOT)}
         # The children's time counts once they and their own children have ended: the kernel is among them.
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()

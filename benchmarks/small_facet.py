@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from _measure import ONE_THREAD, OPENCSP, ROOT, import_real_facet, row, title
 
-from data_synth.dataset import write_dataset
-from data_synth.presets import small_scene
+from data_synth.fringes.dataset import write_dataset
+from data_synth.fringes.presets import small_scene
 from heliogauge.errors import QualityWarning
 
 ASKED_CPU_S, INCUMBENT_CPU_S = 1.0, 1.3

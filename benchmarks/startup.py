@@ -14,7 +14,7 @@ PROGRAMS = {
     "heliogauge --version": ["-m", "heliogauge", "--version"],
     "heliogauge --help": ["-m", "heliogauge", "--help"],
     "import pydantic": ["-c", "import pydantic; from pydantic import BaseModel"],
-    "import heliogauge.measurement": ["-c", "import heliogauge.measurement"],
+    "import heliogauge.measurement.load": ["-c", "import heliogauge.measurement.load"],
 }
 
 

@@ -5,10 +5,10 @@ import time
 import numpy as np
 from _measure import row, title
 
-from data_synth.isolated_target import IsolatedTarget, draw_isolated
+from data_synth.targets.isolated_target import IsolatedTarget, draw_isolated
 from heliogauge.errors import EstimationError
-from photogrammetry.centroid import CENTER_OPERATORS
-from photogrammetry.ellipse import Ellipse
+from photogrammetry.centers.centroid import CENTER_OPERATORS
+from photogrammetry.centers.ellipse import Ellipse
 
 ASKED_PX = {6: 0.0047, 12: 0.0034, 30: 0.0022}
 TRIALS = 100

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from _measure import row, title
 
-from data_synth.target_presets import target_scene
-from data_synth.target_scene import image_truth, render_photo
-from photogrammetry.coded_targets import Polarity, ring_dictionary
-from photogrammetry.detect import SearchLimits, find_candidates
-from photogrammetry.photo_targets import TargetSearch, measure_targets
+from data_synth.targets.presets import target_scene
+from data_synth.targets.scene import image_truth, render_photo
+from photogrammetry.detection.detect import SearchLimits, find_candidates
+from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
+from photogrammetry.targets.coded_targets import Polarity, ring_dictionary
 
 
 def cpu_s(work, repeats=3):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import (
+from heliogauge.running.commands import (
     Force,
     Jobs,
     MeasurementFolder,
@@ -35,8 +35,8 @@ def response_command(
     """Photographs of uniform grey levels -> response.csv, response.png, summary.json in the folder OUT."""
     from calibration.screen.pipeline import Options, headline_text, run, write
     from heliogauge.errors import InputError
-    from heliogauge.measurement import load_response
-    from heliogauge.terminal import terminal_progress
+    from heliogauge.measurement.load import load_response
+    from heliogauge.running.terminal import terminal_progress
 
     if out.suffix == ".csv":
         raise InputError(f"--out {out}: give a folder, such as {out.with_suffix('')}; response.csv is written into it")
@@ -77,10 +77,10 @@ def camera_command(
     verbose: Verbose = False,
 ) -> None:
     """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
-    from calibration.camera.pipeline import Options, run, write
-    from calibration.camera.report_summary import headline_text
-    from heliogauge.measurement import load_camera_calibration
-    from heliogauge.terminal import terminal_progress
+    from calibration.camera.pipeline.measure import Options, run, write
+    from calibration.camera.report.summary import headline_text
+    from heliogauge.measurement.load import load_camera_calibration
+    from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
@@ -137,10 +137,10 @@ def heliostat_command(
 
     An interrupted field is continued by the same command; --force begins anew.
     """
-    from calibration.heliostat.pipeline import Options
-    from calibration.heliostat.pipeline_field import headline_text, run_into
-    from heliogauge.measurement import load_heliostat
-    from heliogauge.terminal import terminal_progress
+    from calibration.heliostat.pipeline.field import headline_text, run_into
+    from calibration.heliostat.pipeline.measure import Options
+    from heliogauge.measurement.load import load_heliostat
+    from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(split, model, label, only, thorough, jobs, scheduler)
@@ -162,7 +162,7 @@ def heliostat_export_command(
     force: Force = False,
 ) -> None:
     """Calibrated heliostats -> parameters for controllers, tables of corrections, properties as of PAINT and ARTIST."""
-    from calibration.heliostat.pipeline_export import ExportOptions, run
+    from calibration.heliostat.pipeline.export import ExportOptions, run
 
     for name in run(result, out, ExportOptions(_day("--date", date), step_minutes, target, force)):
         typer.echo(out / name)
@@ -187,7 +187,7 @@ def heliostat_plan_command(
     force: Force = False,
 ) -> None:
     """Calibrated heliostats -> what to measure next, at which suns, and a schedule, the worst first."""
-    from calibration.heliostat.pipeline_plan import NextOptions, run
+    from calibration.heliostat.planning.plan import NextOptions, run
 
     first, goal_rad, sigma_m = _day("--first-day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
     options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)

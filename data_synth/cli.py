@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import Quiet, Verbose, parse_periods
+from heliogauge.running.commands import Quiet, Verbose, parse_periods
 
 app = typer.Typer(
     help="Make a measurement folder with known truth.",
@@ -56,12 +56,12 @@ def fringes(
     verbose: Verbose = False,
 ) -> None:
     """Draw fringe images of a screen seen in a mirror with known slope errors."""
-    from data_synth.dataset import DatasetOptions, write_dataset
-    from data_synth.faults import Fault
-    from data_synth.knowledge import Knowledge
-    from data_synth.presets import preset_scene
-    from deflectometry.patterns import make_pattern
-    from heliogauge.terminal import terminal_progress
+    from data_synth.fringes.dataset import DatasetOptions, write_dataset
+    from data_synth.fringes.faults import Fault
+    from data_synth.fringes.knowledge import Knowledge
+    from data_synth.fringes.presets import preset_scene
+    from deflectometry.setup.patterns import make_pattern
+    from heliogauge.running.terminal import terminal_progress
 
     numbers = parse_periods(periods)
     scene = preset_scene(preset)
@@ -113,9 +113,9 @@ def targets(
     verbose: Verbose = False,
 ) -> None:
     """Photograph coded targets and dots on a panel, with scale bars, from known places."""
-    from data_synth.target_dataset import PhotoOptions, photogrammetry_content, write_target_dataset
-    from data_synth.target_presets import PrintChoice, target_scene
-    from heliogauge.terminal import terminal_progress
+    from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
+    from data_synth.targets.presets import PrintChoice, target_scene
+    from heliogauge.running.terminal import terminal_progress
 
     scene = target_scene(preset, seed, PrintChoice(dictionary, light_on_dark, mirrored)).scaled(scale)
     scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
@@ -149,9 +149,9 @@ def board(
     verbose: Verbose = False,
 ) -> None:
     """Photograph a calibration board that is bent and sheared as real ones are."""
-    from data_synth.board_scene import board_scene, board_table
-    from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
-    from heliogauge.terminal import terminal_progress
+    from data_synth.targets.board_scene import board_scene, board_table
+    from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
+    from heliogauge.running.terminal import terminal_progress
 
     scene = board_scene(preset, seed, n_photos=photos, flat=flat).scaled(scale)
     scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
@@ -213,9 +213,9 @@ def trough(
     verbose: Verbose = False,
 ) -> None:
     """Photograph a parabolic trough with known slope errors and absorber, as a drone does."""
-    from data_synth.trough_dataset import TroughOptions, read_slope_errors, write_trough_dataset
-    from data_synth.trough_presets import TroughChoice, trough_scene
-    from heliogauge.terminal import terminal_progress
+    from data_synth.troughs.dataset import TroughOptions, read_slope_errors, write_trough_dataset
+    from data_synth.troughs.presets import TroughChoice, trough_scene
+    from heliogauge.running.terminal import terminal_progress
 
     choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets, shaped, 1e-3 * panel_height_mm)
     scene = trough_scene(preset, choice).scaled(scale)
@@ -270,9 +270,9 @@ def heliostat(
     verbose: Verbose = False,
 ) -> None:
     """Let heliostats with known errors throw the sun on a tower's targets, and measure their beams."""
-    from data_synth.heliostat_dataset import HeliostatOptions, write_heliostat_dataset
-    from data_synth.heliostat_presets import HeliostatChoice, heliostat_scene
-    from heliogauge.terminal import terminal_progress
+    from data_synth.heliostats.dataset import HeliostatOptions, write_heliostat_dataset
+    from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
+    from heliogauge.running.terminal import terminal_progress
 
     scene = heliostat_scene(preset, HeliostatChoice(seed, heliostats, observations))
     spot_m = None if spot_sigma_mm is None else (1e-3 * spot_sigma_mm, 1e-3 * spot_sigma_mm)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from heliogauge.commands import (
+from heliogauge.running.commands import (
     Force,
     Jobs,
     MeasurementFolder,
@@ -44,13 +44,13 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
-    from deflectometry.evaluate import Align
-    from deflectometry.headline import headline_text
-    from deflectometry.pipeline import Options, run, write
-    from heliogauge.measurement import load_measurement
-    from heliogauge.slope_removal import Removal
-    from heliogauge.store import read_summary
-    from heliogauge.terminal import terminal_progress
+    from deflectometry.pipeline.evaluate import Align
+    from deflectometry.pipeline.headline import headline_text
+    from deflectometry.pipeline.measure import Options, run, write
+    from heliogauge.measurement.load import load_measurement
+    from heliogauge.results.folder import read_summary
+    from heliogauge.running.terminal import terminal_progress
+    from heliogauge.slopes.removal import Removal
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(
@@ -99,7 +99,7 @@ def import_opencsp_command(
     """Write a measurement folder from files made with OpenCSP (SOFAST)."""
     import warnings
 
-    from deflectometry.opencsp_import import OpencspOptions, import_opencsp
+    from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
     from heliogauge.errors import QualityWarning
 
     options = OpencspOptions(
@@ -154,9 +154,9 @@ def patterns_command(
     verbose: Verbose = False,
 ) -> None:
     """Write the frames to display, pattern.toml for measurement.toml, and grey steps to calibrate the response."""
-    from deflectometry.pattern_files import DisplayOptions, PatternOptions, write_patterns
-    from deflectometry.patterns import Axis
-    from heliogauge.terminal import terminal_progress
+    from deflectometry.setup.pattern_files import DisplayOptions, PatternOptions, write_patterns
+    from deflectometry.setup.patterns import Axis
+    from heliogauge.running.terminal import terminal_progress
 
     display = DisplayOptions(width_px, height_px, int(bits), level_min, level_max, response, response_full_level)
     options = PatternOptions(parse_periods(periods), steps, Axis(first), grey_steps)

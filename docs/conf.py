@@ -6,7 +6,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from heliogauge import __version__
-from heliogauge.templates import write_template
+from heliogauge.measurement.templates import write_template
 
 # The pages on measurement files show the templates that `heliogauge init` writes, not copies that could grow old.
 write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)

@@ -1,6 +1,6 @@
 """``python -m heliogauge`` is the same as ``heliogauge``."""
 
-from heliogauge.cli import main
+from heliogauge.running.cli import main
 
 if __name__ == "__main__":
     main()

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import (
+from heliogauge.running.commands import (
     Force,
     Jobs,
     MeasurementFolder,
@@ -17,7 +17,7 @@ from heliogauge.commands import (
     make_app,
     tell,
 )
-from heliogauge.progress import SilentProgress
+from heliogauge.running.progress import SilentProgress
 
 app = make_app("Photos of the absorber's reflection in a trough -> slope errors, absorber position, intercept factor.")
 
@@ -36,13 +36,14 @@ def run_command(
 
     A folder that names several modules gives a folder of results for each, and an overview.
     """
-    from heliogauge.measurement import load_observer
-    from heliogauge.report import build_report
-    from heliogauge.store import ResultFolder
-    from heliogauge.terminal import terminal_progress
-    from observer import pipeline_modules, pipeline_overview
-    from observer.pipeline import Options, run, summarise, write
-    from observer.pipeline_headline import headline_text
+    from heliogauge.measurement.load import load_observer
+    from heliogauge.reporting.build import build_report
+    from heliogauge.results.folder import ResultFolder
+    from heliogauge.running.terminal import terminal_progress
+    from observer.commands import modules as pipeline_modules
+    from observer.commands import overview as pipeline_overview
+    from observer.pipeline.headline import headline_text
+    from observer.pipeline.measure import Options, run, summarise, write
 
     progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
     with ResultFolder(out, force=force) as working:
@@ -75,7 +76,7 @@ def align_command(
     quiet: Quiet = False,
 ) -> None:
     """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
-    from observer.pipeline_alignment import headline_text, run, write
+    from observer.commands.align import headline_text, run, write
 
     result = into_folder(
         out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress(), report=not no_report
@@ -92,7 +93,7 @@ def overview_command(
     quiet: Quiet = False,
 ) -> None:
     """Put the results of several modules beside each other: overview.csv, report.html."""
-    from observer.pipeline_overview import headline_text, run, write
+    from observer.commands.overview import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
@@ -109,9 +110,9 @@ def absorber_command(
     verbose: Verbose = False,
 ) -> None:
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
-    from heliogauge.measurement import load_observer
-    from heliogauge.terminal import terminal_progress
-    from observer.pipeline_absorber import Options, headline_text, run, summarise, write
+    from heliogauge.measurement.load import load_observer
+    from heliogauge.running.terminal import terminal_progress
+    from observer.commands.absorber import Options, headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
@@ -135,9 +136,9 @@ def plan_command(
     verbose: Verbose = False,
 ) -> None:
     """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
-    from heliogauge.measurement import load_observer_plan
-    from heliogauge.terminal import terminal_progress
-    from observer.pipeline_plan import headline_text, run, summarise, write
+    from heliogauge.measurement.load import load_observer_plan
+    from heliogauge.running.terminal import terminal_progress
+    from observer.planning.plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
@@ -158,7 +159,7 @@ def compare_command(
     quiet: Quiet = False,
 ) -> None:
     """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
-    from observer.pipeline_compare import headline_text, run, write
+    from observer.commands.compare import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)

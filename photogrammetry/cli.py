@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.commands import (
+from heliogauge.running.commands import (
     Force,
     Jobs,
     MeasurementFolder,
@@ -32,10 +32,10 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
-    from heliogauge.measurement import load_photogrammetry
-    from heliogauge.terminal import terminal_progress
-    from photogrammetry.pipeline import Options, run, summarise, write
-    from photogrammetry.pipeline_headline import headline_text
+    from heliogauge.measurement.load import load_photogrammetry
+    from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.pipeline.headline import headline_text
+    from photogrammetry.pipeline.measure import Options, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
@@ -58,7 +58,7 @@ def import_colmap_command(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write.", show_default=False)],
 ) -> None:
     """Write a measurement folder from a COLMAP model, with its poses and points as start values."""
-    from photogrammetry.pipeline_colmap import import_colmap
+    from photogrammetry.exchange.colmap import import_colmap
 
     for line in import_colmap(model, folder):
         typer.echo(line)
@@ -74,7 +74,7 @@ def export_colmap_command(
     binary: Annotated[bool, typer.Option("--binary", help="Write .bin files instead of .txt.")] = False,
 ) -> None:
     """Write a COLMAP model from a results folder; covariances have no place in it."""
-    from photogrammetry.pipeline_colmap import export_colmap
+    from photogrammetry.exchange.colmap import export_colmap
 
     for line in export_colmap(result, out, binary=binary):
         typer.echo(line)
@@ -91,9 +91,9 @@ def plan_command(
     verbose: Verbose = False,
 ) -> None:
     """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
-    from heliogauge.measurement import load_photogrammetry_plan
-    from heliogauge.terminal import terminal_progress
-    from photogrammetry.pipeline_plan import headline_text, run, summarise, write
+    from heliogauge.measurement.load import load_photogrammetry_plan
+    from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.planning.plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
@@ -134,10 +134,10 @@ def sheets(
     force: Force = False,
 ) -> None:
     """Write sheets of coded targets or a calibration board, in true scale with rulers to check the printer."""
-    from photogrammetry.coded_targets import Polarity, RingCode
-    from photogrammetry.sheet_layout import Paper, board_page, marker_pages, ring_pages
-    from photogrammetry.store_ring_codes import load_dictionary
-    from photogrammetry.target_sheets import write_sheets
+    from photogrammetry.targets.coded_targets import Polarity, RingCode
+    from photogrammetry.targets.sheet_layout import Paper, board_page, marker_pages, ring_pages
+    from photogrammetry.targets.store_ring_codes import load_dictionary
+    from photogrammetry.targets.target_sheets import write_sheets
 
     sheet = Paper(paper, landscape)
     codes: list[RingCode] = []

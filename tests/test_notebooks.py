@@ -3,7 +3,7 @@
 import nbformat
 import pytest
 
-from heliogauge.report import _execute
+from heliogauge.reporting.build import _execute
 
 
 @pytest.mark.slow

@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.camera.boards import Board
-from calibration.camera.comparison import Comparison
-from calibration.camera.network import Coverage
-from calibration.camera.projection_sigma import RadialProfile, SigmaMap
-from heliogauge.camera import Camera
-from heliogauge.rigid import RigidTransform, skew
+from calibration.camera.judgement.comparison import Comparison
+from calibration.camera.judgement.network import Coverage
+from calibration.camera.judgement.projection_sigma import RadialProfile, SigmaMap
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform, skew
 from heliogauge.validate import BoolArray, FloatArray
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.screen.pipeline import Result, nonlinearity
-from heliogauge.figures_canvas import (
+from heliogauge.reporting.canvas import (
     FAINT,
     INK,
     LINE_X,

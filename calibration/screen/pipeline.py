@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from calibration.screen.response import GreyStep, ScreenResponse, fit_response
 from heliogauge.errors import EstimationError, InputError, QualityWarning
-from heliogauge.images import Frames, read_frames
-from heliogauge.measurement import ResponseMeasurement
-from heliogauge.progress import Progress, SilentProgress
-from heliogauge.store import Summary, hash_files, write_summary, write_table_csv
+from heliogauge.images.photos import Frames, read_frames
+from heliogauge.measurement.load import ResponseMeasurement
+from heliogauge.results.folder import Summary, hash_files, write_summary, write_table_csv
+from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import BoolArray, FloatArray
 
 #: More saturated pixels than this among those used spoil a mean; fewer are hot pixels.
@@ -97,7 +97,7 @@ def run(measurement: ResponseMeasurement, options: Options | None = None, progre
     Parameters
     ----------
     measurement : ResponseMeasurement
-        From `heliogauge.measurement.load_response`.
+        From `heliogauge.measurement.load.load_response`.
     options : Options, optional
         Choices.
     progress : Progress, optional
@@ -233,7 +233,7 @@ def write(result: Result, folder: Path) -> None:
     result : Result
         What `run` returned.
     folder : Path
-        Where to; usually the folder that `heliogauge.store.ResultFolder` gives.
+        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def write(result: Result, folder: Path) -> None:
         A file cannot be written.
     """
     from calibration.screen.figures import response_figure
-    from heliogauge.figures_canvas import png_of
+    from heliogauge.reporting.canvas import png_of
 
     response = result.response
     columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}

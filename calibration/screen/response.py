@@ -135,7 +135,7 @@ def linearise_frames(
 
     Notes
     -----
-    `deflectometry.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to show them.
+    `deflectometry.fringes.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to show them.
     """
     if frames.ndim != 3:
         raise InputError(f"frames: shape (n, h, w) is needed, not {frames.shape}")

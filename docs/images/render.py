@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from heliogauge import figures, report_page
-from heliogauge.figures_canvas import png_of
-from heliogauge.slope_removal import Removal
+from heliogauge.reporting import figures
+from heliogauge.reporting import page as report_page
+from heliogauge.reporting.canvas import png_of
+from heliogauge.slopes.removal import Removal
 
 #: Pages are about 1000 px wide; more than two times that is lost.
 WIDTH_PX = 1500

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from heliogauge.images import read_image
+from heliogauge.images.photos import read_image
 
 #: Morning, noon, and a day near the solstice of the first heliostat; the part of the photo with the target.
 PHOTOS = ("H01_0002.png", "H01_0004.png", "H01_0012.png", "empty_00.png")

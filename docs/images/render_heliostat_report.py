@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.heliostat.figures_residuals import series_figures, sky_figure
-from calibration.heliostat.report_results import open_heliostat
-from heliogauge.figures_canvas import png_of
+from calibration.heliostat.report.figures_residuals import series_figures, sky_figure
+from calibration.heliostat.report.results import open_heliostat
+from heliogauge.reporting.canvas import png_of
 
 
 def main(folder: str, out: str) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from heliogauge.figures_canvas import png_of
-from photogrammetry import report_figures
-from photogrammetry.report_network import open_network
+from heliogauge.reporting.canvas import png_of
+from photogrammetry.report import figures as report_figures
+from photogrammetry.report.network import open_network
 
 #: Pages are about 1000 px wide.
 WIDTH_PX = 1200

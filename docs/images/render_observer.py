@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from heliogauge.figures_canvas import png_of
-from observer.report_maps import theta_r_map
-from observer.report_pictures import overlay_figure
-from observer.report_results import open_trough
+from heliogauge.reporting.canvas import png_of
+from observer.report.maps import theta_r_map
+from observer.report.pictures import overlay_figure
+from observer.report.results import open_trough
 
 #: Pages are about 1000 px wide.
 WIDTH_PX = 1200

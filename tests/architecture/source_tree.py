@@ -16,16 +16,16 @@ _BORDER_NAMES = frozenset({
 _BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_", "measurement_")
 #: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.
 _BORDER_MODULES = {
-    "deflectometry.inputs": "turns a measurement folder into the values the numeric modules take",
-    "deflectometry.headline": "fills summary.json",
-    "deflectometry.opencsp": "reads another program's HDF5 and JSON files",
-    "deflectometry.opencsp_import": "writes a measurement folder from another program's files",
-    "deflectometry.pattern_files": "writes the frames to display and the tables that describe them",
-    "data_synth.dataset": "writes a measurement folder",
-    "photogrammetry.target_sheets": "writes printable sheets",
-    "data_synth.target_dataset": "writes a measurement folder",
-    "data_synth.trough_dataset": "writes a measurement folder",
-    "data_synth.heliostat_dataset": "writes a measurement folder",
+    "deflectometry.pipeline.inputs": "turns a measurement folder into the values the numeric modules take",
+    "deflectometry.pipeline.headline": "fills summary.json",
+    "deflectometry.exchange.opencsp": "reads another program's HDF5 and JSON files",
+    "deflectometry.exchange.opencsp_import": "writes a measurement folder from another program's files",
+    "deflectometry.setup.pattern_files": "writes the frames to display and the tables that describe them",
+    "data_synth.fringes.dataset": "writes a measurement folder",
+    "photogrammetry.targets.target_sheets": "writes printable sheets",
+    "data_synth.targets.dataset": "writes a measurement folder",
+    "data_synth.troughs.dataset": "writes a measurement folder",
+    "data_synth.heliostats.dataset": "writes a measurement folder",
 }
 
 

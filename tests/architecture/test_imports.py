@@ -15,25 +15,25 @@ from tests.architecture.source_tree import NUMERIC_MODULES, PACKAGES, Module, al
 DESCRIPTIONS = frozenset(
     {
         "calibration.camera.boards",
-        "photogrammetry.coded_targets",
-        "deflectometry.patterns",
-        "deflectometry.setup",
-        "observer.design",
-        "calibration.heliostat.design",
-        "calibration.heliostat.parameters",
-        "calibration.heliostat.presets",
+        "photogrammetry.targets.coded_targets",
+        "deflectometry.setup.patterns",
+        "deflectometry.setup.bench",
+        "observer.trough.collector",
+        "calibration.heliostat.kinematic_model.design",
+        "calibration.heliostat.kinematic_model.parameters",
+        "calibration.heliostat.kinematic_model.presets",
     }
 )
 
 #: Kernel modules that stand at the level of a pipeline because they put instruments to work.
-PIPELINE_LEVEL = {"heliogauge.demo": "the demo makes synthetic data and measures them, so it knows both sides"}
+PIPELINE_LEVEL = {"heliogauge.running.demo": "the demo makes synthetic data and measures them, so it knows both sides"}
 
 #: Parts of the kernel that open files or talk to people; numeric modules do without.
 BORDER = frozenset({
-    "heliogauge.images", "heliogauge.measurement", "heliogauge.measurement_models", "heliogauge.measurement_writer",
-    "heliogauge.measurement_photogrammetry",
-    "heliogauge.templates", "heliogauge.folders", "heliogauge.store", "heliogauge.figures", "heliogauge.report",
-    "heliogauge.terminal", "heliogauge.commands", "heliogauge.cli", "heliogauge.demo",
+    "heliogauge.images.photos", "heliogauge.measurement.load", "heliogauge.measurement.models", "heliogauge.measurement.writer",
+    "photogrammetry.keys.measurement",
+    "heliogauge.measurement.templates", "heliogauge.results.whole_folder", "heliogauge.results.folder", "heliogauge.reporting.figures", "heliogauge.reporting.build",
+    "heliogauge.running.terminal", "heliogauge.running.commands", "heliogauge.running.cli", "heliogauge.running.demo",
 })  # fmt: skip
 
 #: Outside libraries that have no business in a numeric module, with the reason.
@@ -41,16 +41,16 @@ BORDER_LIBRARIES = {
     "pathlib": "files belong to images, measurement, store, report, pipeline and cli",
     "os": "files and processes belong to the border",
     "shutil": "files belong to the border",
-    "tomllib": "measurement files belong to heliogauge.measurement",
+    "tomllib": "measurement files belong to heliogauge.measurement.load",
     "logging": "the core neither logs nor prints; it returns values and raises errors",
-    "matplotlib": "figures belong to heliogauge.figures",
-    "plotly": "figures belong to heliogauge.figures",
+    "matplotlib": "figures belong to heliogauge.reporting.figures",
+    "plotly": "figures belong to heliogauge.reporting.figures",
     "rich": "the core never imports the terminal",
     "typer": "commands belong to cli modules",
-    "h5py": "files belong to heliogauge.store and readers",
-    "h5netcdf": "files belong to heliogauge.store",
-    "xarray": "files belong to heliogauge.store",
-    "pydantic": "validated files belong to heliogauge.measurement_models",
+    "h5py": "files belong to heliogauge.results.folder and readers",
+    "h5netcdf": "files belong to heliogauge.results.folder",
+    "xarray": "files belong to heliogauge.results.folder",
+    "pydantic": "validated files belong to heliogauge.measurement.models",
 }
 
 #: Too slow to import for a program that answers within a second: only inside the function that needs it.
@@ -123,7 +123,7 @@ def breach(module: str, target: str) -> str:
         if other == "data_synth" and module not in PIPELINE_LEVEL:
             return "an estimator that knows the simulation can be tuned to it; only tests and the demo use data_synth"
         if own == "heliogauge" and module not in PIPELINE_LEVEL:
-            return "the kernel knows no instrument; heliogauge.cli mounts packages by name"
+            return "the kernel knows no instrument; heliogauge.running.cli mounts packages by name"
         if own not in {"data_synth", "heliogauge"} and not is_pipeline:
             return "packages meet only in a pipeline.py; pass values in instead"
     if module in NUMERIC_MODULES:
@@ -147,7 +147,7 @@ def test_imports_keep_the_contract(module: Module) -> None:
 @pytest.mark.parametrize("module", all_modules(), ids=str)
 def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None:
     # figures and reports exist to use these; nobody imports them without wanting a figure.
-    figures = module.name.startswith(("heliogauge.figures", "heliogauge.report"))
+    figures = module.name.startswith(("heliogauge.reporting.figures", "heliogauge.reporting.build"))
     breaches = [
         f"{module.path}:{found.line}: import {found.target} inside the function that needs it: {LAZY_LIBRARIES[top]}"
         for found in imports_of(module.tree)
@@ -159,26 +159,26 @@ def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None
 @pytest.mark.parametrize(
     ("module", "target", "allowed"),
     [
-        ("deflectometry.slopes", "heliogauge.camera", True),
-        ("deflectometry.slopes", "deflectometry.setup", True),
-        ("deflectometry.slopes", "calibration.screen.response", False),
-        ("deflectometry.pipeline", "calibration.screen.response", True),
-        ("deflectometry.slopes", "data_synth.truth", False),
-        ("deflectometry.pipeline", "data_synth.truth", False),
-        ("heliogauge.camera", "deflectometry.setup", False),
-        ("heliogauge.cli", "deflectometry.cli", False),
-        ("heliogauge.demo", "data_synth.dataset", True),
-        ("heliogauge.demo", "deflectometry.pipeline", True),
-        ("data_synth.fringe_scene", "deflectometry.patterns", True),
-        ("data_synth.fringe_scene", "deflectometry.patterns.make_pattern", True),
-        ("data_synth.fringe_scene", "deflectometry", True),
-        ("data_synth.fringe_scene", "deflectometry.slopes", False),
-        ("data_synth.fringe_scene", "calibration.screen.response", False),
-        ("heliogauge.camera", "pathlib", False),
-        ("heliogauge.camera", "matplotlib.pyplot", False),
-        ("heliogauge.camera", "heliogauge.store", False),
-        ("heliogauge.camera", "heliogauge.store_json.read_json", False),
-        ("heliogauge.store", "pathlib", True),
+        ("deflectometry.shape.slopes", "heliogauge.camera.model", True),
+        ("deflectometry.shape.slopes", "deflectometry.setup.bench", True),
+        ("deflectometry.shape.slopes", "calibration.screen.response", False),
+        ("deflectometry.pipeline.measure", "calibration.screen.response", True),
+        ("deflectometry.shape.slopes", "data_synth.fringes.truth", False),
+        ("deflectometry.pipeline.measure", "data_synth.fringes.truth", False),
+        ("heliogauge.camera.model", "deflectometry.setup.bench", False),
+        ("heliogauge.running.cli", "deflectometry.cli", False),
+        ("heliogauge.running.demo", "data_synth.fringes.dataset", True),
+        ("heliogauge.running.demo", "deflectometry.pipeline.measure", True),
+        ("data_synth.fringes.scene", "deflectometry.setup.patterns", True),
+        ("data_synth.fringes.scene", "deflectometry.setup.patterns.make_pattern", True),
+        ("data_synth.fringes.scene", "deflectometry", True),
+        ("data_synth.fringes.scene", "deflectometry.shape.slopes", False),
+        ("data_synth.fringes.scene", "calibration.screen.response", False),
+        ("heliogauge.camera.model", "pathlib", False),
+        ("heliogauge.camera.model", "matplotlib.pyplot", False),
+        ("heliogauge.camera.model", "heliogauge.results.folder", False),
+        ("heliogauge.camera.model", "heliogauge.results.json_file.read_json", False),
+        ("heliogauge.results.folder", "pathlib", True),
     ],
 )
 def test_the_contract_itself(module: str, target: str, allowed: bool) -> None:

@@ -9,17 +9,17 @@ from typing import Any
 import pytest
 import typer
 
-from heliogauge import cli, commands
+from heliogauge.running import cli, commands
 from tests.architecture.source_tree import PACKAGES, REPOSITORY
 
 #: Pipelines, whose Options must agree with the flags of a command.
 PIPELINES = {
-    "deflectometry.pipeline": ("deflectometry.cli", "run"),
-    "photogrammetry.pipeline": ("photogrammetry.cli", "run"),
-    "observer.pipeline": ("observer.cli", "run"),
+    "deflectometry.pipeline.measure": ("deflectometry.cli", "run"),
+    "photogrammetry.pipeline.measure": ("photogrammetry.cli", "run"),
+    "observer.pipeline.measure": ("observer.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),
-    "calibration.camera.pipeline": ("calibration.cli", "camera"),
-    "calibration.heliostat.pipeline": ("calibration.cli", "heliostat"),
+    "calibration.camera.pipeline.measure": ("calibration.cli", "camera"),
+    "calibration.heliostat.pipeline.measure": ("calibration.cli", "heliostat"),
 }
 
 #: Units of the command line, and what they are in the pipeline.

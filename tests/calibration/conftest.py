@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from data_synth.board_scene import board_scene, board_table
-from data_synth.target_dataset import PhotoOptions, camera_content, write_target_dataset
+from data_synth.targets.board_scene import board_scene, board_table
+from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
 
 #: Photos and pixels per pixel of the preset's camera: as few as determine the camera well.
 _SIZES = {

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from calibration.heliostat.aiming import aim
-from calibration.heliostat.design import PlaneTarget
-from calibration.heliostat.kinematics import mirror_poses
-from calibration.heliostat.observations import BeamSpots, Pointings
-from heliogauge.rays import intersect_plane, reflect
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+from calibration.heliostat.observations.observations import BeamSpots, Pointings
+from heliogauge.geometry.rays import intersect_plane, reflect
 
 TARGET = PlaneTarget.facing("white", [0.0, 0.0, 20.0], 0.0, 8.0, 8.0)
 

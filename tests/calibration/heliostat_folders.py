@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.aiming import aim
-from calibration.heliostat.design import HeliostatDesign, PlaneTarget
-from calibration.heliostat.presets import ActuatorNumbers, azimuth_elevation, linear_actuators
-from heliogauge.geodesy import geodetic_from_enu
-from heliogauge.measurement_writer import dump_toml
-from heliogauge.store_tables import write_table_csv
-from heliogauge.sun import Site, angles_from_direction, sun_directions
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
+from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, azimuth_elevation, linear_actuators
+from heliogauge.geometry.geodesy import geodetic_from_enu
+from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions
+from heliogauge.measurement.writer import dump_toml
+from heliogauge.results.tables import write_table_csv
 
 SITE = Site(37.0, -2.0, 500.0)
 TARGET = PlaneTarget.facing("north face", np.array([0.0, 0.0, 40.0]), 0.0, 8.0, 6.0)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from calibration.heliostat.design import Driven, HeliostatDesign, RotaryDrive, Shift, Turn
-from calibration.heliostat.parameters import Parameters
-from calibration.heliostat.presets import (
+from calibration.heliostat.kinematic_model.design import Driven, HeliostatDesign, RotaryDrive, Shift, Turn
+from calibration.heliostat.kinematic_model.parameters import Parameters
+from calibration.heliostat.kinematic_model.presets import (
     ActuatorNumbers,
     azimuth_elevation,
     drone_heliostat,

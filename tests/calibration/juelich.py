@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.observations import BeamSpots, Observations, Pointings
-from calibration.heliostat.presets import ActuatorNumbers, linear_actuators
-from heliogauge.geodesy import enu_from_geodetic
-from heliogauge.sun import azimuth_from_south_east, direction_from_angles
+from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, linear_actuators
+from calibration.heliostat.observations.observations import BeamSpots, Observations, Pointings
+from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.geometry.sun import azimuth_from_south_east, direction_from_angles
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "csp" / "juelich_calibration"
 #: One of the seven was delivered with wrong actuator data.

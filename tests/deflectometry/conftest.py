@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from deflectometry.setup import RectangularScreen, Setup
-from heliogauge.camera import Camera
-from heliogauge.distortion import BrownDistortion
-from heliogauge.rigid import RigidTransform
+from deflectometry.setup.bench import RectangularScreen, Setup
+from heliogauge.camera.distortion import BrownDistortion
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
 
 
 @pytest.fixture(scope="package")

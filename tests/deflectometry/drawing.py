@@ -6,9 +6,9 @@ The areas come from clipping the outline at each pixel (Sutherland and Hodgman),
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.camera import Camera
-from heliogauge.rigid import RigidTransform
-from heliogauge.surfaces import Facet
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
 
 FloatArray = npt.NDArray[np.float64]
 

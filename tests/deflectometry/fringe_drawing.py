@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deflectometry.patterns import Axis, FringePattern, FringeSet
+from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deflectometry.setup import Setup
-from heliogauge.rigid import RigidTransform
+from deflectometry.setup.bench import Setup
+from heliogauge.geometry.rigid import RigidTransform
 
 Height = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Gradient = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from heliogauge.slope_map import SlopeMap, no_common_modes
-from observer.design import Collector
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from observer.trough.collector import Collector
 
 #: The trough of the SolTrace reference: f = 1.71 m, aperture 5.774 m, tube 70 mm.
 SOLTRACE = Collector(5.774, 4.0, 1.71, 0.070)

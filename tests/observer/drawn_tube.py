@@ -5,8 +5,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from heliogauge.camera import Camera
-from heliogauge.rigid import RigidTransform, rotation_from_vector
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 
 Axis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 

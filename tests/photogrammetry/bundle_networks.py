@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from heliogauge.camera import Camera
-from heliogauge.distortion import BrownDistortion, DistortionDirection
-from heliogauge.rigid import RigidTransform
-from photogrammetry.bundle import bundle_state
-from photogrammetry.observations import ImagePoints
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from photogrammetry.bundle.adjustment import bundle_state
+from photogrammetry.image_points import ImagePoints
 
 
 def look_at(center_m, target_m, roll_rad=0.0):

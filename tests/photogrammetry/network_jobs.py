@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from heliogauge.cli import main
-from heliogauge.measurement_writer import dump_toml
-from heliogauge.rigid import RigidTransform
-from heliogauge.store_tables import read_table_csv
-from photogrammetry.bundle_state import BundleState
-from photogrammetry.store_image_points import write_image_points_csv
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.writer import dump_toml
+from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import main
+from photogrammetry.bundle.state import BundleState
+from photogrammetry.exchange.image_point_files import write_image_points_csv
 from tests.photogrammetry.bundle_networks import look_at
 
 

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from heliogauge.rigid import RigidTransform, skew
-from heliogauge.surfaces import Quadric
-from photogrammetry.fitted_surface import SurfacePoints
-from photogrammetry.surface_design import DesignSurface
+from heliogauge.geometry.rigid import RigidTransform, skew
+from heliogauge.geometry.surfaces import Quadric
+from photogrammetry.surface.design import DesignSurface
+from photogrammetry.surface.fitted import SurfacePoints
 
 #: World frame from design frame: far from any axis.
 WORLD_FROM_DESIGN = RigidTransform.from_rotation_vector([0.4, -0.5, 0.3], [0.1, 0.2, 5.0])

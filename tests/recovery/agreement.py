@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data_synth.dataset import DatasetOptions, read_truth, write_dataset
-from data_synth.fringe_scene import FringeScene
-from data_synth.knowledge import Knowledge
-from deflectometry.pipeline import Options, Result, run
-from heliogauge.measurement import load_measurement
-from heliogauge.slope_map import monomials
+from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.scene import FringeScene
+from deflectometry.pipeline.measure import Options, Result, run
+from heliogauge.measurement.load import load_measurement
+from heliogauge.slopes.map import monomials
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from calibration.heliostat.beam_moments import beam_moments
-from calibration.heliostat.design import PlaneTarget
-from data_synth.heliostat_flux import FacetErrors, beam_on_target, canted_facets
-from heliogauge.rigid import RigidTransform
+from calibration.heliostat.beam_photos.beam_moments import beam_moments
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from data_synth.heliostats.flux import FacetErrors, beam_on_target, canted_facets
+from heliogauge.geometry.rigid import RigidTransform
 
 TARGET = PlaneTarget.facing("north face", [0.0, 0.0, 40.0], 0.0, 8.0, 8.0)
 

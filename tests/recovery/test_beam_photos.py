@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.background import empty_target
-from calibration.heliostat.beam_image import measure_beam
-from calibration.heliostat.design import PlaneTarget
-from calibration.heliostat.target_marks import dark_corners
-from calibration.heliostat.target_view import Rectifier, view_from_points
-from data_synth.heliostat_flux import FacetErrors, beam_on_target, canted_facets
-from data_synth.heliostat_photo import Light, TargetCamera, look_at
-from data_synth.pinhole import PinholeCamera
-from data_synth.sensor import Sensor
-from heliogauge.camera import Camera
-from heliogauge.distortion import BrownDistortion
-from heliogauge.rigid import RigidTransform
+from calibration.heliostat.beam_photos.background import empty_target
+from calibration.heliostat.beam_photos.beam_image import measure_beam
+from calibration.heliostat.beam_photos.target_marks import dark_corners
+from calibration.heliostat.beam_photos.target_view import Rectifier, view_from_points
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from data_synth.heliostats.flux import FacetErrors, beam_on_target, canted_facets
+from data_synth.heliostats.photo import Light, TargetCamera, look_at
+from data_synth.optics.pinhole import PinholeCamera
+from data_synth.optics.sensor import Sensor
+from heliogauge.camera.distortion import BrownDistortion
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
 
 TARGET = PlaneTarget.facing("north face", [0.0, 0.0, 40.0], 0.0, 7.0, 7.0)
 CENTER = np.array([10.0, 90.0, 1.8])

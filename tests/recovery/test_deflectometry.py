@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
-from data_synth.surface_errors import SurfaceErrors
-from deflectometry.evaluate import Align
-from deflectometry.inputs import build_setup
-from deflectometry.pipeline import Options, run
-from heliogauge.measurement import load_measurement
-from heliogauge.slope_statistics import Removal, canting, statistics
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
+from data_synth.optics.surface_errors import SurfaceErrors
+from deflectometry.pipeline.evaluate import Align
+from deflectometry.pipeline.inputs import build_setup
+from deflectometry.pipeline.measure import Options, run
+from heliogauge.measurement.load import load_measurement
+from heliogauge.slopes.statistics import Removal, canting, statistics
 from tests.recovery.agreement import agreement, measure
 
 SINGLE = ("small", "off-axis", "off-axis-20", "trough-panel", "sphere", "plane", "curved-screen")

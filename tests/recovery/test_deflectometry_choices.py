@@ -6,17 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, read_truth, write_dataset
-from data_synth.knowledge import Knowledge
-from data_synth.presets import FULL_CAMERA, ensemble_scene, preset_scene
-from deflectometry.evaluate import Align
-from deflectometry.pipeline import Options, run, summarise, write
+from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
+from deflectometry.pipeline.evaluate import Align
+from deflectometry.pipeline.measure import Options, run, summarise, write
 from heliogauge.errors import InputError
-from heliogauge.measurement import load_measurement
-from heliogauge.measurement_models import EvaluationSection
-from heliogauge.report_results import open_results
-from heliogauge.slope_removal import Removal
-from heliogauge.slope_statistics import statistics
+from heliogauge.measurement.load import load_measurement
+from heliogauge.measurement.models import EvaluationSection
+from heliogauge.reporting.results import open_results
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import statistics
 
 
 @pytest.fixture(scope="module")

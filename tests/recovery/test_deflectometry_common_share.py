@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
-from deflectometry.pipeline import Options, run
-from heliogauge.measurement import load_measurement
+from data_synth.fringes.dataset import DatasetOptions, write_dataset
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
+from deflectometry.pipeline.measure import Options, run
+from heliogauge.measurement.load import load_measurement
 
 SIGMAS = Knowledge(sigma_focal_px=1e-9, sigma_center_px=1e-9, sigma_distance_mm=5.0)
 STEP_MM = Options(grid_step_mm=15.0)

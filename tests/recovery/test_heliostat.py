@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth.heliostat_dataset import read_heliostat_truth
-from heliogauge.cli import app
+from data_synth.heliostats.dataset import read_heliostat_truth
+from heliogauge.running.cli import app
 
 #: Each on a heliostat of its own; the rest is healthy.
 RECORD_FAULTS = {"south-azimuth": "sun_azimuth_deg", "local-time": "time_utc", "stuck-reading": "axis 2"}

@@ -4,13 +4,13 @@ import csv
 
 import pytest
 
-from calibration.heliostat.pipeline import Options
-from calibration.heliostat.pipeline_field import run_into
-from data_synth.heliostat_dataset import write_heliostat_dataset
-from data_synth.heliostat_faults import FAULTS
-from data_synth.heliostat_presets import HeliostatChoice, heliostat_scene
-from heliogauge.measurement import load_heliostat
-from heliogauge.progress import SilentProgress
+from calibration.heliostat.pipeline.field import run_into
+from calibration.heliostat.pipeline.measure import Options
+from data_synth.heliostats.dataset import write_heliostat_dataset
+from data_synth.heliostats.faults import FAULTS
+from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
+from heliogauge.measurement.load import load_heliostat
+from heliogauge.running.progress import SilentProgress
 
 NAMES = {
     "wrong-actuator": "actuator_numbers", "moved": "position", "change-point": "change_point", "drift": "drift",

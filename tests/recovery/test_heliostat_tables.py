@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.design import PlaneTarget
-from calibration.heliostat.fit import fit
-from calibration.heliostat.fit_result import FitOptions
-from calibration.heliostat.pipeline_beams import with_measured_beams
-from calibration.heliostat.pipeline_design import nominal_design
-from calibration.heliostat.pipeline_observations import observed
-from calibration.heliostat.pipeline_rows import parse_rows
-from calibration.heliostat.pipeline_source import open_source
-from calibration.heliostat.simulate import beam_angles, commanded_offsets
-from data_synth.heliostat_dataset import iterate_photos, read_heliostat_truth, write_heliostat_dataset
-from data_synth.heliostat_presets import HeliostatChoice, heliostat_scene
-from heliogauge.measurement import load_heliostat
-from heliogauge.sun import Site, sun_directions
+from calibration.heliostat.fitting.fit import fit
+from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.pipeline.beams import with_measured_beams
+from calibration.heliostat.pipeline.design_from_files import nominal_design
+from calibration.heliostat.pipeline.observed import observed
+from calibration.heliostat.pipeline.rows import parse_rows
+from calibration.heliostat.pipeline.source import open_source
+from calibration.heliostat.planning.simulate import beam_angles, commanded_offsets
+from data_synth.heliostats.dataset import iterate_photos, read_heliostat_truth, write_heliostat_dataset
+from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
+from heliogauge.geometry.sun import Site, sun_directions
+from heliogauge.measurement.load import load_heliostat
 
 
 def measured(folder, scene, options=None, terms=""):

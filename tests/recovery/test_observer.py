@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from data_synth.trough_dataset import read_trough_truth
-from heliogauge.cli import app
+from data_synth.troughs.dataset import read_trough_truth
 from heliogauge.flags import SampleFlag
-from heliogauge.store_slope_map import read_slope_map
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.running.cli import app
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth.trough_dataset import read_trough_truth
-from heliogauge.cli import app
-from heliogauge.store import read_summary
-from heliogauge.store_slope_map import read_slope_map
-from heliogauge.store_tables import read_table_csv
+from data_synth.troughs.dataset import read_trough_truth
+from heliogauge.results.folder import read_summary
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import app
 
 #: A row that measurement.toml names, but beside which no target of the list stands.
 _ABSENT = '\n[[module]]\nname = "absent"\nplace_m = [0.0, 20.0, 0.0]\n'

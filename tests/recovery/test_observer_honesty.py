@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from data_synth.trough_dataset import read_trough_truth
-from heliogauge.cli import app
-from heliogauge.store_slope_map import read_slope_map
+from data_synth.troughs.dataset import read_trough_truth
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.running.cli import app
 
 #: Next to nothing but poses and absorber is in common to nodes so far apart, and that is in the common modes [m].
 APART_M = 0.4

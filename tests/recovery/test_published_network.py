@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from heliogauge.cli import main
-from heliogauge.measurement_writer import dump_toml
-from heliogauge.store_tables import read_table_csv
+from heliogauge.measurement.writer import dump_toml
+from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import main
 
 PIXEL_MM = 5.43764 / 1704
 CONTROL = {"1001": [0.0, 1.0, 0.0], "1002": [1.0, 1.0, 0.0], "1003": [0.0, 0.0, 0.0], "1004": [1.0, 0.0, 0.0]}

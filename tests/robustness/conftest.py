@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
+from data_synth.fringes.dataset import DatasetOptions, write_dataset
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
 
 
 @pytest.fixture(scope="session")

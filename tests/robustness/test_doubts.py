@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
-from data_synth.faults import Fault
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
-from deflectometry.opencsp import read_opencsp_file
-from deflectometry.pipeline import run, summarise
+from data_synth.fringes.dataset import DatasetOptions, write_dataset
+from data_synth.fringes.faults import Fault
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
+from deflectometry.exchange.opencsp import read_opencsp_file
+from deflectometry.pipeline.measure import run, summarise
 from heliogauge.errors import InputError, MetrologyError
-from heliogauge.measurement import load_measurement
+from heliogauge.measurement.load import load_measurement
 
 GROSS, CURL, TURN, SHAPE = (
     "too far for any solar mirror",

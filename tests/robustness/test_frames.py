@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
-from data_synth.faults import Fault
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
-from deflectometry.pipeline import run
+from data_synth.fringes.dataset import DatasetOptions, write_dataset
+from data_synth.fringes.faults import Fault
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
+from deflectometry.pipeline.measure import run
 from heliogauge.errors import MetrologyError
-from heliogauge.measurement import load_measurement
+from heliogauge.measurement.load import load_measurement
 
 
 def said(folder) -> tuple[str, ...]:

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.target_dataset import PhotoOptions, photogrammetry_content, write_target_dataset
-from data_synth.target_presets import PrintChoice, target_scene
-from heliogauge.store_tables import read_table_csv
+from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
+from data_synth.targets.presets import PrintChoice, target_scene
+from heliogauge.results.tables import read_table_csv
 from tests.photogrammetry.bundle_networks import network, observe
 from tests.photogrammetry.network_jobs import (
     command,

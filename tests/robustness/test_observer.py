@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.trough_dataset import TroughOptions, write_trough_dataset
-from data_synth.trough_presets import TroughChoice, trough_scene
+from data_synth.troughs.dataset import TroughOptions, write_trough_dataset
+from data_synth.troughs.presets import TroughChoice, trough_scene
 from heliogauge.errors import EstimationError, MetrologyError
-from heliogauge.measurement import load_observer
-from observer.pipeline import Options, run
+from heliogauge.measurement.load import load_observer
+from observer.pipeline.measure import Options, run
 
 
 @pytest.fixture(scope="session")

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from data_synth.dataset import DatasetOptions, write_dataset
-from data_synth.knowledge import Knowledge
-from data_synth.presets import preset_scene
-from deflectometry.pipeline import run
+from data_synth.fringes.dataset import DatasetOptions, write_dataset
+from data_synth.fringes.knowledge import Knowledge
+from data_synth.fringes.presets import preset_scene
+from deflectometry.pipeline.measure import run
 from heliogauge.errors import MetrologyError
-from heliogauge.measurement import load_measurement
-from heliogauge.surfaces import Facet, plane
+from heliogauge.geometry.surfaces import Facet, plane
+from heliogauge.measurement.load import load_measurement
 from tests.recovery.agreement import agreement
 
 OUTLINE = "^outline_m = .*"

@@ -1,0 +1,311 @@
+"""Results of a calibration on disk: written whole, read whole again for the report."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from calibration.camera.boards import TargetField
+from calibration.camera.judgement.comparison import compare
+from calibration.camera.judgement.network import coverage
+from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
+from calibration.camera.report.summary import summarise
+from calibration.camera.result import BoardShape, HeldOutPhoto, Intrinsic, PhotoResult, Quality, Result
+from calibration.camera.start_values.intrinsics import tilt_and_roll
+from heliogauge.camera.formats import to_colmap, to_opencv
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.writer import write_text
+from heliogauge.results.folder import (
+    PhotoPose,
+    PointTable,
+    read_camera_json,
+    read_cameras_json,
+    read_points_csv,
+    read_summary,
+    read_table_csv,
+    write_camera_json,
+    write_cameras_json,
+    write_points_csv,
+    write_summary,
+    write_table_csv,
+)
+from heliogauge.validate import FloatArray
+
+_IMAGE_COLUMNS = ("image", "target", "x_px", "y_px", "residual_x_px", "residual_y_px", "flag")
+_COMPARED = "compared_camera.json"
+
+
+def write_tables(result: Result, folder: Path) -> None:
+    """Write everything but the figures: cameras, points, tables, summary.json.
+
+    Parameters
+    ----------
+    result : Result
+        A calibration.
+    folder : Path
+        An existing folder.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    poses = {
+        photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
+        for photo in result.photos
+    }
+    write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses)
+    _write_other_formats(result.camera, folder)
+    _write_board(result.shape, folder)
+    _write_image_points(result, folder)
+    _write_photos(result, folder)
+    tests = result.intrinsics
+    write_table_csv(
+        folder / "intrinsics.csv",
+        {
+            "name": [one.name for one in tests],
+            "value": [one.value for one in tests],
+            "sigma": [one.sigma for one in tests],
+            "significance": [one.significance for one in tests],
+            "rival": [one.rival for one in tests],
+            "correlation": [one.correlation for one in tests],
+        },
+    )
+    write_table_csv(folder / "rejected.csv", {"image_point": list(result.quality.rejected)})
+    if result.compared_with is not None:
+        write_camera_json(folder / _COMPARED, result.compared_with)
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def _write_other_formats(camera: Camera, folder: Path) -> None:
+    """Write the camera as OpenCV and COLMAP read it; a camera with skew is none of theirs."""
+    try:
+        write_text(folder / "camera_opencv.yaml", opencv_yaml(camera))
+        model, parameters = to_colmap(camera)
+    except InputError:
+        return
+    numbers = " ".join(repr(value) for value in parameters.tolist())
+    write_text(
+        folder / "cameras_colmap.txt",
+        "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+        f"1 {model} {camera.width_px} {camera.height_px} {numbers}\n",
+    )
+
+
+def opencv_yaml(camera: Camera) -> str:
+    """Return a camera as ``cv2.FileStorage`` reads it, with the keys of OpenCV's calibration sample.
+
+    Parameters
+    ----------
+    camera : Camera
+        A camera without skew whose polynomial goes from ideal to measured.
+
+    Returns
+    -------
+    str
+        YAML; ``standard_deviations`` follows ``calibrateCameraExtended``: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+
+    Raises
+    ------
+    InputError
+        OpenCV's model does not hold the camera.
+    """
+    matrix, distortion = to_opencv(camera)
+    deviations = np.delete(camera.sigma_parameters, PARAMETER_NAMES.index("skew"))
+    return (
+        f"%YAML:1.0\n---\nimage_width: {camera.width_px}\nimage_height: {camera.height_px}\n"
+        + _yaml_matrix("camera_matrix", matrix)
+        + _yaml_matrix("distortion_coefficients", distortion[:, None])
+        + _yaml_matrix("standard_deviations", deviations[:, None])
+    )
+
+
+def _yaml_matrix(name: str, values: FloatArray) -> str:
+    # OpenCV's parser takes 1e-05 for text that goes on; its own files write 1.0e-05.
+    numbers = ", ".join(f"{value:.17e}" for value in values.ravel().tolist())
+    rows, columns = values.shape
+    return f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]\n"
+
+
+def _write_board(shape: BoardShape, folder: Path) -> None:
+    every = shape.board.names
+    names = tuple(every[i] for i in shape.seen)
+    flags = np.zeros(len(names), dtype=np.uint32)
+    write_points_csv(
+        folder / "points.csv", PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
+    )
+    drawn = shape.board.points_m[shape.seen]
+    columns = {f"drawn_{axis}_m": drawn[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"departure_{axis}_m": shape.departure_m[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"sigma_{axis}_m": shape.sigma_m[:, i] for i, axis in enumerate("xyz")}
+    write_table_csv(folder / "board.csv", {"id": list(names), **columns})
+
+
+def _write_image_points(result: Result, folder: Path) -> None:
+    every = result.shape.board.names
+    columns: dict[str, list[object]] = {key: [] for key in _IMAGE_COLUMNS}
+    for photo in result.photos:
+        kept = np.where(photo.used, 0, int(SampleFlag.OUTLIER))
+        rows = (
+            [photo.name] * photo.index.size,
+            [every[i] for i in photo.index],
+            *photo.pixels_px.T.tolist(),
+            *photo.residuals_px.T.tolist(),
+            kept.tolist(),
+        )
+        for key, values in zip(_IMAGE_COLUMNS, rows, strict=True):
+            columns[key] += values
+    write_table_csv(folder / "image_points.csv", columns)
+
+
+def _write_photos(result: Result, folder: Path) -> None:
+    angles = np.degrees([tilt_and_roll(photo.cam_from_board) for photo in result.photos])
+    used = {
+        "image": [photo.name for photo in result.photos],
+        "use": ["calibration"] * len(result.photos),
+        "points": [int(photo.index.size) for photo in result.photos],
+        "rejected": [int(np.count_nonzero(~photo.used)) for photo in result.photos],
+        "rms_px": [photo.rms_px for photo in result.photos],
+        "kept_apart_px": [photo.kept_apart_px for photo in result.photos],
+        "tilt_deg": angles[:, 0].tolist(),
+        "roll_deg": angles[:, 1].tolist(),
+        "distance_m": [float(np.linalg.norm(photo.cam_from_board.translation_m)) for photo in result.photos],
+    }
+    for check in result.held_out:
+        tilt, roll = np.degrees(tilt_and_roll(check.cam_from_board)).tolist()
+        distance = float(np.linalg.norm(check.cam_from_board.translation_m))
+        row = (check.name, "held out", check.count, 0, check.rms_px, check.rms_px, tilt, roll, distance)
+        for key, value in zip(used, row, strict=True):
+            used[key].append(value)
+    write_table_csv(folder / "photos.csv", used)
+
+
+def open_calibration(folder: str | Path = ".") -> Result:
+    """Read a folder of results; maps and profile are computed again from the camera with its covariance.
+
+    Parameters
+    ----------
+    folder : str or Path, optional
+        The folder; the working directory without it, where reports run.
+
+    Returns
+    -------
+    Result
+        As it was written, but for the rejected points' residuals and the poses of photos held out.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
+    """
+    folder = Path(folder)
+    summary = read_summary(folder / "summary.json")
+    cameras, poses = read_cameras_json(folder / "cameras.json")
+    camera_name, camera = next(iter(cameras.items()))
+    drawn_rms = summary.numbers.get("residual_rms_board_as_drawn_px")
+    shape = _read_shape(folder, summary.texts, has_drawing=drawn_rms is not None)
+    photo_table = read_table_csv(folder / "photos.csv", ("image", "use", "points", "rms_px", "kept_apart_px"))
+    apart = dict(zip(photo_table["image"], _floats(photo_table["kept_apart_px"]), strict=True))
+    photos = _read_photos(folder, shape, poses, apart)
+    numbers = summary.numbers
+    pixels = np.concatenate([photo.pixels_px[photo.used] for photo in photos])
+    distance = float(np.median([np.linalg.norm(photo.cam_from_board.translation_m) for photo in photos]))
+    other = read_camera_json(folder / _COMPARED) if (folder / _COMPARED).exists() else None
+    left_out = {
+        key.removeprefix("left out "): text for key, text in summary.texts.items() if key.startswith("left out ")
+    }
+    return Result(
+        summary.name,
+        camera_name,
+        camera,
+        _read_intrinsics(folder),
+        photos,
+        left_out,
+        shape,
+        Quality(
+            float(numbers.get("residual_rms_px") or np.nan),
+            float(drawn_rms or np.nan),
+            float(numbers.get("residual_over_noise_ratio") or np.nan),
+            int(numbers.get("redundancy_count") or 0),
+            tuple(read_table_csv(folder / "rejected.csv", ("image_point",))["image_point"]),
+        ),
+        sigma_map(camera, distance),
+        radial_profile(camera, pixels),
+        coverage(camera, pixels),
+        _read_checks(photo_table),
+        None if other is None else compare(camera, other),
+        other,
+        tuple(summary.warnings),
+        dict(summary.durations_s),
+        dict(summary.input_sha256),
+    )
+
+
+def _floats(cells: list[str]) -> list[float]:
+    return [float(cell) if cell else float("nan") for cell in cells]
+
+
+def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) -> BoardShape:
+    points = read_points_csv(folder / "points.csv")
+    columns = read_table_csv(folder / "board.csv", ("id", "drawn_x_m", "drawn_y_m", "drawn_z_m"))
+    drawn = np.array([_floats(columns[f"drawn_{axis}_m"]) for axis in "xyz"]).T
+    metric = texts.get("unit", "").startswith("metres")
+    board = TargetField("", tuple(points.ids), drawn, is_metric=metric)
+    held = not points.sigma_m.any()
+    return BoardShape(
+        board,
+        np.arange(len(points.ids)),
+        points.xyz_m,
+        points.sigma_m,
+        points.n_rays,
+        np.zeros(3) if held else np.full(3, np.nan if has_drawing else np.inf),
+        texts.get("datum", ""),
+    )
+
+
+def _read_photos(
+    folder: Path, shape: BoardShape, poses: dict[str, PhotoPose], apart: dict[str, float]
+) -> tuple[PhotoResult, ...]:
+    columns = read_table_csv(folder / "image_points.csv", _IMAGE_COLUMNS)
+    images = np.array(columns["image"])
+    place = {name: i for i, name in enumerate(shape.board.names)}
+    index = np.array([place.get(name, -1) for name in columns["target"]], dtype=np.intp)
+    x, y, dx, dy = (np.array(_floats(columns[name])) for name in _IMAGE_COLUMNS[2:6])
+    photos = []
+    for name, pose in poses.items():
+        own = images == name
+        photos.append(
+            PhotoResult(
+                name,
+                pose.cam_from_world,
+                pose.covariance,
+                index[own],
+                np.stack([x[own], y[own]], axis=1),
+                np.stack([dx[own], dy[own]], axis=1),
+                apart.get(name, float("nan")),
+            )
+        )
+    return tuple(photos)
+
+
+def _read_intrinsics(folder: Path) -> tuple[Intrinsic, ...]:
+    columns = read_table_csv(folder / "intrinsics.csv", ("name", "value", "sigma", "significance", "rival"))
+    numbers = [_floats(columns[name]) for name in ("value", "sigma", "significance", "correlation")]
+    return tuple(
+        Intrinsic(name, value, sigma, significance, rival, correlation)
+        for name, rival, value, sigma, significance, correlation in zip(
+            columns["name"], columns["rival"], *numbers, strict=True
+        )
+    )
+
+
+def _read_checks(columns: dict[str, list[str]]) -> tuple[HeldOutPhoto, ...]:
+    rows = zip(columns["image"], columns["use"], columns["points"], columns["rms_px"], strict=True)
+    return tuple(
+        HeldOutPhoto(name, RigidTransform.identity(), int(count), float(rms))
+        for name, use, count, rms in rows
+        if use == "held out"
+    )

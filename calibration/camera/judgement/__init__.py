@@ -1,0 +1,1 @@
+"""What a calibrated camera is worth: sigma of its rays, comparison of two calibrations, doubts."""

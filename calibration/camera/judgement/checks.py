@@ -1,0 +1,177 @@
+"""Photos that did not help to calibrate, explained by those that did: only their pose is fitted."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.camera.boards import Board, Chessboard, CircleGrid
+from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.pipeline.adjustment import Adjusted, BoardNetwork, posed, turned
+from calibration.camera.result import rms_length
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust, bundle_state
+from photogrammetry.image_points import ImagePoints
+from photogrammetry.start_values.resection import resect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """Camera and board from some photos, to test another one with.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    index : ndarray of int, shape (k,)
+        Points of the board that were measured.
+    points_m : ndarray, shape (k, 3)
+        Their places [m].
+    """
+
+    camera: Camera
+    index: npt.NDArray[np.intp]
+    points_m: FloatArray
+
+
+def known_from_all(network: BoardNetwork, adjusted: Adjusted) -> Known:
+    """Return what all photos of the network gave."""
+    state = adjusted.bundle.state
+    return Known(state.cameras[0], network.seen, state.points_m)
+
+
+def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> Known:
+    """Adjust again without one photo.
+
+    Parameters
+    ----------
+    network : BoardNetwork
+        The photos.
+    adjusted : Adjusted
+        The adjustment of all.
+    photo : int
+        The one to leave out.
+
+    Returns
+    -------
+    Known
+        What the others gave.
+    """
+    table, state = adjusted.bundle.problem.observations, adjusted.bundle.state
+    others = table.subset(table.photo_index != photo).compacted()
+    place = {name: i for i, name in enumerate(network.names)}
+    rows = np.array([place[name] for name in others.targets], dtype=np.intp)
+    drawn = network.board.points_m[network.seen][rows]
+    poses = [state.cam_from_world(i) for i in range(len(network.points)) if i != photo]
+    problem = posed(network.free, others, drawn, adjusted.prior_sigma_m)
+    start = state.points_m[rows] if np.isinf(adjusted.prior_sigma_m).any() else drawn
+    bundle = adjust(problem, bundle_state(state.cameras, poses, start))
+    return Known(bundle.state.cameras[0], network.seen[rows], bundle.state.points_m)
+
+
+def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = None) -> tuple[float, RigidTransform]:
+    """Fit the pose of a photo alone, with camera and board as they are.
+
+    Parameters
+    ----------
+    known : Known
+        Camera and board.
+    points : BoardPoints
+        The board in the photo.
+    pose : RigidTransform, optional
+        Where to start; found without it.
+
+    Returns
+    -------
+    rms_px : float
+        RMS of all residuals [px].
+    pose : RigidTransform
+        ``cam_from_board``.
+
+    Raises
+    ------
+    EstimationError
+        No pose explains the photo.
+    """
+    _, own, place = np.intersect1d(points.index, known.index, return_indices=True)
+    places, pixels, covariance = known.points_m[place], points.pixels_px[own], points.covariance_px2[own]
+    if pose is None:
+        # Half a pixel: what camera and board may be off by at the start, far more than a corner's noise.
+        pose = resect(known.camera, places, pixels, covariance + 0.25 * np.eye(2)).cam_from_world
+    names = tuple(str(i) for i in range(own.size))
+    photo = np.zeros(own.size, dtype=np.intp)
+    table = ImagePoints((points.photo,), names, photo, np.arange(own.size), pixels, covariance)
+    start = bundle_state([known.camera], [pose], places)
+    fitted = adjust(BundleProblem(table, (CameraModel("camera"),), fixed=names), start)
+    return rms_length(fitted.residuals_px), fitted.state.cam_from_world(0)
+
+
+def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> tuple[float, RigidTransform, BoardPoints]:
+    """Fit the pose of a photo counted from whichever corner fits best.
+
+    Parameters
+    ----------
+    known : Known
+        Camera and board.
+    board : Board
+        What the board is.
+    points : BoardPoints
+        The board in the photo.
+
+    Returns
+    -------
+    rms_px : float
+        RMS of all residuals [px].
+    pose : RigidTransform
+        ``cam_from_board``.
+    points : BoardPoints
+        With the numbers that fit.
+
+    Raises
+    ------
+    EstimationError
+        No pose explains the photo.
+    """
+    rms, pose = fit_pose(known, points)
+    best = (rms, pose, points)
+    if isinstance(board, Chessboard | CircleGrid):
+        for turns in board.same_turns[1:]:
+            other, start = turned(board, points, pose, turns)
+            rms, found = fit_pose(known, other, start)
+            best = min(best, (rms, found, other), key=lambda one: one[0])
+    return best
+
+
+def mirrored_rms_px(known: Known, board: Board, points: BoardPoints) -> float:
+    """Return how well a photo would fit if its file were mirrored; infinite where that cannot be asked.
+
+    Parameters
+    ----------
+    known : Known
+        Camera and board.
+    board : Board
+        What the board is; only prints that look alike in a mirror are found in mirrored photos.
+    points : BoardPoints
+        The board in the photo.
+
+    Returns
+    -------
+    float
+        RMS of the residuals with the photo's columns reversed [px].
+    """
+    if not isinstance(board, Chessboard | CircleGrid):
+        return float("inf")
+    pixels = points.pixels_px.copy()
+    pixels[:, 0] = known.camera.width_px - 1 - pixels[:, 0]
+    numbers = np.arange(board.columns * board.rows).reshape(board.rows, board.columns)
+    found = [float("inf")]
+    for flipped in (numbers[::-1], numbers[:, ::-1]):
+        other = replace(points, pixels_px=pixels, index=flipped.ravel()[points.index])
+        try:
+            found.append(fit_any_turn(known, board, other)[0])
+        except EstimationError:
+            continue
+    return min(found)

@@ -1,0 +1,178 @@
+"""Whether the photos of a calibration carry it: coverage of the image, tilt, roll, depth, photos from one place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.start_values.intrinsics import tilt_and_roll
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import FloatArray
+
+#: Cells of the coverage count along x and y.
+_CELLS = (10, 8)
+#: Photos below which a calibration rests on too little, tilt and spread that decide about focal length and centre.
+_FEW_PHOTOS = 6
+_LEAST_TILT_RAD = np.radians(20.0)
+_LEAST_ROLL_RAD = np.radians(45.0)
+_LEAST_DEPTH_RATIO = 1.2
+_LEAST_COVERED_SHARE = 0.7
+_LEAST_RADIUS_SHARE = 0.8
+#: Photos in which the board's points are this near, as a share of the image's diagonal, are from one place.
+_SAME_PLACE_SHARE = 0.005
+#: More of the board at the sensor's limit moves edges: light spills over.
+_SATURATED_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """Where in the image the board was measured.
+
+    Parameters
+    ----------
+    counts : ndarray of int, shape (8, 10)
+        Points in each cell of the image.
+    share : float
+        Share of cells with points.
+    radius_share : float
+        Largest distance of a point from the middle, over that of the image's corners.
+    """
+
+    counts: FloatArray
+    share: float
+    radius_share: float
+
+
+def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
+    """Count measured points over the image.
+
+    Parameters
+    ----------
+    camera : Camera
+        For the size of the image.
+    pixels_px : ndarray, shape (n, 2)
+        All measured points [px].
+
+    Returns
+    -------
+    Coverage
+        Counts in 10 x 8 cells.
+    """
+    size = np.array([camera.width_px, camera.height_px])
+    edges = [np.linspace(-0.5, extent - 0.5, cells + 1) for extent, cells in zip(size, _CELLS, strict=True)]
+    counts = np.histogram2d(pixels_px[:, 1], pixels_px[:, 0], bins=(edges[1], edges[0]))[0]
+    middle = 0.5 * (size - 1)
+    reach = float(np.linalg.norm(pixels_px - middle, axis=1).max() / np.linalg.norm(middle))
+    return Coverage(counts, float(np.mean(counts > 0)), reach)
+
+
+def network_warnings(poses: Sequence[RigidTransform], covered: Coverage) -> tuple[str, ...]:
+    """Say what makes a network weak, with the number that says so and the remedy.
+
+    Parameters
+    ----------
+    poses : sequence of RigidTransform
+        ``cam_from_board`` of each photo.
+    covered : Coverage
+        From `coverage`.
+
+    Returns
+    -------
+    tuple of str
+        Warnings, none for a good network.
+    """
+    said = []
+    angles = np.array([tilt_and_roll(pose) for pose in poses])
+    distances = np.array([float(np.linalg.norm(pose.translation_m)) for pose in poses])
+    if len(poses) < _FEW_PHOTOS:
+        said.append(f"only {len(poses)} photos: errors of single photos are hardly averaged; take 10 or more")
+    most = float(angles[:, 0].max())
+    if most < _LEAST_TILT_RAD:
+        said.append(
+            f"flat network: the board is never tilted by more than {np.degrees(most):.0f} deg, so focal length and "
+            "distance can hardly be told apart; tilt it by 30 to 45 deg to all sides"
+        )
+    difference = np.abs(np.angle(np.exp(1j * (angles[:, None, 1] - angles[None, :, 1]))))
+    roll = float(np.minimum(difference, np.pi - difference).max())
+    half_turns = float(difference.max())
+    if max(roll, half_turns) < _LEAST_ROLL_RAD:
+        said.append(
+            f"no roll: the camera is turned about its axis by {np.degrees(half_turns):.0f} deg at most, so principal "
+            "point, tangential distortion and pixel aspect lean on the board's shape; turn it by 90 deg for some photos"
+        )
+    depth = float(distances.max() / distances.min())
+    if depth < _LEAST_DEPTH_RATIO:
+        said.append(
+            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again"
+        )
+    if covered.share < _LEAST_COVERED_SHARE or covered.radius_share < _LEAST_RADIUS_SHARE:
+        said.append(
+            f"poor coverage: {covered.share:.0%} of the image has points, out to {covered.radius_share:.0%} of the way "
+            "to its corners; beyond, the lens is extrapolated: bring the board into every corner"
+        )
+    return tuple(said)
+
+
+def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[str, str, float]]:
+    """Find photos that show the board from one place: each counts fully, but together they tell little more than one.
+
+    Parameters
+    ----------
+    photos : sequence of BoardPoints
+        The board in each photo.
+    diagonal_px : float
+        Diagonal of the image [px].
+
+    Returns
+    -------
+    list of (str, str, float)
+        A photo, the earlier one it repeats, and the RMS distance of the board's points between both [px].
+    """
+    found = []
+    for later, one in enumerate(photos):
+        for other in photos[:later]:
+            _, own, others = np.intersect1d(one.index, other.index, return_indices=True)
+            if own.size == 0:
+                continue
+            steps = one.pixels_px[own] - other.pixels_px[others]
+            distance = float(np.sqrt((steps**2).sum(axis=1).mean()))
+            if distance < _SAME_PLACE_SHARE * diagonal_px:
+                found.append((one.photo, other.photo, distance))
+                break
+    return found
+
+
+def photo_warnings(photos: Sequence[BoardPoints], camera: Camera) -> tuple[str, ...]:
+    """Say which photos are doubtful in themselves.
+
+    Parameters
+    ----------
+    photos : sequence of BoardPoints
+        The board in each photo.
+    camera : Camera
+        For the size of the image.
+
+    Returns
+    -------
+    tuple of str
+        Warnings.
+    """
+    said = []
+    same = same_views(photos, float(np.hypot(camera.width_px, camera.height_px)))
+    if same:
+        listed = ", ".join(f"{one} and {other} ({distance:.1f} px apart)" for one, other, distance in same[:5])
+        more = f" and {len(same) - 5} more" if len(same) > 5 else ""
+        said.append(
+            f"{len(same)} photos repeat another one: {listed}{more}; the board stands in the same place there, which "
+            "tells no more about the lens: move board or camera between photos"
+        )
+    bright = [one for one in photos if one.saturated_share > _SATURATED_SHARE]
+    if bright:
+        listed = ", ".join(f"{one.photo} ({one.saturated_share:.0%})" for one in bright[:5])
+        said.append(
+            f"{len(bright)} photos are saturated on the board: {listed}; where light spills over, edges are shifted: "
+            "expose less"
+        )
+    return tuple(said)

@@ -1,0 +1,1 @@
+"""The stages of a camera calibration, in a row in `measure`."""

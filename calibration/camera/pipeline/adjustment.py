@@ -1,0 +1,358 @@
+"""Adjustments of a calibration: the board as drawn, how it was counted, its own shape, photos kept apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.camera.boards import Board, Chessboard, CircleGrid, TargetField, renumbering
+from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.result import rms_length
+from calibration.camera.start_values.orientation import Orientations, find_orientations
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.constraints import ControlPoint
+from photogrammetry.bundle.diagnosis import require
+from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
+from photogrammetry.bundle.statistics import examine_image_points
+from photogrammetry.centers.ellipse import eccentricity_px
+from photogrammetry.image_points import ImagePoints
+
+#: Two tilted photos determine a camera with square pixels and nothing to spare; three have something to spare.
+LEAST_PHOTOS = 3
+#: A board is taken to be as drawn to 2 % of its pitch in its plane and 10 % across it, until its departure is seen.
+_FIRST_PRIOR = np.array([0.02, 0.02, 0.1])
+#: Then to twice the departure that was found (smooth departures are not independent), never better than this.
+_PRIOR_FACTOR, _LEAST_PRIOR = 2.0, 2e-4
+#: Points farther off than this many sigmas of what is usual here are left out; 1 in 10^7 good ones is.
+_REJECTED_SIGMAS = 6.0
+#: A photo this many times worse than the middle one, and by pixels, shows something else than the board.
+_WORSE_PHOTO, _WORSE_PHOTO_PX = 8.0, 2.0
+_STEPS = (("focal_px",), ("focal_px", "center_x_px", "center_y_px", "k1", "k2"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardNetwork:
+    """Photos with the board found, and start values.
+
+    Parameters
+    ----------
+    board : Board
+        The board as drawn, or as it was first found where nothing was known of it.
+    points : tuple of BoardPoints, length p
+        Its points in each photo.
+    free : tuple of str
+        Intrinsics that are estimated.
+    camera : Camera
+        Start values.
+    poses : tuple of RigidTransform, length p
+        ``cam_from_board`` to start from.
+    places_known : bool
+        Whether the drawing says anything about the points' places.
+    """
+
+    board: Board
+    points: tuple[BoardPoints, ...]
+    free: tuple[str, ...]
+    camera: Camera
+    poses: tuple[RigidTransform, ...]
+    places_known: bool = True
+
+    @property
+    def seen(self) -> npt.NDArray[np.intp]:
+        """Points of the board in at least one photo, shape (k,)."""
+        return np.unique(np.concatenate([one.index for one in self.points]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        names = self.board.names
+        return tuple(names[i] for i in self.seen)
+
+    def observations(self) -> ImagePoints:
+        """Gather all photos in one table."""
+        place = np.full(len(self.board.names), -1, dtype=np.intp)
+        place[self.seen] = np.arange(self.seen.size)
+        return ImagePoints(
+            tuple(one.photo for one in self.points),
+            self.names,
+            np.repeat(np.arange(len(self.points)), [one.n for one in self.points]),
+            np.concatenate([place[one.index] for one in self.points]),
+            np.concatenate([one.pixels_px for one in self.points]),
+            np.concatenate([one.covariance_px2 for one in self.points]),
+        )
+
+    def start(self) -> BundleState:
+        """Return the state to start from: the board as drawn."""
+        return bundle_state([self.camera], self.poses, self.board.points_m[self.seen])
+
+    def without(self, photo: int) -> "BoardNetwork":
+        """Return the network without one photo."""
+        rest = [i for i in range(len(self.points)) if i != photo]
+        return replace(self, points=tuple(self.points[i] for i in rest), poses=tuple(self.poses[i] for i in rest))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """The last adjustment.
+
+    Parameters
+    ----------
+    bundle : BundleResult
+        What was estimated.
+    kept : ndarray of bool, shape (m,)
+        Image points of the network that were used.
+    factor : float
+        Residuals over what the stated sigmas let expect; the covariance contains it.
+    prior_sigma_m : ndarray, shape (3,)
+        How far points may be from the drawing; 0: held, infinite: nothing is known [m].
+    rms_as_drawn_px : float
+        Residuals with the board as drawn; NaN where there is no drawing [px].
+    rejected : tuple of str
+        Image points left out.
+    """
+
+    bundle: BundleResult
+    kept: BoolArray
+    factor: float
+    prior_sigma_m: FloatArray
+    rms_as_drawn_px: float
+    rejected: tuple[str, ...] = ()
+
+
+def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[BoardNetwork, float]:
+    """Adjust with the board held as drawn, more intrinsics at each step; photos of something else are left out.
+
+    Parameters
+    ----------
+    network : BoardNetwork
+        Photos with start values.
+    left_out : dict of str to str
+        Takes photos that do not agree, with the reason.
+
+    Returns
+    -------
+    network : BoardNetwork
+        With the camera and the poses found.
+    rms_px : float
+        RMS of the residuals [px].
+
+    Raises
+    ------
+    EstimationError
+        The photos do not agree.
+    """
+    for _ in range(len(network.points)):
+        state, table = network.start(), network.observations()
+        result: BundleResult | None = None
+        for step in (*_STEPS, network.free):
+            names = tuple(name for name in step if name in network.free)
+            model = CameraModel("camera", names)
+            result = adjust(BundleProblem(table, (model,), fixed=network.names), state)
+            state = result.state
+        if result is None:
+            break
+        residuals = result.residuals_px
+        rms = np.array([rms_length(residuals[table.photo_index == i]) for i in range(len(table.photos))])
+        worst, usual = int(np.argmax(rms)), float(np.median(rms))
+        if rms[worst] < max(_WORSE_PHOTO * usual, _WORSE_PHOTO_PX) or len(rms) <= LEAST_PHOTOS:
+            poses = tuple(state.cam_from_world(i) for i in range(len(rms)))
+            return replace(network, camera=state.cameras[0], poses=poses), rms_length(residuals)
+        name = network.points[worst].photo
+        left_out[name] = f"{name}: its points miss the board by {rms[worst]:.1f} px RMS, those of others by {usual:.2g}"
+        network = network.without(worst)
+    raise EstimationError("no set of photos agrees on one camera and one board")
+
+
+def counted_alike(network: BoardNetwork) -> tuple[BoardNetwork, Orientations | None]:
+    """Count the board from the same corner in all photos, where its print looks the same turned.
+
+    Parameters
+    ----------
+    network : BoardNetwork
+        Adjusted with the board as drawn.
+
+    Returns
+    -------
+    network : BoardNetwork
+        Numbers and poses of some photos turned.
+    orientations : Orientations or None
+        How; None where the print tells.
+    """
+    board = network.board
+    if not isinstance(board, Chessboard | CircleGrid) or not board.looks_the_same_turned:
+        return network, None
+    found = find_orientations(board, network.points, network.poses, network.camera)
+    points, poses = list(network.points), list(network.poses)
+    for photo in found.turned:
+        points[photo], poses[photo] = turned(board, points[photo], poses[photo], found.quarter_turns[photo])
+    return replace(network, points=tuple(points), poses=tuple(poses)), found
+
+
+def turned(
+    board: Chessboard | CircleGrid, points: BoardPoints, pose: RigidTransform, quarter_turns: int
+) -> tuple[BoardPoints, RigidTransform]:
+    """Count the board of a photo from another corner: the same image with other numbers and another pose.
+
+    Parameters
+    ----------
+    board : Chessboard or CircleGrid
+        The board.
+    points : BoardPoints
+        Its points in the photo.
+    pose : RigidTransform
+        ``cam_from_board``.
+    quarter_turns : int
+        One of the board's `same_turns`.
+
+    Returns
+    -------
+    points : BoardPoints
+        With other numbers.
+    pose : RigidTransform
+        The pose with these.
+    """
+    back = RigidTransform.from_rotation_vector([0.0, 0.0, -0.5 * np.pi * quarter_turns], np.zeros(3))
+    return replace(points, index=renumbering(board, quarter_turns)[points.index]), pose @ back
+
+
+def with_true_centers(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
+    """Move centres of circles' images to the images of their centres, seen as the state says.
+
+    Parameters
+    ----------
+    network : BoardNetwork
+        The photos.
+    measured : sequence of BoardPoints
+        The centres of the images, as measured.
+    state : BundleState
+        Camera, poses and points.
+
+    Returns
+    -------
+    BoardNetwork
+        With corrected points; unchanged for boards without circles.
+    """
+    if isinstance(network.board, TargetField):
+        return _with_true_targets(network, measured, state)
+    board = network.board
+    if not isinstance(board, CircleGrid):
+        return network
+    places_m, normals = board.points_m.copy(), np.tile([0.0, 0.0, 1.0], (len(board.names), 1))
+    places_m[network.seen] = state.points_m
+    x, y = places_m[:, 0], places_m[:, 1]
+    # A print is bent smoothly: its normals come from a quadratic.
+    terms = np.stack([np.ones(x.size), x, y, x * x, x * y, y * y], axis=1)
+    bent = np.linalg.lstsq(terms[network.seen], places_m[network.seen, 2], rcond=None)[0]
+    normals[:, 0] = -(bent[1] + 2 * bent[3] * x + bent[4] * y)
+    normals[:, 1] = -(bent[2] + bent[4] * x + 2 * bent[5] * y)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    radius, points = 0.5 * board.diameter_share * board.pitch_m, []
+    for i, one in enumerate(measured):
+        pose = state.cam_from_world(i)
+        shift = eccentricity_px(
+            state.cameras[0], pose.apply(places_m[one.index]), pose.rotate(normals[one.index]), radius
+        )
+        points.append(replace(one, pixels_px=one.pixels_px - shift))
+    return replace(network, points=tuple(points))
+
+
+def _with_true_targets(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
+    """Do the same for targets, whose size and attitude come from their ellipses in all photos."""
+    table = replace(network, points=tuple(measured)).observations()
+    ellipses = np.concatenate([one.ellipses_px2 for one in measured])
+    if len(ellipses) != table.n:
+        return network
+    camera_of_photo = np.zeros(len(table.photos), dtype=np.intp)
+    discs = estimate_discs(table, ellipses, state, camera_of_photo)
+    shifts = eccentricities_px(table, discs, state, camera_of_photo)
+    points = [replace(one, pixels_px=one.pixels_px - shifts[table.photo_index == i]) for i, one in enumerate(measured)]
+    return replace(network, points=tuple(points))
+
+
+def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_m: FloatArray) -> BundleProblem:
+    """Pose the adjustment: the drawing is knowledge with a sigma, exact where that is 0, nothing where infinite.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Intrinsics that are estimated.
+    table : ImagePoints
+        The image points.
+    drawn_m : ndarray, shape (k, 3)
+        Where its targets were drawn [m].
+    sigma_m : ndarray, shape (3,)
+        How far they may be from there [m].
+
+    Returns
+    -------
+    BundleProblem
+        The problem.
+    """
+    model = (CameraModel("camera", free),)
+    if not sigma_m.any():
+        return BundleProblem(table, model, fixed=table.targets)
+    if np.isinf(sigma_m).all():
+        return BundleProblem(table, model)
+    covariance = np.diag(sigma_m**2)
+    known = tuple(ControlPoint(name, place, covariance) for name, place in zip(table.targets, drawn_m, strict=True))
+    return BundleProblem(table, model, constraints=known)
+
+
+def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_board: bool) -> Adjusted:
+    """Adjust three times: see outliers, then the size of residuals and of the board's departure, then for good.
+
+    Parameters
+    ----------
+    network : BoardNetwork
+        Photos with start values.
+    rms_as_drawn_px : float
+        Residuals with the board as drawn, to be reported [px].
+    refine_board : bool
+        Estimate the board's shape; otherwise it is held as drawn.
+
+    Returns
+    -------
+    Adjusted
+        Camera, poses and board.
+
+    Raises
+    ------
+    EstimationError
+        The photos do not determine the camera.
+    """
+    table, drawn = network.observations(), network.board.points_m[network.seen]
+    pitch = network.board.pitch_m
+    prior = _FIRST_PRIOR * pitch if refine_board else np.zeros(3)
+    if not network.places_known:
+        prior = np.full(3, np.inf)
+    bundle = adjust(posed(network.free, table, drawn, prior), network.start())
+    tests = examine_image_points(bundle)
+    usual = float(np.median(tests.length_squared)) / (2 * np.log(2.0))
+    kept = np.asarray(tests.length_squared <= _REJECTED_SIGMAS**2 * usual)
+    rejected = tuple(
+        f"{table.label(int(row))}: {np.hypot(*bundle.residuals_px[row]):.3f} px" for row in np.nonzero(~kept)[0]
+    )
+    factor = 1.0
+    for _ in range(2):
+        used = kept if bundle.problem.observations.n == kept.size else np.ones(np.count_nonzero(kept), np.bool_)
+        factor *= _variance_share(bundle, used)
+        if refine_board and network.places_known:
+            departure = bundle.state.points_m - drawn
+            seen = np.sqrt((departure**2).mean(axis=0))
+            in_plane = float(np.hypot(seen[0], seen[1])) * np.sqrt(0.5)
+            prior = np.maximum(_PRIOR_FACTOR * np.array([in_plane, in_plane, seen[2]]), _LEAST_PRIOR * pitch)
+        scaled = replace(table, covariance_px2=table.covariance_px2 * factor).subset(kept)
+        bundle = adjust(posed(network.free, scaled, drawn, prior), bundle.state)
+    require(bundle, "calibration")
+    return Adjusted(bundle, kept, float(np.sqrt(factor)), prior, rms_as_drawn_px, rejected)
+
+
+def _variance_share(bundle: BundleResult, kept: BoolArray) -> float:
+    """Squared residuals of image points over their own redundancy (the drawing's knowledge left aside)."""
+    redundancy = np.einsum("mii->m", examine_image_points(bundle).redundancy)[kept].sum()
+    return float((bundle.whitened_residuals[kept] ** 2).sum() / max(redundancy, 1.0))

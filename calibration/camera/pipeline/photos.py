@@ -1,0 +1,214 @@
+"""Photos to points of the board: read, find, measure, several photos at a time."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
+from calibration.camera.corners.detection import BoardPoints, find_charuco, find_chessboard, find_circles
+from calibration.camera.start_values.intrinsics import homography
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import read_image
+from heliogauge.measurement.models import CalibratedCameraSection
+from heliogauge.running.progress import Progress
+from photogrammetry.centers.ellipse import Ellipse
+from photogrammetry.centers.template import template_center
+from photogrammetry.detection.detect import measure_center
+from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
+from photogrammetry.targets.coded_targets import RingDictionary
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownField:
+    """A plate or room with coded targets of which nothing is known but the dictionary of their codes."""
+
+    dictionary: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundBoards:
+    """What all photos show.
+
+    Parameters
+    ----------
+    points : tuple of BoardPoints
+        The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
+    failures : tuple of EstimationError
+        Why the others do not.
+    size_px : (int, int)
+        Width and height of all photos [px].
+    names : tuple of str
+        Names of an `UnknownField`'s targets; empty otherwise.
+    """
+
+    points: tuple[BoardPoints, ...]
+    failures: tuple[EstimationError, ...]
+    size_px: tuple[int, int]
+    names: tuple[str, ...] = ()
+
+
+def search_photos(
+    files: Sequence[Path],
+    board: Board | UnknownField,
+    asked: CalibratedCameraSection,
+    *,
+    known: RingDictionary | None,
+    jobs: int | None,
+    progress: Progress,
+) -> FoundBoards:
+    """Find the board in all photos.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos.
+    board : Board or UnknownField
+        What they show.
+    asked : CalibratedCameraSection
+        The size that photos should have.
+    known : RingDictionary or None
+        Codes of the board's targets; None for boards without.
+    jobs : int or None
+        Photos searched side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    FoundBoards
+        Points with covariances, and the reasons where there are none.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, or its size is not that of the others or the one asked for.
+    """
+    found: list[BoardPoints] = []
+    failures: list[EstimationError] = []
+    names: dict[str, int] = {}
+    size: tuple[int, int] | None = None
+
+    def one(file: Path) -> tuple[BoardPoints | EstimationError, tuple[str, ...], tuple[int, int]]:
+        image = read_image(file)
+        own = (int(image.shape[1]), int(image.shape[0]))
+        try:
+            points, codes = _measured(file.name, image, board, known)
+            return replace(points, saturated_share=_saturated_share(image, points)), codes, own
+        except EstimationError as error:
+            return error, (), own
+
+    with progress.stage("find the board", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(one, file) for file in files]
+        try:
+            for file, future in zip(files, waiting, strict=True):
+                points, codes, own = future.result()
+                size = size or own
+                _check_size(file, own, (files[0], size), asked)
+                if isinstance(points, EstimationError):
+                    failures.append(points)
+                elif codes:
+                    index = np.array([names.setdefault(code, len(names)) for code in codes], dtype=np.intp)
+                    found.append(replace(points, index=index))
+                else:
+                    found.append(points)
+                stage.advance()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return FoundBoards(tuple(found), tuple(failures), size or (0, 0), tuple(names))
+
+
+def _check_size(
+    file: Path, own: tuple[int, int], first: tuple[Path, tuple[int, int]], asked: CalibratedCameraSection
+) -> None:
+    if own != first[1]:
+        raise InputError(
+            f"{file.name} has {own[0]} x {own[1]} px, but {first[0].name} {first[1][0]} x {first[1][1]}; photos of one "
+            "camera at one resolution, all upright or all on their side in the file, are needed"
+        )
+    wanted = (asked.width_px, asked.height_px)
+    if any(want is not None and want != got for want, got in zip(wanted, own, strict=True)):
+        raise InputError(
+            f"{file.name} has {own[0]} x {own[1]} px, but measurement.toml says camera.width_px = {wanted[0]}, "
+            f"camera.height_px = {wanted[1]}"
+        )
+
+
+def _saturated_share(image: npt.NDArray[Any], points: BoardPoints) -> float:
+    """Share of the pixels around the board at the image's largest value."""
+    low, high = points.pixels_px.min(axis=0).astype(int), points.pixels_px.max(axis=0).astype(int) + 1
+    part = image[max(low[1], 0) : high[1], max(low[0], 0) : high[0]]
+    return float(np.mean(part == image.max())) if part.size else 0.0
+
+
+def _measured(
+    photo: str, image: npt.NDArray[Any], board: Board | UnknownField, known: RingDictionary | None
+) -> tuple[BoardPoints, tuple[str, ...]]:
+    """Measure the board; codes of targets are returned where their numbers are not known yet."""
+    if isinstance(board, Chessboard):
+        return find_chessboard(photo, image, board), ()
+    if isinstance(board, CharucoBoard):
+        return find_charuco(photo, image, board), ()
+    if isinstance(board, CircleGrid):
+        return _with_centers(image, find_circles(photo, image, board), board), ()
+    if known is not None and isinstance(board, TargetField | UnknownField):
+        return _target_points(photo, image, board, known)
+    raise InputError(f"{photo}: boards of the kind {type(board).__name__} are not known")
+
+
+def _with_centers(image: npt.NDArray[Any], rough: BoardPoints, board: CircleGrid) -> BoardPoints:
+    """Measure the centres of dots that were found roughly."""
+    shape = homography(rough, board.points_m)
+    radius = 0.5 * board.diameter_share * board.pitch_m
+    places, pixels, covariances = [], [], []
+    for place, rough_px in zip(rough.index.tolist(), rough.pixels_px, strict=True):
+        plane = board.points_m[place, :2]
+        ends = np.column_stack([np.vstack([plane, plane + radius * np.eye(2)]), np.ones(3)]) @ shape.T
+        ends = ends[:, :2] / ends[:, 2:]
+        frame = (ends[1:] - ends[0]).T
+        try:
+            center = measure_center(image, Ellipse(rough_px, frame @ frame.T), template_center)
+        except EstimationError:
+            continue
+        places.append(place)
+        pixels.append(center.center_px)
+        covariances.append(0.5 * (center.covariance_px2 + center.covariance_px2.T))
+    if len(places) < 0.5 * rough.n:
+        raise EstimationError(f"{rough.photo}: only {len(places)} of {rough.n} dots can be measured as blurred discs")
+    return BoardPoints(rough.photo, np.array(places, dtype=np.intp), np.array(pixels), np.array(covariances))
+
+
+def _target_points(
+    photo: str, image: npt.NDArray[Any], board: TargetField | UnknownField, known: RingDictionary
+) -> tuple[BoardPoints, tuple[str, ...]]:
+    measured = measure_targets(image, photo, TargetSearch(dictionary=known, with_uncoded=False))
+    found = measured.detections
+    twice = set(found.duplicated)
+    place = {name: i for i, name in enumerate(board.names)} if isinstance(board, TargetField) else None
+    chosen = [
+        k
+        for k, name in enumerate(found.names)
+        if (place is None or name in place) and name not in twice and found.usable[k]
+    ]
+    if not chosen:
+        if measured.mirrored:
+            raise EstimationError(
+                f"{photo}: {len(measured.mirrored)} targets were found as mirror images: print or photo is the wrong "
+                "way round"
+            )
+        raise EstimationError(f"{photo}: no target of {board.dictionary} was found (is it the right dictionary?)")
+    index = np.arange(len(chosen)) if place is None else np.array([place[found.names[k]] for k in chosen])
+    covariance = found.covariance_px2[chosen]
+    points = BoardPoints(
+        photo,
+        index.astype(np.intp),
+        found.pixels_px[chosen],
+        0.5 * (covariance + np.swapaxes(covariance, 1, 2)),
+        ellipses_px2=np.array([measured.centers[k].ellipse.shape_px2 for k in chosen]),
+    )
+    return points, tuple(found.names[k] for k in chosen) if place is None else ()

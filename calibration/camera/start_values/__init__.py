@@ -1,0 +1,1 @@
+"""Intrinsics and poses to start the adjustment from."""

@@ -1,0 +1,1 @@
+"""What is wrong with a heliostat or its records: hypotheses, their evidence, drift."""

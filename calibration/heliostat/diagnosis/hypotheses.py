@@ -1,0 +1,312 @@
+"""What could be wrong with records as a whole, tried out one by one where a fit ends far from the observations."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from calibration.heliostat.diagnosis.findings import Finding
+from calibration.heliostat.diagnosis.linear_model import linear_fit
+from calibration.heliostat.diagnosis.terms import Terms, turned_sky, with_suns
+from calibration.heliostat.fitting.fit import fit as fit_heliostat
+from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator, PlaneTarget, RotaryDrive
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+from calibration.heliostat.observations.beam_observations import BeamSpots
+from calibration.heliostat.observations.observations import Group, Observations, Pointings
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.sun import Site
+from heliogauge.validate import FloatArray
+
+#: Median angle between beams and fit beyond which no heliostat with its numbers is explained [rad of the beam].
+FAR_RAD = 0.010
+#: A heliostat that loses more rows than this is not the one described.
+REJECTED = 0.3
+# What is believed brings the median down by this factor.
+_BETTER = 4.0
+# Rows that decide between hypotheses; the winner is fitted to all.
+_ROWS = 40
+_HOURS = (*range(-14, 0), *range(1, 15))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """Records as they would be without a fault.
+
+    Parameters
+    ----------
+    kind : str
+        The fault: a key of `REMEDIES`.
+    text : str
+        The fault in words.
+    design : HeliostatDesign
+        The heliostat.
+    change : callable
+        Makes observations as they should have been.
+    evidence : mapping of str to float
+        Numbers of the fault.
+    """
+
+    kind: str
+    text: str
+    design: HeliostatDesign
+    change: Callable[[Observations], Observations]
+    evidence: Mapping[str, float]
+
+
+def is_far(fit: HeliostatFit) -> bool:
+    """Return whether a fit ends so far from its observations that these must be wrong as a whole."""
+    return _median(fit) > FAR_RAD
+
+
+def hypothesis_finding(
+    fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None
+) -> tuple[Finding, HeliostatFit | None]:
+    """Find what, if undone, would make a heliostat's observations fit.
+
+    Parameters
+    ----------
+    fit : HeliostatFit
+        A fit that is far from its observations.
+    targets : mapping
+        Targets by name.
+    site : Site or None
+        Where the plant is; without, times are not questioned.
+
+    Returns
+    -------
+    Finding
+        The fault whose undoing explains the observations, or that none does.
+    HeliostatFit or None
+        The fit without the fault; None where none explains them.
+    """
+    before = _median(fit)
+    few = _some(fit.observations)
+    tried = [(_tried(one, few), one) for one in _all(fit, targets, site)]
+    best, hypothesis = min(tried, key=lambda pair: pair[0], default=(np.inf, None))
+    numbers = _free_actuators(fit)
+    if numbers is not None:
+        # Twenty free numbers fit more than one changed sign does: they have to be twice as good.
+        freed = _tried(numbers, fit.observations)
+        if 2 * freed < best:
+            best, hypothesis = freed, numbers
+    if hypothesis is None or best > max(before / _BETTER, 1e-4) or best > FAR_RAD:
+        return _unexplained(fit, before), None
+    corrected = _fitted(hypothesis, fit.observations)
+    if hypothesis.kind == "time_offset" and corrected is not None and site is not None:
+        return _time_finding(fit, hypothesis, site, before)
+    after = np.inf if corrected is None else _median(corrected)
+    evidence = {"median_before_mrad": 1e3 * before, "median_after_mrad": 1e3 * after, **hypothesis.evidence}
+    fall = f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam"
+    text = f"{hypothesis.text}: without that the median residual falls {fall}."
+    return Finding(hypothesis.kind, "fault", text, evidence), corrected
+
+
+def _unexplained(fit: HeliostatFit, before: float) -> Finding:
+    share = float(fit.rejected.mean())
+    text = (
+        f"Observations lie {1e3 * before:.1f} mrad (median) from the best fit and {100 * share:.0f} % of them "
+        "contradict the others; no known fault explains it."
+    )
+    evidence = {"median_before_mrad": 1e3 * before, "rejected_share": share}
+    return Finding("unexplained", "fault", text, evidence)
+
+
+def _time_finding(
+    fit: HeliostatFit, hypothesis: Hypothesis, site: Site, before: float
+) -> tuple[Finding, HeliostatFit | None]:
+    """Refine an offset of the times from the nearest hour."""
+    seconds, sigma, corrected = hypothesis.evidence["offset_s"], np.inf, None
+    for _ in range(4):
+        later = turned_sky(fit.observations, site, seconds)
+        corrected = fit_heliostat(fit.nominal, later, FitOptions(sigma="estimated"))
+        rows = corrected.residuals.computable
+        clock = next(one for one in Terms(corrected, rows).sun(site) if one.kind == "time_offset")
+        extension = linear_fit(corrected, rows).extended(clock.columns[0])
+        step, sigma = float(extension.coefficients[0]), float(extension.sigmas[0])
+        seconds += step
+        if abs(step) < 0.1 * sigma:
+            break
+    after = np.inf if corrected is None else _median(corrected)
+    text = (
+        f"Times are wrong by {seconds / 3600:+.4f} h ({sigma:.0f} s sigma), to be added: the median residual falls "
+        f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam."
+    )
+    evidence = {
+        "offset_s": seconds, "sigma_offset_s": sigma, "median_before_mrad": 1e3 * before,
+        "median_after_mrad": 1e3 * after,
+    }  # fmt: skip
+    return Finding("time_offset", "fault", text, evidence), corrected
+
+
+# --- trying -----------------------------------------------------------------------------------------------------------
+
+
+def _median(fit: HeliostatFit) -> float:
+    """Median angle between observation and fit of all rows [rad]."""
+    residuals = fit.residuals
+    angles = np.where(np.isfinite(residuals.beam_angle_rad), residuals.beam_angle_rad, residuals.normal_angle_rad)
+    angles = angles[np.isfinite(angles) | ~residuals.computable]
+    angles = np.where(np.isfinite(angles), angles, np.pi)
+    return float(np.median(angles)) if angles.size else 0.0
+
+
+def _fitted(hypothesis: Hypothesis, observations: Observations) -> HeliostatFit | None:
+    try:
+        options = FitOptions(sigma="estimated", restarts=0)
+        found = fit_heliostat(hypothesis.design, hypothesis.change(observations), options)
+    except (EstimationError, InputError):
+        return None
+    return found
+
+
+def _tried(hypothesis: Hypothesis, observations: Observations) -> float:
+    found = _fitted(hypothesis, observations)
+    return np.inf if found is None or _looks_away(found) else _median(found)
+
+
+def _looks_away(fit: HeliostatFit) -> bool:
+    """Whether the mirror turns its back to the sun: that reflects alike on paper, and nowhere else."""
+    seen = fit.observations
+    poses = mirror_poses(fit.design, fit.values, seen.readings, seen.approach, outside="nan")
+    facing = np.einsum("ni,ni->n", poses.normals(fit.design), seen.sun)
+    facing = facing[np.isfinite(facing)]
+    return bool(facing.size and np.median(facing) < 0)
+
+
+def _some(observations: Observations) -> Observations:
+    count = len(observations)
+    chosen = np.zeros(count, dtype=np.bool_)
+    chosen[np.linspace(0, count - 1, min(_ROWS, count)).round().astype(np.intp)] = True
+    return observations.select(chosen)
+
+
+# --- what could be wrong ----------------------------------------------------------------------------------------------
+
+
+def _all(fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None) -> Iterator[Hypothesis]:
+    yield from _suns(fit)
+    yield from _axes(fit)
+    yield from _spots(fit, targets)
+    if site is not None and np.isfinite(fit.observations.sun).any():
+        for hours in _HOURS:
+            yield Hypothesis(
+                "time_offset", f"times are {hours} h off", fit.nominal,
+                partial(turned_sky, site=site, seconds=3600.0 * hours), {"offset_s": 3600.0 * hours},
+            )  # fmt: skip
+
+
+def _suns(fit: HeliostatFit) -> Iterator[Hypothesis]:
+    if not np.isfinite(fit.observations.sun).any():
+        return
+    forms = {
+        "The sun's azimuth is counted from south, positive to the east": np.diag([1.0, -1.0, 1.0]),
+        "The sun's azimuth is counted from south, positive to the west": np.diag([-1.0, -1.0, 1.0]),
+        "The sun's azimuth is counted counter-clockwise from north": np.diag([-1.0, 1.0, 1.0]),
+        "The sun's azimuth is counted counter-clockwise from east": np.eye(3)[[1, 0, 2]],
+    }
+    for text, form in forms.items():
+        yield Hypothesis(
+            "sun_convention", text, fit.nominal,
+            partial(with_suns, change=partial(_turned, form)), {},
+        )  # fmt: skip
+    yield Hypothesis(
+        "sun_convention", "The sun's elevation is the angle from the zenith", fit.nominal,
+        partial(with_suns, change=_from_zenith), {},
+    )  # fmt: skip
+
+
+def _turned(form: FloatArray, suns: FloatArray) -> FloatArray:
+    return np.asarray(suns @ form.T)
+
+
+def _from_zenith(suns: FloatArray) -> FloatArray:
+    flat = np.hypot(suns[:, 0], suns[:, 1])
+    level = suns[:, :2] / np.maximum(flat, 1e-12)[:, None]
+    return np.column_stack([level * suns[:, 2:], flat])
+
+
+def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
+    yield Hypothesis(
+        "swapped_axes", "The readings of the two axes are exchanged", fit.nominal,
+        lambda seen: _with_readings(seen, lambda readings: readings[:, ::-1]), {},
+    )  # fmt: skip
+    for axis in (0, 1):
+        yield Hypothesis(
+            "inverted_axis", f"Axis {axis + 1} runs the other way than said", _inverted(fit.nominal, axis),
+            lambda seen: seen, {"axis": axis + 1.0},
+        )  # fmt: skip
+    drive = fit.nominal.drives[0]
+    if isinstance(drive, RotaryDrive):
+        # Azimuths from the south, clockwise and not; half a turn of axis 2 as well would be the same pose over the top.
+        half = np.array([np.pi / drive.rad_per_reading, 0.0])
+        for design, also in ((fit.nominal, ""), (_inverted(fit.nominal, 0), " and runs the other way")):
+            yield Hypothesis(
+                "half_turn", f"Axis 1 is read half a turn off{also} (an azimuth from the south?)", design,
+                partial(_with_readings, change=partial(np.add, half)), {"axis": 1.0},
+            )  # fmt: skip
+
+
+def _inverted(design: HeliostatDesign, axis: int) -> HeliostatDesign:
+    drive = design.drives[axis]
+    if isinstance(drive, RotaryDrive):
+        turned: RotaryDrive | LinearActuator = replace(drive, rad_per_reading=-drive.rad_per_reading)
+    else:
+        turned = replace(drive, clockwise=not drive.clockwise)
+    drives = (turned, design.drives[1]) if axis == 0 else (design.drives[0], turned)
+    return replace(design, drives=drives)
+
+
+def _spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[Hypothesis]:
+    beams = [group for group in fit.observations.groups if isinstance(group, BeamSpots) and len(group)]
+    used = [name for name in dict.fromkeys(name for group in beams for name in group.target) if name in targets]
+    if not used:
+        return
+    yield Hypothesis(
+        "mirrored_spots", "x on the targets runs to the left as seen from the field", fit.nominal,
+        partial(_with_spots, targets=targets, names={}, sign=-1.0), {},
+    )  # fmt: skip
+    for one, other in combinations(used, 2):
+        yield Hypothesis(
+            "target_names_exchanged", f"The targets {one} and {other} are taken for each other", fit.nominal,
+            partial(_with_spots, targets=targets, names={one: other, other: one}, sign=1.0), {},
+        )  # fmt: skip
+
+
+def _free_actuators(fit: HeliostatFit) -> Hypothesis | None:
+    """Return the heliostat with the numbers of its linear actuators free."""
+    drives = [drive for drive in fit.nominal.drives if isinstance(drive, LinearActuator)]
+    if not drives or len(fit.observations) < 20:
+        return None
+    names = [n for d in drives for n in (d.initial_angle, d.initial_stroke, d.offset, d.pivot_radius)]
+    parameters = fit.nominal.parameters.with_sigmas(dict.fromkeys(names, np.inf))
+    free = fit.nominal.with_parameters(parameters)
+    return Hypothesis(
+        "actuator_numbers", "The actuators' numbers are not this heliostat's", free, lambda seen: seen, {}
+    )
+
+
+def _with_readings(observations: Observations, change: Callable[[FloatArray], FloatArray]) -> Observations:
+    groups: list[Group] = []
+    for group in observations.groups:
+        old = group.pointings
+        groups.append(replace(group, pointings=Pointings(change(old.readings), old.row, old.time, old.approach)))
+    return Observations(tuple(groups))
+
+
+def _with_spots(
+    observations: Observations, targets: Mapping[str, PlaneTarget], names: Mapping[str, str], sign: float
+) -> Observations:
+    groups: list[Group] = []
+    for group in observations.groups:
+        if isinstance(group, BeamSpots) and len(group):
+            spots = group.spot_m.copy()
+            for name in set(group.target) & set(targets):
+                mine = np.array([one == name for one in group.target], dtype=np.bool_)
+                xy = targets[name].coordinates(spots[mine]) * [sign, 1.0]
+                spots[mine] = targets[names.get(name, name)].points(xy)
+            group = replace(group, spot_m=spots)
+        groups.append(group)
+    return Observations(tuple(groups))

@@ -1,0 +1,243 @@
+"""A fit made linear about its end, robust and with all rows, to ask what a further term would explain."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.heliostat.fitting.fit_result import HeliostatFit
+from heliogauge.validate import BoolArray, FloatArray
+
+# Length of a row's residual (two components) from which on its pull no longer grows [sigma].
+_HUBER = 2.0
+# Median length of two normal components.
+_MEDIAN_LENGTH = 1.17741
+# A row's share in what is unexplained is cut here: other outliers neither make nor hide a fault [sigma].
+_CUT = 5.0
+# Directions of a term that the heliostat's own parameters imitate to better than this say nothing about it.
+_IMITATED = 0.02
+_ROUNDS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit:
+    """Residuals of a fit and their derivatives, in units of the rows' scatter.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        Predicted minus measured, then the pulls of the priors [sigma].
+    base : ndarray, shape (m, k)
+        Derivatives by what is adjusted anyhow.
+    owner : ndarray of int, shape (m,)
+        Row of each component, counted from 0; -1 for priors.
+    count : int
+        Number of rows.
+    scale : float
+        Scatter of the rows over their sigma.
+    stated : float
+        What that is where they scatter as was stated of them.
+    """
+
+    residual: FloatArray
+    base: FloatArray
+    owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    count: int
+    scale: float = 1.0
+    stated: float = 0.0
+
+    @property
+    def observed(self) -> BoolArray:
+        """Components of observations, shape (m,)."""
+        return np.asarray(self.owner >= 0)
+
+    def lengths(self) -> FloatArray:
+        """Return the length of each row's residual, shape (count,) [sigma]."""
+        own = self.observed
+        return np.sqrt(np.bincount(self.owner[own], self.residual[own] ** 2, minlength=self.count))
+
+    def padded(self, columns: FloatArray) -> FloatArray:
+        """Return columns for the rows' components (m_rows, q) with zeros for the priors."""
+        filled = np.zeros((self.owner.size, columns.shape[1]))
+        filled[self.observed] = columns
+        return filled
+
+    def scores(self, columns: FloatArray) -> tuple[FloatArray, np.ndarray[tuple[int, ...], np.dtype[np.intp]]]:
+        """Ask whether the residuals contain one of several terms.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (looks, m_rows, q)
+            Derivatives by the coefficients of each.
+
+        Returns
+        -------
+        ndarray, shape (looks,)
+            Statistic of each: chi-square with its degrees of freedom if the term is not there.
+        ndarray of int, shape (looks,)
+            Degrees of freedom: directions of the term that the base does not imitate.
+
+        Notes
+        -----
+        A score test with Huber's influence: the bounded residuals are projected on what the columns have beyond the
+        base. ``-(v + q / 2 - 1) ln(1 - R^2)``, with v spare components, is chi-square with q degrees to second order
+        in 1 / v, and exactly for q = 2. Rows that scatter less than was stated of them are judged by what was stated:
+        errors that they share do not scatter, and are no fault.
+        """
+        wide = np.zeros((len(columns), self.owner.size, columns.shape[2]))
+        wide[:, self.observed] = columns
+        size = np.linalg.norm(wide, axis=1)
+        wide /= np.where(size > 0, size, 1.0)[:, None]
+        # Priors keep their sigma where the rows turned out to scatter by another factor.
+        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
+        wide -= basis @ (basis.T @ wide)
+        pull = self._pull()
+        spare = int(self.observed.sum()) - basis.shape[1]
+        whole = float(pull @ pull)
+        values, vectors = np.linalg.eigh(wide.transpose(0, 2, 1) @ wide)
+        along = ((pull @ wide)[:, None] @ vectors)[:, 0]
+        seen = values > _IMITATED**2
+        freedom = seen.sum(axis=1)
+        if spare - columns.shape[2] < 3 or whole == 0:
+            return np.zeros(len(columns)), np.zeros(len(columns), dtype=np.intp)
+        explained = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        share = np.minimum(explained / whole, 1 - 1e-12)
+        statistics = -(spare - freedom / 2 - 1) * np.log1p(-share)
+        return np.asarray(statistics * min(1.0, self.scale / max(self.stated, 1e-300)) ** 2), freedom
+
+    def extended(
+        self, columns: FloatArray, sigmas: FloatArray | None = None, *, judged: BoolArray | None = None
+    ) -> "Extension":
+        """Adjust a term together with the base.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (m_rows, q)
+            Its derivatives.
+        sigmas : ndarray, shape (q,), optional
+            What is known of its coefficients beforehand; nothing without.
+        judged : ndarray of bool, shape (count,), optional
+            Rows in which it shall explain something; all without.
+
+        Returns
+        -------
+        Extension
+            Coefficients with sigma, and what is left.
+        """
+        wide, residual, base, owner = self.padded(columns), self.residual, self.base, self.owner
+        if sigmas is not None:
+            wide = np.concatenate([wide, np.diag(1 / sigmas)])
+            residual = np.append(residual, np.zeros(sigmas.size))
+            base = np.concatenate([base, np.zeros((sigmas.size, base.shape[1]))])
+            owner = np.append(owner, np.full(sigmas.size, -1))
+        both = replace(self, residual=residual, base=np.concatenate([base, wide], axis=1), owner=owner)
+        settled, step, covariance = _settled(both)
+        own = slice(self.base.shape[1], None)
+        rows = np.ones(self.count, dtype=np.bool_) if judged is None else judged
+        before = np.minimum(self.lengths()[rows] / self.scale, _CUT)
+        after = np.minimum(settled.lengths()[rows] / self.scale, _CUT)
+        spare = max(int(self.observed.sum()) - self.base.shape[1], 1)
+        left = float(after @ after) / max(spare - columns.shape[1], 1)
+        share = 1 - left / max(float(before @ before) / spare, 1e-300)
+        sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * max(settled.scale, self.stated)
+        return Extension(settled, step[own], sigma, share)
+
+    def _pull(self) -> FloatArray:
+        weight = np.ones(self.owner.size)
+        own = self.observed
+        lengths = self.lengths() / self.scale
+        weight[own] = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-300))[self.owner[own]]
+        return np.asarray(weight * self.residual / np.where(own, self.scale, 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extension:
+    """A term that was adjusted together with the base.
+
+    Parameters
+    ----------
+    model : LinearFit
+        What is left, the term being part of the base.
+    coefficients, sigmas : ndarray, shape (q,)
+        Of the term.
+    explained : float
+        Share of the (cut) variance that it explains beyond its degrees of freedom.
+    """
+
+    model: LinearFit
+    coefficients: FloatArray
+    sigmas: FloatArray
+    explained: float
+
+
+def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:
+    """Make a fit linear.
+
+    Parameters
+    ----------
+    fit : HeliostatFit
+        The fit.
+    rows : ndarray of bool, shape (n,), optional
+        Rows to take; all that can be computed without.
+
+    Returns
+    -------
+    LinearFit
+        Rejected rows included, with a bounded pull: a fault that concerns some rows shows in just these.
+    """
+    residuals, parameters = fit.residuals, fit.nominal.parameters
+    taken = residuals.computable if rows is None else residuals.computable & rows
+    chosen = taken[residuals.owner]
+    factor = fit.factor[residuals.owner[chosen]]
+    number = np.cumsum(taken) - 1
+    free = np.flatnonzero(parameters.free)
+    known = free[np.isfinite(parameters.sigmas[free])]
+    prior = np.zeros((known.size, free.size))
+    prior[np.arange(known.size), np.searchsorted(free, known)] = 1 / parameters.sigmas[known]
+    pulls = (fit.values[known] - parameters.values[known]) / parameters.sigmas[known]
+    model = LinearFit(
+        np.append(residuals.whitened[chosen] / factor, pulls),
+        np.concatenate([residuals.jacobian[chosen][:, free] / factor[:, None], prior]),
+        np.append(number[residuals.owner[chosen]], np.full(known.size, -1)),
+        int(taken.sum()),
+        stated=1 / float(np.median(factor)) if factor.size else 0.0,
+    )
+    return _settled(model)[0]
+
+
+def _settled(model: LinearFit) -> tuple[LinearFit, FloatArray, FloatArray]:
+    """Adjust the base with Huber's loss; return what is left, the step, and the step's cofactors."""
+    own = model.observed
+    size = np.linalg.norm(model.base, axis=0)
+    size[size == 0] = 1.0
+    base = model.base / size
+    step, inverse, scale = np.zeros(base.shape[1]), np.zeros((base.shape[1],) * 2), model.scale
+    weight, before = np.ones(model.owner.size), np.inf
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        left, singular, right = np.linalg.svd(base * root[:, None], full_matrices=False)
+        kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
+        inverted = np.where(kept, 1 / np.where(kept, singular, 1.0), 0.0)
+        step = -(right.T * inverted) @ (left.T @ (root * model.residual))
+        inverse = (right.T * inverted**2) @ right
+        rest = model.residual + base @ step
+        lengths = np.sqrt(np.bincount(model.owner[own], rest[own] ** 2, minlength=model.count))
+        # The median alone would take the parameters' share for scatter that is not there.
+        spare = max(1 - int(kept.sum()) / max(int(own.sum()), 1), 0.1)
+        scale = max(float(np.median(lengths)) / _MEDIAN_LENGTH / np.sqrt(spare), 1e-9)
+        weight[own] = np.minimum(1.0, _HUBER * scale / np.maximum(lengths, 1e-300))[model.owner[own]]
+        weight[~own] = scale**2
+        if abs(scale / before - 1) < 1e-3:
+            break
+        before = scale
+    settled = replace(model, residual=np.asarray(rest), scale=scale)
+    return settled, np.asarray(step / size), np.asarray(inverse / size / size[:, None])
+
+
+def _span(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of the columns."""
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    if not columns.shape[1]:
+        return columns
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, singular > 1e-9 * singular[0]])

@@ -1,0 +1,1 @@
+"""Files of heliostats: results, residuals, folders of the PAINT database."""

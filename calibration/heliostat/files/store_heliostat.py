@@ -1,0 +1,460 @@
+"""Results of heliostats on disk: ``heliostat.json``, ``residuals.csv``, ``summary.json``, ``field.csv``."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.files.store_residuals import final_flags, residual_columns
+from calibration.heliostat.fitting.fit_result import HeliostatFit
+from calibration.heliostat.fitting.splits import AngleSummary, HeldOut
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.kinematic_model.store_design import design_content
+from calibration.heliostat.pipeline.one_heliostat import (
+    FIELD,
+    SKY_AZIMUTHS_DEG,
+    SKY_ELEVATIONS_DEG,
+    HeliostatResult,
+    Shared,
+)
+from heliogauge.results.folder import Summary, write_json, write_summary, write_table_csv
+from heliogauge.results.json_file import read_json
+from heliogauge.validate import FloatArray
+
+HELIOSTAT_FILE = "heliostat.json"
+RESIDUALS_FILE = "residuals.csv"
+FIELD_FILE = "field.csv"
+KIND = "heliostat"
+FIELD_KIND = "heliostat-field"
+SCHEMA = 1
+
+
+def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summary: Summary) -> None:
+    """Write ``heliostat.json``, ``residuals.csv`` and ``summary.json`` of one heliostat into an existing folder.
+
+    Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+    shared : Shared
+        What all heliostats of the run share.
+    folder : Path
+        Where to.
+    summary : Summary
+        From `heliostat_summary`.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
+    write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
+    if result.beams is not None:
+        # OpenCV and matplotlib cost 0.5 s, which only photos are worth.
+        from calibration.heliostat.pipeline.pictures import write_beam_files
+
+        write_beam_files(result, shared, folder, pictures=shared.thorough)
+    write_summary(folder / "summary.json", summary)
+
+
+def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]:
+    """Return what ``heliostat.json`` says.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+    shared : Shared
+        What all heliostats of the run share.
+
+    Returns
+    -------
+    dict
+        Only numbers, texts, lists and tables; null where something is not determined.
+    """
+    fit = result.fit
+    free = [fit.names.index(name) for name in fit.solution.names]
+    plant = shared.plant
+    return {
+        "schema_version": SCHEMA,
+        "heliostat": result.name,
+        "site": {
+            "latitude_deg": plant.origin[0], "longitude_deg": plant.origin[1], "altitude_m": plant.origin[2],
+            "pressure_hpa": plant.site.pressure_hpa, "temperature_c": plant.site.temperature_c,
+        },
+        "model": _model_content(result),
+        "design": design_content(fit.design),
+        "parameters": _parameters_content(result),
+        "fitted_to": "all usable observations",
+        "correlation": {"names": list(fit.solution.names), "matrix": _plain(fit.correlation[np.ix_(free, free)])},
+        "covariance": {"names": list(fit.solution.names), "matrix": _plain(fit.covariance[np.ix_(free, free)])},
+        "rank": fit.rank,
+        "n_free": fit.n_free,
+        "unobservable": [
+            {"text": one.text, "names": list(one.names), "coefficients": _plain(np.asarray(one.coefficients)),
+             "held_by_prior": bool(one.held_by_prior)}
+            for one in fit.unobservable
+        ],
+        "converged": fit.converged,
+        "message": fit.message,
+        "starts_tried": fit.basins,
+        "sigma_factor": {kind: _plain(value) for kind, value in fit.sigma_factors.items()},
+        "sigma0": {kind: _plain(value) for kind, value in fit.sigma0.items()},
+        "observations": _counts(result),
+        "split": result.split,
+        "splits": {name: _split_content(held) for name, held in result.held.items()},
+        "splits_not_made": dict(result.not_split),
+        "sky": _sky_content(result),
+        "fit_to_all": _angles_of(fit),
+        "sun_check_median_mrad": _plain(1e3 * result.seen.sun_check_rad),
+        "targets": {
+            name: {"center_m": _plain(one.center_m), "right": _plain(one.right), "up": _plain(one.up),
+                   "width_m": one.width_m, "height_m": one.height_m, "flatness_mm": 1e3 * one.flatness_m}
+            for name, one in plant.targets.items()
+        },
+        "diagnosis": result.diagnosis.content(),
+        "warnings": list(result.warnings),
+        "notes": list(result.notes),
+        "paint_properties": _properties(result),
+    }  # fmt: skip
+
+
+def _sky_content(result: HeliostatResult) -> dict[str, Any] | None:
+    if result.sky is None:
+        return None
+    return {
+        "target": result.sky.target,
+        "azimuth_deg": list(SKY_AZIMUTHS_DEG),
+        "elevation_deg": list(SKY_ELEVATIONS_DEG),
+        "sigma_beam_mrad": _plain(1e3 * result.sky.sigma_beam_rad),
+        "extrapolated": result.sky.extrapolated.tolist(),
+    }
+
+
+def _properties(result: HeliostatResult) -> dict[str, Any] | None:
+    import json
+
+    return json.loads(result.properties) if result.properties else None
+
+
+def _model_content(result: HeliostatResult) -> dict[str, Any]:
+    design = result.fit.design
+    choice = result.choice
+    content: dict[str, Any] = {
+        "name": result.free,
+        "free": list(result.fit.solution.names),
+        "kind": _preset_of(design),
+        "chosen_because": _reason(result),
+    }
+    if choice is not None:
+        content["candidates"] = [
+            {"name": one.name, "n_free": one.n_free, "blocked_rms_mrad": _plain(1e3 * one.blocked_rms_rad),
+             "fit_rms_mrad": _plain(1e3 * one.fit_rms_rad), "aicc": _plain(one.aicc)}
+            for one in choice.table
+        ]  # fmt: skip
+    return content
+
+
+def _reason(result: HeliostatResult) -> str:
+    if result.choice is not None:
+        return result.choice.reason
+    return "what the other heliostats of the field have in common is usual" if result.free == FIELD else "said so"
+
+
+def _preset_of(design: HeliostatDesign) -> str:
+    from calibration.heliostat.kinematic_model.design import LinearActuator
+
+    if isinstance(design.drives[0], LinearActuator):
+        return "linear-actuators"
+    names = design.parameters.names
+    return "six-error" if "canting" in names else "drone" if "pylon_length" in names else "azimuth-elevation"
+
+
+def _parameters_content(result: HeliostatResult) -> dict[str, Any]:
+    fit, content = result.fit, {}
+    trained = None if result.main is None else result.main.fit.design.parameters
+    for index, name in enumerate(fit.names):
+        prior = float(fit.design.parameters.sigmas[index])
+        state = "held" if prior == 0 else "free" if np.isinf(prior) else "prior"
+        content[name] = {
+            "value": float(fit.values[index]),
+            "sigma": _plain(fit.sigma[index]),
+            "unit": fit.design.parameters.units[index],
+            "state": state,
+            "nominal": float(fit.nominal.parameters.values[index]),
+            "prior_sigma": prior if state == "prior" else None,
+            "value_of_train_rows": trained.value(name) if trained is not None and name in trained.names else None,
+        }
+    return content
+
+
+def _counts(result: HeliostatResult) -> dict[str, Any]:
+    flags = final_flags(result)[0]
+    named = {flag: flags.count(flag) for flag in dict.fromkeys(flags) if flag}
+    return {"n": len(flags), "used": flags.count(""), "left_out": named}
+
+
+def _angles_of(fit: HeliostatFit) -> dict[str, Any]:
+    beam, normal = fit.residuals.beam_angle_rad[fit.used], fit.residuals.normal_angle_rad[fit.used]
+    return {"n": int(np.count_nonzero(fit.used)), **_statistics("beam", beam), **_statistics("normal", normal)}
+
+
+def _statistics(name: str, angles_rad: FloatArray) -> dict[str, Any]:
+    known = 1e3 * angles_rad[np.isfinite(angles_rad)]
+    if not known.size:
+        return {f"{name}_{what}_mrad": None for what in ("rms", "median", "max")}
+    values = {"rms": np.sqrt(np.mean(known**2)), "median": np.median(known), "max": known.max()}
+    return {f"{name}_{what}_mrad": float(value) for what, value in values.items()}
+
+
+def angles_content(summary: AngleSummary) -> dict[str, Any]:
+    """Return a summary of angles with its units in the names [mrad].
+
+    Parameters
+    ----------
+    summary : AngleSummary
+        Of the beam and of the normal.
+
+    Returns
+    -------
+    dict
+        Counts and angles.
+    """
+    content: dict[str, Any] = {"n": summary.n}
+    for kind in ("beam", "normal"):
+        for what in ("rms", "median", "max"):
+            content[f"{kind}_{what}_mrad"] = _plain(1e3 * getattr(summary, f"{kind}_{what}_rad"))
+    return content
+
+
+def _split_content(held: HeldOut) -> dict[str, Any]:
+    prediction = held.prediction
+    # What must be known before the numbers are read stands before them.
+    return {
+        "warnings": list(held.warnings),
+        "note": held.split.note,
+        "extrapolated_count": int(np.count_nonzero(prediction.extrapolated)),
+        "predicted_sigma_median_mrad": _plain(1e3 * _median(prediction.sigma_beam_rad)),
+        "model": list(held.fit.solution.names),
+        "train": angles_content(held.train),
+        "test": angles_content(held.test),
+    }
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _plain(value: npt.ArrayLike) -> Any:
+    """Return numbers as JSON has them: lists, and None for what is not finite."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim:
+        return [_plain(one) for one in array]
+    return float(array) if np.isfinite(array) else None
+
+
+# --- summaries --------------------------------------------------------------------------------------------------------
+
+
+def headline(result: HeliostatResult) -> dict[str, float | int | None]:
+    """Return the headline numbers of a heliostat, in the order of their importance.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+
+    Returns
+    -------
+    dict
+        Numbers with their units in the names; None where not determined.
+    """
+    main, counts = result.main, _counts(result)
+    whole = _angles_of(result.fit)
+    others = {
+        f"beam_{name.replace('-', '_')}_test_rms_mrad": _plain(1e3 * held.test.beam_rms_rad)
+        for name, held in result.held.items()
+        if name != result.split
+    }
+    test = {} if main is None else angles_content(main.test)
+    train = {} if main is None else angles_content(main.train)
+    return {
+        "beam_test_rms_mrad": test.get("beam_rms_mrad"),
+        "beam_train_rms_mrad": train.get("beam_rms_mrad"),
+        "beam_test_median_mrad": test.get("beam_median_mrad"),
+        "normal_test_rms_mrad": test.get("normal_rms_mrad"),
+        "normal_train_rms_mrad": train.get("normal_rms_mrad"),
+        "beam_all_rows_rms_mrad": whole["beam_rms_mrad"],
+        "normal_all_rows_rms_mrad": whole["normal_rms_mrad"],
+        "predicted_sigma_beam_mrad": None if main is None else _split_content(main)["predicted_sigma_median_mrad"],
+        "extrapolated_count": 0 if main is None else int(np.count_nonzero(main.prediction.extrapolated)),
+        **others,
+        "observations_count": counts["n"],
+        "used_count": counts["used"],
+        "outlier_count": counts["left_out"].get("outlier", 0),
+        "left_out_count": counts["n"] - counts["used"],
+        "free_parameters_count": result.fit.n_free,
+        "rank_count": result.fit.rank,
+        "sun_check_median_mrad": _plain(1e3 * result.seen.sun_check_rad),
+    }
+
+
+def heliostat_summary(
+    result: HeliostatResult, *, durations_s: Mapping[str, float], input_sha256: Mapping[str, str]
+) -> Summary:
+    """Return the summary of one heliostat.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+    durations_s : mapping of str to float
+        Time of each stage [s].
+    input_sha256 : mapping of str to str
+        Hashes of what was read.
+
+    Returns
+    -------
+    Summary
+        Headline numbers, the splits, warnings.
+    """
+    numbers = headline(result)
+    why = result.not_split.get(result.split, "the observations give none")
+    texts = {"heliostat": result.name, "model": result.free, "split": result.split}
+    if result.notes:
+        texts["notes"] = "; ".join(result.notes)
+    return Summary(
+        kind=KIND, name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
+        durations_s=dict(durations_s), input_sha256=dict(input_sha256),
+        not_determined={key: why for key, value in numbers.items() if value is None},
+    )  # fmt: skip
+
+
+def split_lines(result: HeliostatResult) -> tuple[str, ...]:
+    """Say what came of each split in a line, what to expect before what was found.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+
+    Returns
+    -------
+    tuple of str
+        Lines for the terminal.
+    """
+    lines = []
+    for name, held in result.held.items():
+        asked = next((text for text in held.warnings if text.startswith("split ")), f"split {name}: {held.split.note}")
+        train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
+        lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
+    return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
+
+
+def _status(result: HeliostatResult, doubts: Sequence[str]) -> str:
+    if result.diagnosis.kinds:
+        return "faulty"
+    # Single rows that were wrong and left out make a heliostat no worse.
+    too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
+    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.warnings) else "ok"
+
+
+def field_row(result: HeliostatResult) -> dict[str, Any]:
+    """Return a heliostat's row of ``field.csv``.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+
+    Returns
+    -------
+    dict
+        Cells by column.
+    """
+    east, north, up = result.fit.design.position_m.tolist()
+    # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
+    doubts = [text for text in result.warnings if not text.startswith("split ")]
+    return {
+        "heliostat": result.name, "status": _status(result, doubts),
+        "diagnosis": ", ".join(result.diagnosis.named),
+        "e_m": east, "n_m": north, "u_m": up, "model": result.free, **headline(result),
+        "duration_s": round(result.duration_s, 4), "warnings_count": len(result.warnings),
+        "reason": "; ".join(doubts),
+    }  # fmt: skip
+
+
+def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
+    """Return the row of a heliostat that could not be calibrated."""
+    return {"heliostat": name, "status": "failed", "diagnosis": kind, "reason": reason}
+
+
+def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of `field_row` and `failed_row`.
+
+    Returns
+    -------
+    list of dict
+        The same, sorted.
+    """
+
+    def key(row: Mapping[str, Any]) -> tuple[bool, float, str]:
+        number = row.get("beam_test_rms_mrad")
+        number = row.get("beam_all_rows_rms_mrad") if number is None else number
+        return row["status"] != "failed", -(float("inf") if number is None else float(number)), str(row["heliostat"])
+
+    return [dict(row) for row in sorted(rows, key=key)]
+
+
+def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write ``field.csv``, the worst heliostat first.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    rows : sequence of mapping
+        Rows of `field_row` and `failed_row`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    ordered = worst_first(rows)
+    # The reason is long: it comes last, after whatever columns some row has.
+    names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name != "reason"]
+    columns = {name: ["" if row.get(name) is None else row[name] for row in ordered] for name in [*names, "reason"]}
+    write_table_csv(folder / FIELD_FILE, {name: np.array(cells, dtype=object) for name, cells in columns.items()})
+
+
+def read_heliostat(folder: Path) -> dict[str, Any]:
+    """Read ``heliostat.json`` of a folder of results.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    dict
+        Its content.
+
+    Raises
+    ------
+    InputError
+        No such file, or not written by this software.
+    """
+    return read_json(folder / HELIOSTAT_FILE)

@@ -1,0 +1,482 @@
+"""Files of the PAINT database (and of ARTIST, which reads the same): heliostats, targets, calibration records.
+
+Several generations of keys are about: ``kinematics_properties`` and ``kinematic_properties``, ``joint_translation_e_1``
+and ``first_joint_translation_e``, ``axis_1_motor_position`` and ``Axis1MotorPosition``, one flat table with
+``B_axis_1``. In all of them the sun's azimuth is 0 in the south and positive to the east, its elevation as seen.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.keys import properties_files
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
+from calibration.heliostat.pipeline.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
+from heliogauge.errors import InputError
+from heliogauge.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from heliogauge.measurement.files import natural_order
+from heliogauge.results.json_file import read_json
+from heliogauge.validate import FloatArray
+
+TOWER_FILES = ("tower_measurements.json", "*tower-measurements.json", "*tower_measurements.json", "tower.json")
+TIMES_FILE = "timestamps.json"
+_KINEMATICS = ("kinematics_properties", "kinematic_properties")
+_CORNERS = ("upper_left", "upper_right", "lower_right", "lower_left")
+#: Numbers of an actuator: our name, key of today's files, letter of the oldest ones.
+ACTUATOR_KEYS = {
+    "increment": ("increment", "PulseRatio_axis_"),
+    "initial_stroke": ("initial_stroke_length", "B_axis_"),
+    "offset": ("offset", "C_axis_"),
+    "pivot_radius": ("pivot_radius", "D_axis_"),
+    "initial_angle": ("initial_angle", "AngleK_axis_"),
+    "clockwise": ("clockwise_axis_movement", "Reversed_axis_"),
+    "lowest": ("min_increment", "MinCounts_axis_"),
+    "highest": ("max_increment", "MaxCounts_axis_"),
+}
+_TRANSLATIONS = {
+    "joint_1": ("joint_translation_{}_1", "first_joint_translation_{}"),
+    "joint_2": ("joint_translation_{}_2", "second_joint_translation_{}"),
+    "concentrator": ("concentrator_translation_{}", "concentrator_translation_{}"),
+}
+_SOUTH = (0.0, -1.0, 0.0)
+#: Tilts of the chain, by the names that ARTIST has for them; PAINT's own files have none.
+TILT_KEYS = {
+    "tilt_1_n": "first_joint_tilt_n",
+    "tilt_1_u": "first_joint_tilt_u",
+    "tilt_2_e": "second_joint_tilt_e",
+    "tilt_2_n": "second_joint_tilt_n",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PaintUnit:
+    """Files of one heliostat.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    properties : Path
+        What it is.
+    calibrations : tuple of Path
+        Its calibration records, in the order of their numbers.
+    """
+
+    name: str
+    properties: Path
+    calibrations: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tower:
+    """Where the plant is, and its flat targets.
+
+    Parameters
+    ----------
+    origin : tuple of float
+        Latitude [deg], longitude [deg], altitude [m] of the plant: the origin of the field's frame.
+    targets : dict of str to PlaneTarget
+        Targets by name.
+    others : tuple of str
+        Names of targets that are not flat.
+    """
+
+    origin: tuple[float, float, float]
+    targets: dict[str, PlaneTarget]
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PaintProperties:
+    """What a properties file says of a heliostat.
+
+    Parameters
+    ----------
+    position : tuple of float
+        Latitude [deg], longitude [deg], altitude [m].
+    actuators : tuple of dict
+        Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
+    translations_m : dict of str to tuple of float
+        East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
+    tilts_rad : dict of str to float
+        Tilts of both joints by the names of the chain; 0 where not told [rad].
+    size_m : tuple of float
+        Width and height of the mirror [m]; NaN where not told.
+    warnings : tuple of str
+        What was assumed.
+    content : dict
+        The file.
+    """
+
+    position: tuple[float, float, float]
+    actuators: tuple[dict[str, float], dict[str, float]]
+    translations_m: dict[str, tuple[float, float, float]]
+    tilts_rad: dict[str, float]
+    size_m: tuple[float, float]
+    warnings: tuple[str, ...]
+    content: dict[str, Any]
+
+
+# --- where the files are ----------------------------------------------------------------------------------------------
+
+
+def find_units(folder: Path, names: Sequence[str] = ()) -> tuple[PaintUnit, ...]:
+    """Find the heliostats of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Of one heliostat, or with a folder for each.
+    names : sequence of str, optional
+        Only these heliostats.
+
+    Returns
+    -------
+    tuple of PaintUnit
+        Heliostats in natural order; those without calibration records too, so that they can be named.
+
+    Raises
+    ------
+    InputError
+        No heliostat, or none of a name that is asked for.
+    """
+    units: dict[str, PaintUnit] = {}
+    for file in properties_files(folder):
+        name = _unit_name(file)
+        units.setdefault(name, PaintUnit(name, file, _calibrations(file)))
+    if not units:
+        raise InputError(f"{folder}: no heliostat's properties (*_properties.json) are here or in a folder below")
+    missing = [name for name in names if name not in units]
+    if missing:
+        raise InputError(f"{folder}: no heliostat {missing[0]!r}; there are {', '.join(list(units)[:8])}")
+    chosen = [units[name] for name in names] if names else list(units.values())
+    return tuple(sorted(chosen, key=lambda unit: natural_order(unit.name)))
+
+
+def _unit_name(file: Path) -> str:
+    name = re.sub(r"[-_]?(heliostat[-_])?properties$", "", file.stem, flags=re.IGNORECASE)
+    if name:
+        return name
+    home = file.parent.parent if file.parent.name == "Properties" else file.parent
+    return home.resolve().name
+
+
+def _calibrations(properties: Path) -> tuple[Path, ...]:
+    home = properties.parent.parent if properties.parent.name == "Properties" else properties.parent
+    for place in ("calibration", "Calibration", "."):
+        found = [
+            file for file in (home / place).glob("*calibration*propert*.json") if "stac" not in file.name.casefold()
+        ]
+        if found:
+            return tuple(sorted(found, key=lambda file: natural_order(file.name)))
+    return ()
+
+
+def find_beside(folder: Path, patterns: Iterable[str], places: Sequence[str] = (".", "tower")) -> Path | None:
+    """Find a file that heliostats share: in a folder, or in one of the two above, or in ``tower`` there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to begin.
+    patterns : iterable of str
+        Names.
+    places : sequence of str, optional
+        Folders within each.
+
+    Returns
+    -------
+    Path or None
+        The first that is there.
+    """
+    start = folder.resolve()
+    for home in (start, *list(start.parents)[:2]):
+        for place in places:
+            for pattern in patterns:
+                found = sorted((home / place).glob(pattern))
+                if found:
+                    return found[0]
+    return None
+
+
+# --- what the files say -----------------------------------------------------------------------------------------------
+
+
+def read_tower(file: Path) -> Tower:
+    """Read the file of the tower.
+
+    Parameters
+    ----------
+    file : Path
+        Such as ``tower_measurements.json``.
+
+    Returns
+    -------
+    Tower
+        Origin and flat targets.
+
+    Raises
+    ------
+    InputError
+        Not JSON, or a key is missing.
+    """
+    content = read_json(file)
+    try:
+        latitude, longitude, altitude = (float(one) for one in content["power_plant_properties"]["coordinates"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file}: power_plant_properties.coordinates (lat, lon, alt) are needed ({error})") from error
+    origin = (latitude, longitude, altitude)
+    targets, others = {}, []
+    for name, target in content.items():
+        if name == "power_plant_properties":
+            continue
+        if not isinstance(target, dict) or target.get("type", "planar") != "planar":
+            others.append(name)
+            continue
+        try:
+            corners = np.array([target["coordinates"][corner] for corner in _CORNERS], dtype=np.float64)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{file}: target {name}: the corner {error} is needed as lat, lon, alt") from error
+        targets[name] = PlaneTarget.from_corners(name, _in_field(corners, origin))
+    return Tower(origin, targets, tuple(others))
+
+
+def _in_field(places: FloatArray, origin: tuple[float, float, float]) -> FloatArray:
+    """Return east, north, up (n, 3) [m] of latitude, longitude, altitude (n, 3)."""
+    return enu_from_geodetic(places[:, 0], places[:, 1], places[:, 2], origin)
+
+
+def parse_properties(text: str, where: str) -> PaintProperties:
+    """Read the properties of a heliostat.
+
+    Parameters
+    ----------
+    text : str
+        The file's content.
+    where : str
+        The file, for messages.
+
+    Returns
+    -------
+    PaintProperties
+        Position and actuators.
+
+    Raises
+    ------
+    InputError
+        Not JSON, a key is missing, a number that cannot be meant, or drives of another kind.
+    """
+    content = _parsed(text, where)
+    kinematics = next((content[key] for key in _KINEMATICS if isinstance(content.get(key), dict)), None)
+    if kinematics is None:
+        raise InputError(f"{where}: the key {' or '.join(_KINEMATICS)} is missing")
+    warnings = []
+    orientation = content.get("initial_orientation")
+    facing = tuple(orientation[:3]) if isinstance(orientation, list) else None
+    translations = {name: _translation(kinematics, keys) for name, keys in _TRANSLATIONS.items()}
+    if facing != _SOUTH:
+        told = "no initial_orientation" if facing is None else f"initial_orientation {list(facing)}"
+        if any(any(shift) for shift in translations.values()):
+            warnings.append(
+                f"{where}: {told}: an older convention, in which its joint translations have other axes; they are "
+                "left out"
+            )
+        translations = dict.fromkeys(_TRANSLATIONS, (0.0, 0.0, 0.0))
+    return PaintProperties(
+        position=_position(content, where),
+        actuators=(_actuator(kinematics, 1, where), _actuator(kinematics, 2, where)),
+        translations_m=translations,
+        tilts_rad={name: _finite(kinematics.get(key, 0.0), f"{where}: {key}") for name, key in TILT_KEYS.items()},
+        size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
+        warnings=tuple(warnings),
+        content=content,
+    )
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: not valid JSON ({error}); is the file whole?") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: a JSON object is needed, not a {type(content).__name__}")
+    return content
+
+
+def _finite(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{what} = {value!r}: a finite number is needed")
+    return float(value)
+
+
+def _position(content: Mapping[str, Any], where: str) -> tuple[float, float, float]:
+    value = content.get("heliostat_position")
+    if not isinstance(value, list) or len(value) < 3:
+        raise InputError(f"{where}: heliostat_position = {value!r}: latitude, longitude and altitude are needed")
+    latitude, longitude, altitude = (_finite(one, f"{where}: heliostat_position") for one in value[:3])
+    if abs(latitude) > 90 or abs(longitude) > 360:
+        raise InputError(f"{where}: heliostat_position {value}: latitude [deg], longitude [deg], altitude [m] in order")
+    return latitude, longitude, altitude
+
+
+def _translation(kinematics: Mapping[str, Any], keys: tuple[str, str]) -> tuple[float, float, float]:
+    found = []
+    for axis in "enu":
+        names = [key.format(axis) for key in keys]
+        value = next((kinematics[name] for name in names if name in kinematics), 0.0)
+        found.append(_finite(value, names[0]))
+    return found[0], found[1], found[2]
+
+
+def _actuator(kinematics: Mapping[str, Any], axis: int, where: str) -> dict[str, float]:
+    listed = kinematics.get("actuators")
+    if listed is not None and (not isinstance(listed, list) or len(listed) != 2):
+        raise InputError(f"{where}: actuators: two are needed")
+    table = kinematics if listed is None else listed[axis - 1]
+    kind = str(table.get("type_axis", table.get(f"Type_axis_{axis}", "linear"))).casefold()
+    if kind != "linear":
+        raise InputError(f"{where}: actuator {axis} is of type {kind!r}; linear ones can be read")
+    numbers = {}
+    for name, (key, letter) in ACTUATOR_KEYS.items():
+        chosen = key if listed is not None else f"{letter}{axis}"
+        if chosen not in table:
+            raise InputError(f"{where}: actuator {axis}: the key {chosen!r} is missing")
+        numbers[name] = _finite(table[chosen], f"{where}: actuator {axis}: {chosen}")
+    for name in ("increment", "initial_stroke", "offset", "pivot_radius"):
+        if numbers[name] <= 0:
+            raise InputError(f"{where}: actuator {axis}: {name} = {numbers[name]:g}: a positive number is needed")
+    return numbers
+
+
+def parse_calibrations(
+    records: Sequence[tuple[str, str]], times: Sequence[str], *, label: str, origin: tuple[float, float, float]
+) -> Rows:
+    """Read calibration records of a heliostat.
+
+    Parameters
+    ----------
+    records : sequence of (str, str)
+        Number and content of each file.
+    times : sequence of str
+        Time of each (ISO 8601 with zone), empty where not known.
+    label : str
+        Method of the beam's centre: "UTIS" or "HeliOS".
+    origin : tuple of float
+        Latitude [deg], longitude [deg], altitude [m] of the field's frame.
+
+    Returns
+    -------
+    Rows
+        One row for each record, with a verdict where it cannot be read.
+    """
+    names = ("axis_1_counts", "axis_2_counts", "sun_azimuth_deg", "sun_elevation_deg", "lat", "lon", "alt")
+    values, targets, verdicts = np.full((len(records), len(names)), np.nan), [""] * len(records), []
+    for row, (number, text) in enumerate(records):
+        try:
+            values[row], targets[row] = _calibration(_parsed(text, f"record {number}"), label)
+            verdicts.append(("", ""))
+        except _NoLabelError as error:
+            values[row], targets[row] = error.values, error.target
+            verdicts.append(("label", str(error)))
+        except InputError as error:
+            verdicts.append(("unreadable", str(error)))
+    columns: dict[str, Any] = dict(zip(names[:4], values[:, :4].T, strict=True))
+    if len(records):
+        columns |= dict(zip(("e_m", "n_m", "u_m"), _in_field(values[:, 4:], origin).T, strict=True))
+    columns["target"] = targets
+    rows = rows_of([number for number, _ in records], columns, np.full(len(records), NO_TIME), verdicts)
+    said = Verdicts(rows)
+    stamped = parse_times(times, said)
+    return said.judged(Rows(rows.ids, rows.numbers, rows.texts, stamped, rows.flags, rows.reasons))
+
+
+class _NoLabelError(InputError):
+    """The record is whole but for the centre by the chosen method."""
+
+    def __init__(self, reason: str, values: list[float], target: str) -> None:
+        super().__init__(reason)
+        self.values = values
+        self.target = target
+
+
+def _calibration(content: Mapping[str, Any], label: str) -> tuple[list[float], str]:
+    motors = content.get("motor_position")
+    if not isinstance(motors, dict):
+        raise InputError("the key motor_position is missing")
+    values = [_of(motors, (f"axis_{axis}_motor_position", f"Axis{axis}MotorPosition")) for axis in (1, 2)]
+    # 0 in the south and positive to the east becomes 0 in the north and clockwise.
+    values += [180.0 - _of(content, ("sun_azimuth", "Sun_azimuth")), _of(content, ("sun_elevation", "Sun_elevation"))]
+    target = content.get("target_name")
+    if not isinstance(target, str):
+        raise InputError("the key target_name is missing")
+    spots = content.get("focal_spot")
+    if not isinstance(spots, dict):
+        raise InputError("the key focal_spot is missing")
+    spot = spots.get(label)
+    if spot is None:
+        others = ", ".join(spots) or "none"
+        raise _NoLabelError(f"no centre by {label}; there is {others}", [*values, *[np.nan] * 3], target)
+    if not isinstance(spot, list) or len(spot) < 3:
+        raise InputError(f"focal_spot.{label} = {spot!r}: latitude, longitude and altitude are needed")
+    place = [_finite(one, f"focal_spot.{label}") for one in spot[:3]]
+    if abs(place[0]) > 90:
+        raise InputError(f"focal_spot.{label} = {spot}: latitude, longitude, altitude in this order are needed")
+    return [*values, *place], target
+
+
+def _of(table: Mapping[str, Any], keys: tuple[str, str]) -> float:
+    for key in keys:
+        if key in table:
+            return _finite(table[key], key)
+    raise InputError(f"the key {keys[0]} is missing")
+
+
+# --- and back ---------------------------------------------------------------------------------------------------------
+
+
+def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> dict[str, Any]:
+    """Return a properties file with calibrated numbers, as PAINT has it and ARTIST reads it.
+
+    Parameters
+    ----------
+    content : mapping
+        ``heliostat.json``; the properties it came from are kept but for the numbers.
+    design : HeliostatDesign
+        The calibrated heliostat, with linear actuators.
+
+    Returns
+    -------
+    dict
+        The file.
+    """
+    numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
+    earlier = dict(content.get("paint_properties") or {})
+    site = content["site"]
+    origin = (site["latitude_deg"], site["longitude_deg"], site["altitude_m"])
+    latitude, longitude, altitude = geodetic_from_enu(design.position_m, origin)
+    old: dict[str, Any] = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
+    actuators = []
+    for axis, drive in enumerate(design.drives, start=1):
+        told = dict((old.get("actuators") or [{}, {}])[axis - 1])
+        told |= {"type_axis": "linear", "clockwise_axis_movement": int(getattr(drive, "clockwise", True))}
+        low, high = design.limits[axis - 1].tolist()
+        if np.isfinite([low, high]).all():
+            told |= {"min_increment": low, "max_increment": high}
+        for name in ("increment", "initial_stroke", "offset", "pivot_radius", "initial_angle"):
+            told[ACTUATOR_KEYS[name][0]] = numbers[f"{name}_{axis}"]
+        actuators.append(told)
+    kinematics: dict[str, Any] = {"actuators": actuators}
+    for joint, (today, _) in _TRANSLATIONS.items():
+        for axis_name in "enu":
+            kinematics[today.format(axis_name)] = numbers[f"{joint}_{axis_name}"]
+    kinematics |= {key: numbers[name] for name, key in TILT_KEYS.items()}
+    return earlier | {
+        "heliostat_position": [float(latitude), float(longitude), float(altitude)],
+        "initial_orientation": list(_SOUTH),
+        "kinematics_properties": kinematics,
+    }

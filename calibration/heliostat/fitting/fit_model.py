@@ -1,0 +1,301 @@
+"""One descent of a heliostat's free numbers at given sigmas and rows, and what it says of both."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.observability import plausible_scales
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.observations.observations import Observations
+from calibration.heliostat.observations.residuals import ObservationModel, Residuals
+from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.adjust.least_squares import VECTOR, Huber, Options, Prior, Problem, Solution, Squares, Tukey, solve
+from heliogauge.adjust.robust_loss import Loss, LossMoments, block_lengths, normal_moments
+from heliogauge.validate import BoolArray, FloatArray
+
+#: 95 % efficiency for normal errors in blocks of one, two and three components (quadrature of `normal_moments`).
+_HUBER = {1: 1.345, 2: 1.5, 3: 1.65}
+# The largest share of a residual that the fit may have taken: below 0.05 left, no row is tested any more sharply.
+_LEAST_LEFT = 0.05
+#: Factor on the stated sigma from which residuals are the model's, and how much farther rows may then lie.
+REFUTED_FROM, _SLACK = 1.2, 1.5
+# Chance with which a row lies within its stated sigma, and is no outlier.
+_AS_STATED = 0.95
+_ON_THE_WAY, _FEW_STEPS = 0.05, 12
+# Residuals of data without noise [stated sigma].
+_ZERO = 1e-6
+# There a sigma below a millionth of the stated one is rounding.
+_LEAST_FACTOR = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitModel:
+    """The heliostat, its observations, and how to fit.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        With the parameters that the observations bring.
+    observations : Observations
+        All rows.
+    options : FitOptions
+        How to fit.
+    fallback : frozenset of str
+        Free parameters that are held within what could be wrong at all.
+    reach : float
+        Factor on what could be wrong at all.
+    """
+
+    design: HeliostatDesign
+    observations: Observations
+    options: FitOptions
+    fallback: frozenset[str] = frozenset()
+    reach: float = 1.0
+    columns: npt.NDArray[np.intp] = field(init=False)
+    kinds: npt.NDArray[np.str_] = field(init=False)
+    components: npt.NDArray[np.int64] = field(init=False)
+    seen: ObservationModel = field(init=False)
+
+    def __post_init__(self) -> None:
+        columns = np.flatnonzero(self.design.parameters.free)
+        object.__setattr__(self, "columns", columns)
+        object.__setattr__(self, "seen", ObservationModel(self.design, self.observations, columns))
+        object.__setattr__(self, "kinds", np.array(self.observations.kind, dtype=np.str_))
+        object.__setattr__(self, "components", self.observations.n_components)
+
+    @property
+    def owners(self) -> npt.NDArray[np.intp]:
+        """Row of each component."""
+        return self.seen.owners
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.design.parameters.free_names
+
+    @property
+    def start(self) -> FloatArray:
+        """Values of the free parameters in the design."""
+        return np.asarray(self.design.parameters.values[self.columns])
+
+    @property
+    def scales(self) -> FloatArray:
+        """How far each free parameter could be wrong at all."""
+        return self.reach * plausible_scales(
+            self.start, self.names, [self.design.parameters.units[i] for i in self.columns]
+        )
+
+    @property
+    def priors(self) -> FloatArray:
+        """Prior sigmas of the free parameters in force, inf where there is none."""
+        own = self.design.parameters.sigmas[self.columns]
+        weak = np.array([name in self.fallback for name in self.names], dtype=np.bool_)
+        return np.where(np.isinf(own) & weak, self.scales, own)
+
+    def full(self, free: FloatArray) -> FloatArray:
+        """Return all numbers with the free ones replaced."""
+        values = self.design.parameters.values.copy()
+        values[self.columns] = free
+        return values
+
+    def evaluate(self, free: FloatArray) -> Residuals:
+        """Return the residuals of all rows with derivatives by the free parameters."""
+        return self.seen.evaluate(self.full(free))
+
+    def row_factors(self, factors: Mapping[str, float]) -> FloatArray:
+        """Return the factor on the stated sigma of each row."""
+        result = np.ones(self.kinds.size)
+        for kind, factor in factors.items():
+            result[self.kinds == kind] = factor
+        return result
+
+    def block(self, used: BoolArray) -> int:
+        """Components that are weakened together; one by one where kinds differ in their number."""
+        sizes = np.unique(self.components[used])
+        return int(sizes[0]) if sizes.size == 1 else 1
+
+    def loss(self, block: int) -> Loss:
+        """Return the loss for blocks of so many components."""
+        if self.options.loss == "squares":
+            return Squares()
+        return Huber(_HUBER[block]) if self.options.loss == "huber" else Tukey(4.685 * _HUBER[block] / _HUBER[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descended:
+    """Where a descent ended.
+
+    Parameters
+    ----------
+    model : FitModel
+        What was fitted.
+    factors : mapping
+        Factors on the stated sigmas by kind that were in force.
+    used : ndarray of bool, shape (n,)
+        Rows that were in use.
+    solution : Solution
+        The end.
+    """
+
+    model: FitModel
+    factors: Mapping[str, float]
+    used: BoolArray
+    solution: Solution[FloatArray]
+
+    @property
+    def values(self) -> FloatArray:
+        """Free parameters."""
+        return self.solution.parameters
+
+    def redundancy(self) -> dict[str, float]:
+        """Return the spare components by kind."""
+        kinds = self.model.kinds[self.model.owners[self.used[self.model.owners]]]
+        numbers = self.solution.redundancy_numbers[: kinds.size]
+        return {kind: float(numbers[kinds == kind].sum()) for kind in self.factors}
+
+    def scatter(self) -> dict[str, float]:
+        """Return the factor on the stated sigmas that the residuals of each kind ask for; NaN with nothing to spare.
+
+        Notes
+        -----
+        The factor s solves ``sum psi(r / s)^2 / E psi^2 = redundancy`` at the residuals r as they stand (Huber 1981,
+        section 7.7), so that the descents only have to follow the rows.
+        """
+        block, redundancy = self.model.block(self.used), self.redundancy()
+        kinds = self.model.kinds[self.model.owners[self.used[self.model.owners]]]
+        whitened = self.solution.residuals[: kinds.size]
+        lengths, kinds = block_lengths(whitened, block), kinds[::block]
+        loss = self.model.loss(block)
+        expected = 1.0 if isinstance(loss, Squares) else normal_moments(loss, block).influence
+        result = {}
+        for kind, factor in self.factors.items():
+            # Two spare components or fewer say nothing about a scatter.
+            enough = redundancy[kind] > 2
+            found = _scale(lengths[kinds == kind], loss, expected, redundancy[kind]) if enough else np.nan
+            result[kind] = max(factor * found, _LEAST_FACTOR) if enough else float("nan")
+        return result
+
+    def accepted(self, factors: Mapping[str, float]) -> BoolArray:
+        """Return the rows whose residual is no larger than chance allows, in use or not, at given factors."""
+        residuals = self.model.evaluate(self.values)
+        if self.model.options.loss == "squares":
+            return residuals.computable
+        scale = self.model.row_factors(factors)
+        limit = self.limits() * np.sqrt(self._own_variance(residuals, scale))
+        # A row that is where its stated sigma has it contradicts nothing, however well others of the kind fit.
+        stated = {n: np.sqrt(chi_square_quantile(_AS_STATED, n)) for n in set(self.model.components.tolist())}
+        near = np.array([stated[n] for n in self.model.components.tolist()])
+        return np.asarray(residuals.computable & (residuals.lengths <= np.maximum(limit * scale, near)))
+
+    def with_own_covariance(self) -> "Descended":
+        """Return the same end with the covariance for normal errors of the sigmas in force.
+
+        Notes
+        -----
+        ``A^-1 B A^-1``, ``A = E psi' N + P``, ``B = E psi^2 N + P`` with the normal matrices N of the observations and
+        P of the priors. The adjustment takes the larger of this and of what the residuals themselves say; here the
+        sigmas were tested or estimated before, and the larger of two is 10 % too large with 15 rows and 5 parameters.
+        """
+        model, block = self.model, self.model.block(self.used)
+        chosen = self.used[model.owners]
+        scale = model.row_factors(self.factors)[model.owners[chosen]]
+        _, jacobian, _ = model.seen.whitened(model.full(self.values))
+        jacobian = jacobian[chosen] / scale[:, None]
+        loss = model.loss(block)
+        plain = isinstance(loss, Squares) or not chosen.any()
+        expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(loss, block)
+        known = np.where(np.isfinite(model.priors), 1.0 / model.priors**2, 0.0)
+        observed = jacobian.T @ jacobian
+        # Angles and metres in one matrix: scaled to a diagonal of ones before it is inverted.
+        bread = expected.slope * observed + np.diag(known)
+        root = np.sqrt(np.diag(bread))
+        if not (root > 0).all():
+            return self
+        inverse = np.linalg.inv(bread / root[:, None] / root) / root[:, None] / root
+        covariance = inverse @ (expected.influence * observed + np.diag(known)) @ inverse
+        return replace(self, solution=replace(self.solution, covariance=0.5 * (covariance + covariance.T)))
+
+    def limits(self) -> FloatArray:
+        """Return the longest residual that chance allows each row, shape (n,) [sigma]."""
+        probability = self.model.options.significance / max(self.used.size, 1)
+        limit = np.ones(self.used.size)
+        for kind, freedom in self.redundancy().items():
+            own = self.model.kinds == kind
+            if not own.any():
+                continue
+            square = chi_square_quantile(1 - probability, int(self.model.components[own][0]))
+            if freedom > 2:
+                # The scatter rests on few rows: F(2, v), whose tail is (1 + 2 F / v)^(-v / 2), instead of chi-square.
+                square *= freedom * (probability ** (-2 / freedom) - 1) / (-2 * np.log(probability))
+            # What a model lacks is no normal error: rows that follow it are not outliers for that.
+            refuted = self.factors[kind] > REFUTED_FROM
+            limit[own] = np.sqrt(square) * (_SLACK if refuted else 1.0)
+        return limit
+
+    def _own_variance(self, residuals: Residuals, scale: FloatArray) -> FloatArray:
+        """Mean variance of a row's residual over sigma^2: below 1 for rows in use, above for the others."""
+        jacobian = residuals.jacobian / scale[self.model.owners, None]
+        spread = np.einsum("ij,ij->i", jacobian @ np.nan_to_num(self.solution.covariance), jacobian)
+        mean = np.bincount(self.model.owners, spread, minlength=self.used.size) / self.model.components
+        return np.where(self.used, np.maximum(1 - mean, _LEAST_LEFT), 1 + mean)
+
+
+def _scale(lengths: FloatArray, loss: Loss, expected: float, redundancy: float) -> float:
+    """Scale at which the influences of block lengths are as large as normal errors make them."""
+    scale = 1.0
+    for _ in range(60):
+        before = scale
+        influence = loss.weight(lengths / scale) * lengths
+        scale = float(np.sqrt(influence @ influence / (expected * redundancy)))
+        if scale == 0 or abs(scale / before - 1) < 1e-4:
+            break
+    return scale
+
+
+def descend(
+    model: FitModel, start: FloatArray, factors: Mapping[str, float], used: BoolArray, tolerance: float
+) -> Descended:
+    """Adjust the free parameters to some rows at given sigmas.
+
+    Parameters
+    ----------
+    model : FitModel
+        What is fitted.
+    start : ndarray, shape (k,)
+        Free parameters to start from.
+    factors : mapping
+        Factors on the stated sigmas by kind.
+    used : ndarray of bool, shape (n,)
+        Rows in use; all of them must be computable at the start.
+    tolerance : float
+        Remaining step at which to stop [sigma].
+
+    Returns
+    -------
+    Descended
+        The end, converged or not.
+    """
+    chosen = used[model.owners]
+    per_component = 1.0 / model.row_factors(factors)[model.owners[chosen]]
+
+    def residuals_at(free: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residuals, jacobian, computable = model.seen.whitened(model.full(free))
+        residuals, jacobian = residuals[chosen] * per_component, jacobian[chosen] * per_component[:, None]
+        # Leaving the geometry of an actuator must not pay: such a step is refused.
+        return residuals if computable[used].all() else np.full_like(residuals, np.nan), jacobian
+
+    known = zip(model.names, model.start, model.priors, strict=True)
+    extra = tuple(Prior(name, float(value), float(sigma)) for name, value, sigma in known if np.isfinite(sigma))
+    problem = Problem(model.names, residuals_at, VECTOR, extra=extra)
+    block = model.block(used)
+    # On the way, while scale and rows still move, a long valley is not worth following to its end.
+    most = model.options.max_iterations if tolerance < _ON_THE_WAY else min(model.options.max_iterations, _FEW_STEPS)
+    options = Options(max_iterations=most, tolerance=tolerance, rank_tolerance=1e-10)
+    solution = solve(problem, start, loss=model.loss(block), block_size=block, options=options)
+    stated = np.abs(solution.residuals[: per_component.size] / per_component)
+    if not solution.converged and stated.max(initial=0.0) < _ZERO:
+        solution = replace(solution, converged=True, reason="the residuals are zero to rounding")
+    return Descended(model, dict(factors), used, solution)

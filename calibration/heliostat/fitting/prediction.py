@@ -1,0 +1,499 @@
+"""Where a fitted heliostat will send its beam, how sure that is, and where it was never asked."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.fitting.fit_model import REFUTED_FROM, FitModel, descend
+from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.fitting.observability import plausible_scales
+from calibration.heliostat.fitting.priors import PRIORS
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+from calibration.heliostat.observations.observations import BeamSpots, Observations, Pointings
+from calibration.heliostat.observations.residuals import ObservationModel, evaluate
+from heliogauge.validate import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from heliogauge.geometry.sun import Site
+
+#: A sun farther than this from all that were used lies beyond them [rad]; the sun moves so far in 40 minutes.
+FAR_RAD = float(np.radians(10.0))
+#: Leverage from which a position rests on the model rather than on observations near it.
+HIGH_LEVERAGE = 1.0
+_BLOCKS = 4
+# A refuted model does not know how it goes on, and blocks among what was seen do not ask: beyond, errors of six real
+# heliostats were 1.4 times (median of the azimuth splits) what parameters within their priors explain.
+_BEYOND = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Predicted pointing at some positions, with its uncertainty.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n, 2)
+        Readings of both drives; NaN where the aim cannot be reached.
+    usable : ndarray of bool, shape (n,)
+        Whether the drives can go there.
+    covariance_rad2 : ndarray, shape (n, 2, 2)
+        Covariance of the beam's direction, right and up as seen from the mirror [rad^2].
+    sigma_parameters_rad : ndarray, shape (n,)
+        Share of the parameters, root of both axes' variances [rad of the beam].
+    sigma_misfit_rad : ndarray, shape (n,)
+        Share of what the model does not describe, as the residuals show it [rad of the beam].
+    sigma_noise_rad : ndarray, shape (n,)
+        Stated sigma of the measurement at test rows, 0 where nothing is measured [rad of the beam].
+    leverage : ndarray, shape (n,)
+        Variance from the parameters over that of one observation.
+    distance_rad : ndarray, shape (n,)
+        Angle to the nearest sun (without suns: mirror normal) that was used [rad].
+    extrapolated : ndarray of bool, shape (n,)
+        Whether the position lies beyond those used.
+    reason : tuple of str, length n
+        Why; empty where it does not.
+    inflation : float
+        Factor on the parameters' sigmas that blocks left aside asked for, at least 1.
+    """
+
+    readings: FloatArray
+    usable: BoolArray
+    covariance_rad2: FloatArray
+    sigma_parameters_rad: FloatArray
+    sigma_misfit_rad: FloatArray
+    sigma_noise_rad: FloatArray
+    leverage: FloatArray
+    distance_rad: FloatArray
+    extrapolated: BoolArray
+    reason: tuple[str, ...]
+    inflation: float
+
+    @property
+    def sigma_beam_rad(self) -> FloatArray:
+        """Expected angle of the beam's error (both axes), from parameters and misfit, shape (n,) [rad]."""
+        return np.hypot(self.sigma_parameters_rad, self.sigma_misfit_rad)
+
+    @property
+    def sigma_normal_rad(self) -> FloatArray:
+        """Half of it: the same of the mirror's normal in the plane of incidence, shape (n,) [rad]."""
+        return 0.5 * self.sigma_beam_rad
+
+
+def predict_rows(found: HeliostatFit, observations: Observations, options: FitOptions | None = None) -> Prediction:
+    """Predict observations that the fit has not seen.
+
+    Parameters
+    ----------
+    found : HeliostatFit
+        The fit.
+    observations : Observations
+        Rows with readings; their measurements are not used.
+    options : FitOptions, optional
+        How the fit was made, for the fits with blocks left aside.
+
+    Returns
+    -------
+    Prediction
+        One entry per row; the beam's sigma is the line of sight's or the normal's for other kinds.
+
+    Raises
+    ------
+    InputError
+        A row needs a camera or target that the fit does not have.
+    """
+    wide = _Wide.of(found)
+    rows = evaluate(found.design, found.values, observations, columns=wide.columns)
+    sigma = rows.sigma_beam_rad
+    jacobian = _two_components(rows.jacobian, rows.owner, len(observations)) * sigma[:, None, None]
+    normals = mirror_poses(
+        found.design, found.values, observations.readings, observations.approach, outside="nan"
+    ).normals(found.design)
+    factor = np.array([found.sigma_factors.get(kind, 1.0) for kind in observations.kind])
+    misfit = np.sqrt(np.maximum(factor**2 - 1, 0.0)) * sigma
+    positions = observations.sun if _by_sun(found) else normals
+    spread = wide.spread(jacobian, blocked_inflation(found, options))
+    return _prediction(found, spread, misfit, positions, (observations.readings, rows.computable), sigma)
+
+
+def predict_aim(
+    found: HeliostatFit,
+    sun: npt.ArrayLike,
+    aim_points_m: npt.ArrayLike,
+    *,
+    inflation: float | None = None,
+    options: FitOptions | None = None,
+) -> Prediction:
+    """Predict how well the heliostat hits aim points at any suns: a map over the sky, a day, a year.
+
+    Parameters
+    ----------
+    found : HeliostatFit
+        The fit.
+    sun : array_like, shape (n, 3)
+        Directions to the sun.
+    aim_points_m : array_like, shape (3,) or (n, 3)
+        Where the beam shall go [m].
+    inflation : float, optional
+        Of `blocked_inflation`; found here if not given.
+    options : FitOptions, optional
+        How the fit was made.
+
+    Returns
+    -------
+    Prediction
+        One entry per sun; ``usable`` is False where the drives cannot point.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit.
+    """
+    suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
+    points = np.broadcast_to(np.asarray(aim_points_m, dtype=np.float64), suns.shape)
+    aimed = aim(found.design, found.values, suns, points)
+    usable = np.asarray(aimed.converged & aimed.within_limits)
+    readings = np.where(usable[:, None], aimed.readings, np.nan)
+    wide = _Wide.of(found)
+    jacobian = np.full((len(suns), 2, wide.columns.size), np.nan)
+    positions = np.where(usable[:, None], aimed.normals, np.nan)
+    if usable.any():
+        # As if the spot were seen at the aim point with a sigma of 1 m: whitened times 1 / distance is the angle.
+        seen = BeamSpots.at_points(
+            Pointings(readings[usable]), suns[usable], points[usable], 1.0, ("",) * int(usable.sum())
+        )
+        rows = evaluate(found.design, found.values, Observations((seen,)), columns=wide.columns)
+        own = _two_components(rows.jacobian, rows.owner, len(seen))
+        jacobian[usable] = own * rows.sigma_beam_rad[:, None, None]
+    misfit = np.full(len(suns), _typical_misfit(found))
+    spread = wide.spread(jacobian, blocked_inflation(found, options) if inflation is None else inflation)
+    places = suns if _by_sun(found) else positions
+    return _prediction(found, spread, misfit, places, (readings, usable), np.zeros(len(suns)))
+
+
+def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
+    """Return by how much errors at suns left aside exceed what the parameters' covariance says.
+
+    Parameters
+    ----------
+    found : HeliostatFit
+        The fit.
+    options : FitOptions, optional
+        How it was made.
+
+    Returns
+    -------
+    float
+        Factor on the parameters' sigmas, at least 1, at most 10; 1 with too few rows, or where the stated sigmas were
+        believed, for then the model describes the observations.
+
+    Notes
+    -----
+    What a model does not describe repeats from sun to neighbouring sun, and its covariance takes every row for a new
+    draw. Blocks of neighbouring positions are left aside in turn; the factor makes the mean of their squared errors
+    what it should be.
+    """
+    if not _refuted(found) or found.n_free == 0 or found.used.sum() < 4 * _BLOCKS:
+        return 1.0
+    seen = found.observations
+    # Near the answer already: one descent for each block, at the sigmas and with the rows of the whole fit.
+    model = FitModel(found.nominal, seen, options or FitOptions(), frozenset(found.names))
+    excess, expected = 0.0, 0.0
+    for block in sky_blocks(seen, found.used):
+        part = descend(model, found.solution.parameters, found.sigma_factors, found.used & ~block, 0.01)
+        covariance = part.with_own_covariance().solution.covariance
+        whitened, jacobian, _ = model.seen.whitened(model.full(part.values))
+        rows = block[model.owners]
+        spread = np.einsum("ij,jk,ik->i", jacobian[rows], covariance, jacobian[rows])
+        excess += float(np.sum(whitened[rows] ** 2 - found.factor[model.owners[rows]] ** 2))
+        expected += float(np.sum(spread))
+    return float(np.clip(np.sqrt(max(excess, 0.0) / expected), 1.0, 10.0)) if expected > 0 else 1.0
+
+
+def sky_blocks(seen: Observations, among: BoolArray) -> tuple[BoolArray, ...]:
+    """Cut some rows, (n,), into four runs of neighbouring sun azimuth (of the first reading where there is no sun)."""
+    azimuth = np.mod(np.arctan2(seen.sun[:, 0], seen.sun[:, 1]), 2 * np.pi)
+    key = azimuth if np.isfinite(azimuth).all() else seen.readings[:, 0]
+    rows = np.flatnonzero(among)
+    blocks = []
+    for part in np.array_split(rows[np.argsort(key[rows], kind="stable")], _BLOCKS):
+        mask = np.zeros(len(seen), dtype=np.bool_)
+        mask[part] = True
+        blocks.append(mask)
+    return tuple(blocks)
+
+
+def tracking_error(
+    calibrated: HeliostatDesign,
+    truth: HeliostatDesign,
+    sun: npt.ArrayLike,
+    aim_point_m: npt.ArrayLike,
+    *,
+    believed_aim_m: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Return by how much the beam of a true heliostat misses when a calibrated model commands it.
+
+    Parameters
+    ----------
+    calibrated, truth : HeliostatDesign
+        The model that computes the readings, and the heliostat that takes them.
+    sun : array_like, shape (n, 3)
+        Directions to the sun.
+    aim_point_m : array_like, shape (3,) or (n, 3)
+        Where the beam shall go [m].
+    believed_aim_m : array_like, shape (3,) or (n, 3), optional
+        Where the model takes that point to be, if it was calibrated with the heliostat [m].
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Beam minus aim, right and up as seen from the mirror [rad]; NaN where the model cannot point.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit.
+    """
+    suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
+    points = np.broadcast_to(np.asarray(aim_point_m, dtype=np.float64), suns.shape)
+    believed = points if believed_aim_m is None else np.broadcast_to(np.asarray(believed_aim_m), suns.shape)
+    aimed = aim(calibrated, calibrated.parameters.values, suns, believed)
+    known = np.isfinite(aimed.readings).all(axis=1) & aimed.converged
+    error = np.full((len(suns), 2), np.nan)
+    if known.any():
+        seen = BeamSpots.at_points(
+            Pointings(aimed.readings[known]), suns[known], points[known], 1.0, ("",) * int(known.sum())
+        )
+        # Seen at the aim point minus predicted by the truth, the other way round.
+        error[known] = -ObservationModel(truth, Observations((seen,))).evaluate(truth.parameters.values).beam_rad
+    return error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class YearlyError:
+    """Tracking error over a year (Gouws 2018, chapter 6).
+
+    Parameters
+    ----------
+    error_rad : ndarray, shape (n, 2)
+        Beam minus aim, right and up [rad]; NaN where the heliostat cannot point.
+    day : ndarray of int, shape (n,)
+        Which of the days.
+    """
+
+    error_rad: FloatArray
+    day: npt.NDArray[np.int64]
+
+    @property
+    def angle_rad(self) -> FloatArray:
+        """Length of each error, shape (n,) [rad of the beam]."""
+        return np.hypot(self.error_rad[:, 0], self.error_rad[:, 1])
+
+    @property
+    def daily_mean_rad(self) -> FloatArray:
+        """Mean length of the errors of each day [rad of the beam]."""
+        return np.array([np.nanmean(self.angle_rad[self.day == day]) for day in np.unique(self.day)])
+
+    @property
+    def daily_offset_rad(self) -> FloatArray:
+        """Length of the mean error of each day: what a shifted aim point would remove [rad of the beam]."""
+        means = [np.nanmean(self.error_rad[self.day == day], axis=0) for day in np.unique(self.day)]
+        return np.asarray(np.linalg.norm(means, axis=1))
+
+    @property
+    def mean_rad(self) -> float:
+        """Mean over the days of the daily mean [rad of the beam]."""
+        return float(np.mean(self.daily_mean_rad))
+
+
+def yearly_evaluation(
+    calibrated: HeliostatDesign,
+    truth: HeliostatDesign,
+    site: "Site",
+    aim_point_m: npt.ArrayLike,
+    *,
+    year: int = 2018,
+    believed_aim_m: npt.ArrayLike | None = None,
+) -> YearlyError:
+    """Return the tracking error at 35 suns on the tenth day of every month.
+
+    Parameters
+    ----------
+    calibrated, truth : HeliostatDesign
+        As for `tracking_error`.
+    site : Site
+        Where the plant is.
+    aim_point_m : array_like, shape (3,)
+        Where the beam shall go [m].
+    year : int, optional
+        Which year.
+    believed_aim_m : array_like, shape (3,), optional
+        As for `tracking_error`.
+
+    Returns
+    -------
+    YearlyError
+        Errors with their day.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit.
+    """
+    suns, day = sun_positions_of_year(site, year)
+    return YearlyError(tracking_error(calibrated, truth, suns, aim_point_m, believed_aim_m=believed_aim_m), day)
+
+
+def sun_positions_of_year(
+    site: "Site", year: int, *, day_of_month: int = 10, per_day: int = 35, least_elevation_rad: float = 0.0
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Return suns spread evenly over the daylight of one day of each month.
+
+    Parameters
+    ----------
+    site : Site
+        Where.
+    year : int
+        Which year.
+    day_of_month : int, optional
+        Which day.
+    per_day : int, optional
+        Positions a day.
+    least_elevation_rad : float, optional
+        Lowest sun [rad].
+
+    Returns
+    -------
+    sun : ndarray, shape (n, 3)
+        Directions to the sun.
+    day : ndarray of int, shape (n,)
+        Month of each, 1 to 12.
+    """
+    from heliogauge.geometry.sun import sun_directions
+
+    parts, days = [], []
+    for month in range(1, 13):
+        # Local solar midnight, so that no day of daylight is cut in two.
+        midnight = np.datetime64(f"{year:04d}-{month:02d}-{day_of_month:02d}T00:00", "ms")
+        midnight -= np.timedelta64(round(site.longitude_deg / 15 * 3600e3), "ms")
+        minutes = midnight + np.arange(1440) * np.timedelta64(60_000, "ms")
+        suns = sun_directions(minutes, site)
+        light = np.flatnonzero(suns[:, 2] > np.sin(least_elevation_rad))
+        if not light.size:
+            continue
+        chosen = np.linspace(light[0], light[-1], per_day).round().astype(np.int64)
+        parts.append(suns[chosen])
+        days.append(np.full(per_day, month, dtype=np.int64))
+    return np.concatenate(parts), np.concatenate(days)
+
+
+def _refuted(found: HeliostatFit) -> bool:
+    """Whether the residuals exceed the stated sigmas by more than sigmas are known: the model lacks something."""
+    return max(found.sigma_factors.values(), default=1.0) > REFUTED_FROM
+
+
+def _columns(found: HeliostatFit) -> npt.NDArray[np.intp]:
+    return np.flatnonzero(found.design.parameters.free)
+
+
+def _by_sun(found: HeliostatFit) -> bool:
+    return bool(np.isfinite(found.observations.sun).all())
+
+
+def _two_components(jacobian: FloatArray, owner: npt.NDArray[np.intp], count: int) -> FloatArray:
+    """First two components of each row, (n, 2, k); points have three and no direction."""
+    first = np.searchsorted(owner, np.arange(count))
+    return np.stack([jacobian[first], jacobian[first + 1]], axis=1)
+
+
+def _typical_misfit(found: HeliostatFit) -> float:
+    """Misfit per axis of the rows used [rad]: by what the estimated sigma exceeds the stated one."""
+    sigma, factor = found.residuals.sigma_beam_rad[found.used], found.factor[found.used]
+    square = np.maximum(factor**2 - 1, 0.0) * sigma**2
+    known = square[np.isfinite(square)]
+    return float(np.sqrt(known.mean())) if known.size else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wide:
+    """What may be wrong of a heliostat, free or held: columns of its parameters, their covariance after the fit."""
+
+    columns: npt.NDArray[np.intp]
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, found: HeliostatFit) -> "_Wide":
+        """Linearise at the fit; if the residuals refute the model, what was held may be wrong within its prior too."""
+        own = found.design.parameters
+        if not _refuted(found):
+            return cls(_columns(found), found.solution.covariance)
+        sigmas = own.sigmas.copy()
+        for i, name in enumerate(own.names):
+            if sigmas[i] == 0 and name in PRIORS:
+                sigmas[i] = PRIORS[name].sigma
+        sigmas = np.where(np.isinf(sigmas), plausible_scales(own.values, own.names, own.units), sigmas)
+        columns = np.flatnonzero(sigmas > 0)
+        rows = found.used[found.residuals.owner]
+        scale = found.factor[found.residuals.owner[rows]]
+        scaled = found.residuals.jacobian[np.ix_(rows, columns)] / scale[:, None] * sigmas[columns]
+        normal = scaled.T @ scaled + np.eye(columns.size)
+        covariance = np.linalg.inv(normal) * sigmas[columns][:, None] * sigmas[columns]
+        return cls(columns, np.asarray(covariance))
+
+    def spread(self, jacobian: FloatArray, inflation: float) -> tuple[FloatArray, float]:
+        """Covariance of the beam, (n, 2, 2), with its inflation."""
+        return inflation**2 * (jacobian @ self.covariance @ jacobian.transpose(0, 2, 1)), inflation
+
+
+def _prediction(
+    found: HeliostatFit,
+    spread: tuple[FloatArray, float],
+    misfit: FloatArray,
+    positions: FloatArray,
+    drives: tuple[FloatArray, BoolArray],
+    noise: FloatArray,
+) -> Prediction:
+    """Assemble; sigmas come per axis and leave as the root of both axes' variances."""
+    covariance, inflation = spread
+    sigma = (found.factor * found.residuals.sigma_beam_rad)[found.used]
+    one = 2 * float(np.mean(sigma**2)) if sigma.size else float("nan")
+    leverage = np.trace(covariance, axis1=1, axis2=2) / one
+    distance = _nearest(positions, _used_positions(found))
+    reasons = tuple(_why(*pair) for pair in zip(distance, leverage, strict=True))
+    extrapolated = np.array([bool(reason) for reason in reasons], dtype=np.bool_)
+    if _refuted(found):
+        covariance = covariance * np.where(extrapolated, _BEYOND**2, 1.0)[:, None, None]
+    parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    total = covariance + (misfit**2)[:, None, None] * np.eye(2)
+    return Prediction(
+        *drives, total, parameters, np.sqrt(2.0) * misfit, np.sqrt(2.0) * noise, leverage, distance, extrapolated,
+        reasons, inflation,
+    )  # fmt: skip
+
+
+def _used_positions(found: HeliostatFit) -> FloatArray:
+    seen = found.observations
+    if _by_sun(found):
+        return np.asarray(seen.sun[found.used])
+    poses = mirror_poses(found.design, found.values, seen.readings[found.used], outside="nan")
+    return poses.normals(found.design)
+
+
+def _nearest(positions: FloatArray, used: FloatArray) -> FloatArray:
+    if not len(used):
+        return np.full(len(positions), np.pi)
+    # The chord keeps digits where the arc cosine loses them: 1e-8 rad at distance 0.
+    chord = np.linalg.norm(positions[:, None, :] - used[None, :, :], axis=2)
+    return np.asarray(2 * np.arcsin(np.minimum(chord.min(axis=1) / 2, 1.0)))
+
+
+def _why(distance: float, leverage: float) -> str:
+    parts = []
+    if distance > FAR_RAD:
+        parts.append(f"{np.degrees(distance):.0f} degrees from the nearest position used")
+    if leverage > HIGH_LEVERAGE:
+        parts.append(f"leverage {leverage:.1f}: the observations say less of it than one made there would")
+    return "; ".join(parts)

@@ -1,0 +1,110 @@
+"""What is known of a heliostat before anything is measured: sigmas of its numbers, with where each comes from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
+from calibration.heliostat.kinematic_model.presets import with_drive_terms
+
+
+@dataclass(frozen=True, slots=True)
+class PriorSigma:
+    """What a number may be wrong by before anything is measured.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation in the parameter's unit.
+    source : str
+        Where that comes from.
+    """
+
+    sigma: float
+    source: str
+
+
+_POST = PriorSigma(5e-3, "posts are plumbed: EN 1090-2 allows a three-hundredth of the height")
+_HEADING = PriorSigma(0.1, "a post is turned to a compass or a plumb line's shadow: some degrees")
+_SWITCH = PriorSigma(0.01, "zero by a limit switch or an inclinometer: half a degree")
+_AXES = PriorSigma(2e-3, "welded and turned frames keep axes square to a tenth of a degree")
+_PLACE = PriorSigma(0.1, "satellite survey of posts in the field")
+_HEIGHT = PriorSigma(2.0, "which point of the post was surveyed, and above which zero, is seldom recorded")
+_PART = PriorSigma(3e-4, "general tolerance ISO 2768-m of parts from 120 to 400 mm: 0.5 mm at most")
+_WEIGHT = PriorSigma(3e-3, "frames of some square metres bend by a few milliradians under their weight")
+_ARM = PriorSigma(0.01, "mirror glued and screwed to its arm: a centimetre")
+
+#: Prior sigmas by the names that the presets give.
+PRIORS: Mapping[str, PriorSigma] = {
+    "tilt_north": _POST, "tilt_east": _POST, "tilt_about_east": _POST, "tilt_about_north": _POST, "tilt_1_n": _POST,
+    "tilt_1_u": _HEADING, "azimuth_offset": _HEADING,
+    "tilt_2_e": _SWITCH, "elevation_offset": _SWITCH, "initial_angle_2": _SWITCH,
+    "tilt_2_n": _AXES, "non_orthogonality": _AXES, "canting": _AXES,
+    "position_e": _PLACE, "position_n": _PLACE, "position_u": _HEIGHT,
+    "sag_1": _WEIGHT, "sag_2": _WEIGHT,
+    "initial_stroke_1": _PART, "initial_stroke_2": _PART, "offset_1": _PART, "offset_2": _PART,
+    "pivot_radius_1": _PART, "pivot_radius_2": _PART,
+    "arm_normal": _ARM, "arm_up": _ARM,
+}  # fmt: skip
+
+#: Parts of the drives: free only where the observations prove that they must be.
+PARTS = (
+    "initial_angle_2", "initial_stroke_1", "initial_stroke_2", "offset_1", "offset_2", "pivot_radius_1",
+    "pivot_radius_2", "arm_normal", "arm_up",
+)  # fmt: skip
+
+
+def with_priors(design: HeliostatDesign, names: tuple[str, ...] | None = None) -> HeliostatDesign:
+    """Return the same heliostat with what is known before as the sigmas of its parameters.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat.
+    names : tuple of str, optional
+        Only these parameters become free within their priors, all others are held; all that have one but the parts of
+        the drives (`PARTS`) if not given.
+
+    Returns
+    -------
+    HeliostatDesign
+        With `PRIORS` as sigmas; a finite sigma of its own (a survey's) takes their place. A heliostat with linear
+        actuators gets the bending of its first axis.
+
+    Raises
+    ------
+    InputError
+        A name that the design does not have.
+    """
+    design = with_bending(design)
+    known = tuple(name for name in PRIORS if name in design.parameters.names and name not in PARTS)
+    chosen = known if names is None else names
+    sigmas = {name: prior_sigma(design, name) for name in chosen}
+    return design.with_parameters(design.parameters.with_only_free(()).with_sigmas(sigmas))
+
+
+def prior_sigma(design: HeliostatDesign, name: str) -> float:
+    """Return the design's own prior sigma of a parameter, or the usual one; inf where nothing is known."""
+    own = design.parameters.sigma(name)
+    if 0 < own < float("inf") or name not in PRIORS:
+        return own
+    return PRIORS[name].sigma
+
+
+def with_bending(design: HeliostatDesign) -> HeliostatDesign:
+    """Return the same heliostat with bending by weight about its elevation axis as one more (held) parameter.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat.
+
+    Returns
+    -------
+    HeliostatDesign
+        With ``sag_1`` if its first drive is a linear actuator that bends nothing yet; otherwise as it was.
+    """
+    first = design.drives[0]
+    if not isinstance(first, LinearActuator) or first.terms.names or "sag_1" in design.parameters.names:
+        return design
+    # The mirror stands upright where the first axis is at 0: there its weight has the longest lever.
+    return with_drive_terms(design, 0, ("sag",), sag_zero_rad=0.0)

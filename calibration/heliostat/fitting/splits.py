@@ -1,0 +1,275 @@
+"""Which observations to learn from and which to try the prediction on, by name; and what came of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.fitting.fit import fit
+from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.fitting.model_choice import ModelChoice
+from calibration.heliostat.fitting.prediction import Prediction, predict_rows
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.observations.observations import Observations
+from calibration.heliostat.observations.residuals import Residuals, evaluate
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+#: Splits by name; `column` besides takes the user's own.
+SPLIT_NAMES = ("random", "chronological", "azimuth", "azimuth-reversed", "high-variance")
+# Neighbours whose mean distance tells how lonely a sun position is.
+_NEIGHBOURS = 3
+_FEWEST = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Rows to learn from and rows to try the prediction on.
+
+    Parameters
+    ----------
+    name : str
+        Which split.
+    train, test : ndarray of bool, shape (n,)
+        Rows; some may be in neither.
+    note : str
+        What it asks of a model.
+    """
+
+    name: str
+    train: BoolArray
+    test: BoolArray
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class AngleSummary:
+    """Angles between measurement and prediction, of the beam and of the normal [rad].
+
+    Parameters
+    ----------
+    n : int
+        Rows.
+    beam_rms_rad, beam_median_rad, beam_max_rad : float
+        Of the beam (for drones of the line of sight); NaN without such rows.
+    normal_rms_rad, normal_median_rad, normal_max_rad : float
+        Of the mirror's normal.
+    """
+
+    n: int
+    beam_rms_rad: float
+    beam_median_rad: float
+    beam_max_rad: float
+    normal_rms_rad: float
+    normal_median_rad: float
+    normal_max_rad: float
+
+    @classmethod
+    def of(cls, residuals: Residuals, rows: BoolArray) -> "AngleSummary":
+        """Summarise some rows, (n,), of residuals."""
+        beam, normal = _three(residuals.beam_angle_rad[rows]), _three(residuals.normal_angle_rad[rows])
+        return cls(int(rows.sum()), *beam, *normal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """What a fit to one part of the observations says of the other.
+
+    Parameters
+    ----------
+    split : Split
+        The parts.
+    fit : HeliostatFit
+        Fit to the training rows.
+    train : AngleSummary
+        Of the training rows that were used.
+    test : AngleSummary
+        Of all test rows that can be computed, outliers included: nobody knows them beforehand.
+    residuals : Residuals
+        Of all rows at the values of the fit.
+    prediction : Prediction
+        What was predicted of the test rows, with sigma and warning, before they were looked at.
+    warnings : tuple of str
+        What must be known before the numbers are read.
+    """
+
+    split: Split
+    fit: HeliostatFit
+    train: AngleSummary
+    test: AngleSummary
+    residuals: Residuals
+    prediction: Prediction
+    warnings: tuple[str, ...]
+
+
+def make_split(
+    observations: Observations,
+    name: str,
+    *,
+    share: float = 0.75,
+    count: int = 30,
+    seed: int = 0,
+    column: Sequence[str] | None = None,
+) -> Split:
+    """Split observations.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was seen.
+    name : str
+        One of `SPLIT_NAMES`, or "column".
+    share : float, optional
+        Share of training rows of the random and chronological splits.
+    count : int, optional
+        Rows in each part of the azimuth and high-variance splits, at most half of all.
+    seed : int, optional
+        Of the random split.
+    column : sequence of str, length n, optional
+        "train", "test", "validation" or anything else (in neither part) for each row.
+
+    Returns
+    -------
+    Split
+        Masks over the rows.
+
+    Raises
+    ------
+    InputError
+        The split does not exist, or the observations lack suns or rows for it.
+
+    Notes
+    -----
+    Azimuth (0 = north, clockwise): the ``count`` smallest train and the largest are predicted; reversed the other way
+    round, as the PAINT benchmark's azimuth split (its azimuth counts from south to east). High variance: the ``count``
+    suns farthest from their three neighbours are predicted from the ``count`` that are nearest to theirs.
+    """
+    n = len(observations)
+    if n < _FEWEST:
+        raise InputError(f"split {name}: {n} observations; at least {_FEWEST} are needed")
+    if not 0 < share < 1 or count < 1:
+        raise InputError(f"split {name}: a share between 0 and 1 and a count of at least 1, not {share} and {count}")
+    few = min(count, n // 2)
+    if name == "column":
+        return _column_split(column, n)
+    if name == "random":
+        order = np.random.default_rng(seed).permutation(n)
+        return _ordered(name, order, round(share * n), n - round(share * n), "the same days and suns as in training")
+    if name == "chronological":
+        time = observations.time
+        missing = bool(np.isnat(time).any())
+        order = np.argsort(observations.row if missing else time, kind="stable")
+        note = "later than training: drift shows" + (
+            " (times are missing: in the order of the rows)" if missing else ""
+        )
+        return _ordered(name, order, round(share * n), n - round(share * n), note)
+    suns = observations.sun
+    if np.isnan(suns).any():
+        raise InputError(f"split {name}: every observation needs its sun")
+    if name in ("azimuth", "azimuth-reversed"):
+        order = np.argsort(np.mod(np.arctan2(suns[:, 0], suns[:, 1]), 2 * np.pi), kind="stable")
+        order = order if name == "azimuth" else order[::-1]
+        return _ordered(name, order, few, few, "suns on the other side of the sky: extrapolation")
+    if name == "high-variance":
+        order = np.argsort(_loneliness(suns), kind="stable")
+        return _ordered(name, order, few, few, "lonely suns from crowded ones: extrapolation")
+    raise InputError(f"split {name!r}: no such split; there are {', '.join(SPLIT_NAMES)} and column")
+
+
+def held_out(
+    design: HeliostatDesign,
+    observations: Observations,
+    split: Split,
+    options: FitOptions | None = None,
+    *,
+    chooser: Callable[[HeliostatDesign, Observations, FitOptions | None], ModelChoice] | None = None,
+) -> HeldOut:
+    """Fit to the training rows and compare with the others.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat.
+    observations : Observations
+        All rows.
+    split : Split
+        Which rows are which.
+    options : FitOptions, optional
+        How to fit.
+    chooser : callable, optional
+        Chooses the free parameters from the training rows alone, such as `choose_model`.
+
+    Returns
+    -------
+    HeldOut
+        Fit, residuals of both parts, prediction, warnings.
+
+    Raises
+    ------
+    EstimationError
+        The training rows do not determine the heliostat, or there are none.
+    InputError
+        A test row needs a camera or target that no training row has.
+    """
+    if not split.train.any() or not split.test.any():
+        raise EstimationError(
+            f"split {split.name}: both parts need rows, not {split.train.sum()} and {split.test.sum()}"
+        )
+    training = observations.select(split.train)
+    chosen = design if chooser is None else chooser(design, training, options).design
+    found = fit(chosen, training, options)
+    prediction = predict_rows(found, observations.select(split.test), options)
+    both = observations.select(split.train | split.test)
+    some = evaluate(found.design, found.values, both)
+    place = np.flatnonzero(split.train | split.test)
+    used = np.zeros(len(observations), dtype=np.bool_)
+    used[np.flatnonzero(split.train)[found.used]] = True
+    tested = split.test[place] & some.computable
+    summaries = AngleSummary.of(some, used[place]), AngleSummary.of(some, tested)
+    warnings = (*_beforehand(split, prediction), *found.warnings)
+    return HeldOut(split, found, *summaries, evaluate(found.design, found.values, both), prediction, warnings)
+
+
+def _beforehand(split: Split, prediction: Prediction) -> tuple[str, ...]:
+    beyond = int(prediction.extrapolated.sum())
+    if not beyond:
+        return ()
+    far = float(np.nanmax(prediction.distance_rad))
+    expected = float(np.sqrt(np.nanmean(prediction.sigma_beam_rad**2)))
+    return (
+        f"split {split.name}: {beyond} of {len(prediction.extrapolated)} test positions lie beyond those of training, "
+        f"up to {np.degrees(far):.0f} degrees away; expect errors of about {1e3 * expected:.1f} mrad of the beam",
+    )
+
+
+def _ordered(name: str, order: npt.NDArray[np.intp], first: int, last: int, note: str) -> Split:
+    train, test = np.zeros(order.size, dtype=np.bool_), np.zeros(order.size, dtype=np.bool_)
+    train[order[:first]] = True
+    test[order[order.size - last :]] = True
+    return Split(name, freeze(train), freeze(test), note)
+
+
+def _column_split(column: Sequence[str] | None, count: int) -> Split:
+    if column is None or len(column) != count:
+        raise InputError(f"split column: {count} entries are needed, not {0 if column is None else len(column)}")
+    words = np.array([entry.strip().lower() for entry in column], dtype=np.str_)
+    train, test = words == "train", np.isin(words, ("test", "validation"))
+    if not (train.any() and test.any()):
+        raise InputError("split column: rows marked train and rows marked test or validation are needed")
+    return Split("column", freeze(np.asarray(train)), freeze(np.asarray(test)), "as the table says")
+
+
+def _loneliness(suns: FloatArray) -> FloatArray:
+    """Mean angle to the nearest neighbours."""
+    angles = np.arccos(np.clip(suns @ suns.T, -1.0, 1.0))
+    np.fill_diagonal(angles, np.inf)
+    neighbours = min(_NEIGHBOURS, len(suns) - 1)
+    return np.asarray(np.sort(angles, axis=1)[:, :neighbours].mean(axis=1))
+
+
+def _three(angles: FloatArray) -> tuple[float, float, float]:
+    known = angles[np.isfinite(angles)]
+    if not known.size:
+        return (float("nan"),) * 3
+    return float(np.sqrt(np.mean(known**2))), float(np.median(known)), float(known.max())

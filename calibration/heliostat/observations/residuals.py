@@ -1,0 +1,259 @@
+"""From a heliostat's numbers to the residuals of its observations, with derivatives, whitened and in radians."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
+from calibration.heliostat.kinematic_model.directions import Sights, unit_with_length
+from calibration.heliostat.kinematic_model.kinematics import mirror_poses, pose_derivatives
+from calibration.heliostat.observations.observations import BeamSpots, Observations
+from calibration.heliostat.observations.residual_kinds import Equations, Place, Prepared, equations, in_metres, prepare
+from heliogauge.errors import InputError
+from heliogauge.geometry.rays import intersect_plane, reflect
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+IndexArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Residuals of observations at given numbers of a heliostat.
+
+    Parameters
+    ----------
+    whitened : ndarray, shape (m,)
+        Predicted minus measured in sigma; 0 for rows that cannot be computed.
+    jacobian : ndarray, shape (m, k)
+        Derivatives by the wanted parameters.
+    owner : ndarray of int, shape (m,)
+        Row that each component belongs to; the two or three components of a row follow one another.
+    beam_rad : ndarray, shape (n, 2)
+        Measured minus predicted direction of the beam (for a drone: of the line of sight), right and up as seen from
+        the mirror along it [rad]; NaN for kinds without a beam.
+    normal_rad : ndarray, shape (n, 2)
+        The mirror's normal that would explain the measurement minus the predicted one, right and up as seen along it
+        [rad]; for lamps the turn of the structure across the line of sight, for points NaN.
+    sigma_beam_rad : ndarray, shape (n,)
+        Stated sigma per axis of the beam or line of sight (root mean of both axes), of the normal for kinds that
+        measure it [rad]; NaN for points.
+    distance_m : ndarray, shape (n,)
+        From the mirror to what was observed [m]; NaN for normals.
+    computable : ndarray of bool, shape (n,)
+        Whether the readings lie within the geometry of the actuators.
+    """
+
+    whitened: FloatArray
+    jacobian: FloatArray
+    owner: IndexArray
+    beam_rad: FloatArray
+    normal_rad: FloatArray
+    sigma_beam_rad: FloatArray
+    distance_m: FloatArray
+    computable: BoolArray
+
+    def __post_init__(self) -> None:
+        for array in (self.whitened, self.jacobian, self.owner, self.beam_rad, self.normal_rad):
+            freeze(array)
+
+    @property
+    def beam_angle_rad(self) -> FloatArray:
+        """Angle between measured and predicted beam, shape (n,) [rad of the beam]."""
+        return np.asarray(np.hypot(self.beam_rad[:, 0], self.beam_rad[:, 1]))
+
+    @property
+    def normal_angle_rad(self) -> FloatArray:
+        """Angle between the normals, shape (n,) [rad of the normal]."""
+        return np.asarray(np.hypot(self.normal_rad[:, 0], self.normal_rad[:, 1]))
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Length of each row's whitened residual, shape (n,) [sigma]."""
+        return np.sqrt(np.bincount(self.owner, self.whitened**2, minlength=len(self.beam_rad)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservationModel:
+    """Observations of a heliostat made ready to be evaluated at many numbers.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat; its parameters hold what the observations bring with them (`Observations.extra_parameters`). Its
+        own numbers choose the axes of the components and the weights.
+    observations : Observations
+        What was seen.
+    columns : ndarray of int, shape (k,), optional
+        Positions of the parameters to differentiate by; all of them if not given.
+
+    Raises
+    ------
+    InputError
+        A covariance vanishes across its line of sight.
+    """
+
+    design: HeliostatDesign
+    observations: Observations
+    columns: IndexArray | None = None
+    readings: FloatArray = field(init=False)
+    approach: FloatArray | None = field(init=False)
+    owners: IndexArray = field(init=False)
+    prepared: tuple[Prepared, ...] = field(init=False)
+    _last: dict[bytes, "_Evaluated"] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        seen = self.observations
+        object.__setattr__(self, "readings", seen.readings)
+        object.__setattr__(self, "approach", seen.approach)
+        object.__setattr__(self, "owners", np.repeat(np.arange(len(seen)), seen.n_components))
+        object.__setattr__(self, "prepared", tuple(prepare(self.design, group) for group in seen.groups))
+
+    def whitened(self, values: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return residuals (m,), derivatives (m, k) and which rows can be computed (n,), as `Residuals` has them."""
+        whitened, jacobian, computable, _ = self._evaluated(values)
+        return whitened, jacobian, computable
+
+    def evaluate(self, values: FloatArray) -> "Residuals":
+        """Return the residuals at some numbers, also in radians."""
+        whitened, jacobian, computable, parts = self._evaluated(values)
+        told = [_in_radians(prepared, *part) for prepared, part in zip(self.prepared, parts, strict=True)]
+        beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*told, strict=True))
+        return Residuals(whitened, jacobian, self.owners, beam, normal, sigma, distance, computable)
+
+    def _evaluated(self, values: FloatArray) -> "_Evaluated":
+        """Evaluate, or give the last answer again: a fit asks two or three times at the same numbers."""
+        key = values.tobytes()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self._evaluated_anew(values)
+        return self._last[key]
+
+    def _evaluated_anew(self, values: FloatArray) -> "_Evaluated":
+        moved = pose_derivatives(self.design, values, self.readings, self.approach, columns=self.columns, outside="nan")
+        poses = moved.poses
+        sums = poses.rotation.sum(axis=(1, 2)) + poses.centre_m.sum(axis=1)
+        computable = np.asarray(np.isfinite(sums))
+        place = {self.design.parameters.names[index]: column for column, index in enumerate(moved.columns)}
+        numbers = dict(zip(self.design.parameters.names, values.tolist(), strict=True))
+        normals, whitened, jacobians, parts, first = poses.normals(self.design), [], [], [], 0
+        for group, prepared in zip(self.observations.groups, self.prepared, strict=True):
+            rows = slice(first, first + len(group))
+            first += len(group)
+            here = Place(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
+            part = equations(here, group, prepared)
+            weighed, root = in_metres(part, prepared), prepared.root
+            jacobian = (root @ weighed.by_turn) @ moved.omega[rows] + (root @ weighed.by_shift) @ moved.shift[rows]
+            for names, own, derivative in weighed.extra:
+                for k, name in enumerate(names):
+                    if name in place:
+                        jacobian[own, :, place[name]] += (root[own] @ derivative[:, :, k, None])[..., 0]
+            whitened.append((root @ weighed.residual[..., None]).ravel())
+            jacobians.append(jacobian.reshape(root.shape[0] * root.shape[1], len(place)))
+            parts.append((part, normals[rows]))
+        residuals, derivatives = np.concatenate(whitened), np.concatenate(jacobians)
+        if not computable.all():
+            lost = ~computable[self.owners]
+            residuals[lost], derivatives[lost] = 0.0, 0.0
+        return freeze(residuals), freeze(derivatives), computable, parts
+
+
+_Evaluated: TypeAlias = tuple[FloatArray, FloatArray, BoolArray, list[tuple[Equations, FloatArray]]]
+
+
+def _in_radians(
+    prepared: Prepared, part: Equations, normals: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Beam and normal, measured minus predicted, stated sigma and distance."""
+    nothing = np.full((len(normals), 2), np.nan)
+    if prepared.sights is None:
+        return nothing, nothing.copy(), prepared.sigma_rad, part.distance_m
+    if part.beam is None:
+        return nothing, -part.residual, prepared.sigma_rad, part.distance_m
+    needed, _ = unit_with_length(part.beam[0] + part.beam[1])
+    return -part.residual, Sights.along(normals).coordinates(needed), prepared.sigma_rad, part.distance_m
+
+
+def evaluate(
+    design: HeliostatDesign,
+    values: npt.ArrayLike,
+    observations: Observations,
+    *,
+    columns: Sequence[int] | IndexArray | None = None,
+) -> Residuals:
+    """Return the residuals of observations.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat; its parameters hold what the observations bring with them.
+    values : array_like, shape (p,)
+        Numbers in the order of ``design.parameters``.
+    observations : Observations
+        What was seen.
+    columns : sequence of int, optional
+        Positions of the parameters to differentiate by; all of them if not given.
+
+    Returns
+    -------
+    Residuals
+        Rows in the order of the observations.
+
+    Raises
+    ------
+    InputError
+        A parameter of the observations is missing, or shapes do not fit.
+
+    Notes
+    -----
+    Directions are compared in stereographic coordinates about the measured one: angles when they are close, and still
+    growing when they are far apart, so that a mirror that looks the other way is no false minimum.
+    """
+    missing = observations.extra_parameters(design).names
+    if missing:
+        raise InputError(f"parameters {', '.join(missing)} of the observations are missing in {design.name}")
+    chosen = None if columns is None else np.asarray(columns, dtype=np.intp)
+    return ObservationModel(design, observations, chosen).evaluate(np.asarray(values, dtype=np.float64))
+
+
+def predicted_spots(
+    design: HeliostatDesign, values: npt.ArrayLike, spots: BeamSpots, targets: Mapping[str, PlaneTarget]
+) -> FloatArray:
+    """Return where the beams should meet their targets.
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat.
+    values : array_like, shape (p,)
+        Its numbers, in the order of ``design.parameters``.
+    spots : BeamSpots
+        Readings, sun and target of each row.
+    targets : mapping
+        The targets by name.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Coordinates on the target, right and up as seen from the field [m]; NaN where the beam goes elsewhere.
+
+    Raises
+    ------
+    InputError
+        A target is unknown, or shapes do not fit.
+    """
+    missing = sorted(set(spots.target) - set(targets))
+    if missing:
+        raise InputError(f"target {', '.join(missing)}: no such target; there are {', '.join(targets)}")
+    poses = mirror_poses(design, values, spots.pointings.readings, spots.pointings.approach, outside="nan")
+    beams = reflect(-spots.sun, poses.normals(design))
+    found, names = np.full((len(spots), 2), np.nan), np.array(spots.target, dtype=np.str_)
+    for name in dict.fromkeys(spots.target):
+        target, rows = targets[name], np.flatnonzero(names == name)
+        along = intersect_plane(poses.centre_m[rows], beams[rows], target.center_m, target.normal)
+        ahead = along > 0
+        hits = poses.centre_m[rows] + along[:, None] * beams[rows]
+        found[rows[ahead]] = target.coordinates(hits[ahead])
+    return found

@@ -1,0 +1,268 @@
+"""What is wrong with a heliostat's rows: units, sun, repeats, columns that never change.
+
+What is wrong with single rows makes them flagged rows; what is wrong with a whole column is one `InputError`, because
+no number that comes of it would be true.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
+from calibration.heliostat.pipeline.rows import ColumnError, Rows, Verdicts
+from heliogauge.errors import InputError
+from heliogauge.geometry.sun import Site, direction_from_angles, sun_directions
+from heliogauge.validate import BoolArray, FloatArray
+
+#: Rows from which on a column can be judged as a whole.
+_ENOUGH = 5
+#: Share of rows that must be wrong in the same way before the column is.
+_MOST = 0.9
+#: A sun farther than this from where its time puts it is another sun: 10 mrad are 2.3 minutes.
+_SUN_LIMIT_RAD = 0.010
+#: As a whole the plant's sun and SPA agree to 0.02 mrad; conventions are wrong by degrees.
+_CONVENTION_LIMIT_RAD = 0.020
+_TURN = 2 * np.pi
+
+
+def readings_of(rows: Rows, design: HeliostatDesign, verdicts: Verdicts) -> FloatArray:
+    """Return the readings of both drives in the design's unit.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows.
+    design : HeliostatDesign
+        Says the unit and the limits.
+    verdicts : Verdicts
+        Takes rows whose readings are missing or cannot be.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Readings; NaN where there are none.
+
+    Raises
+    ------
+    InputError
+        Readings in a unit that the design has no use for, or a whole column that is in another unit than it says.
+    """
+    unit = next((one for one in ("counts", "deg", "rad") if f"axis_1_{one}" in rows.numbers), "rad")
+    names = [f"axis_{axis}_{unit}" for axis in (1, 2)]
+    values = rows.vector(*names)
+    if (unit == "counts") != (design.reading_unit == "counts"):
+        raise InputError(_wrong_kind(design, unit))
+    if unit != "counts":
+        _check_angles(values, names, unit, verdicts)
+        values = np.deg2rad(values) if unit == "deg" else values
+    verdicts.refuse(~np.isfinite(values).all(axis=1), "not_finite", f"{' or '.join(names)} is missing or not finite")
+    low, high = design.limits.T
+    outside: BoolArray = np.asarray((values < low) | (values > high))
+    verdicts.refuse(outside.any(axis=1), "reading", lambda row: _outside_text(design, names, values[row], outside[row]))
+    return values
+
+
+def _wrong_kind(design: HeliostatDesign, unit: str) -> str:
+    if unit == "counts":
+        return f"{design.name}: readings are counts, which mean no angle yet; say counts_per_turn in [kinematics]"
+    if isinstance(design.drives[0], LinearActuator):
+        return f"{design.name}: linear actuators are read in counts (axis_1_counts, axis_2_counts), not in {unit}"
+    return f"{design.name}: counts_per_turn belongs to readings in counts; the table has axis_1_{unit}"
+
+
+def _check_angles(values: FloatArray, names: list[str], unit: str, verdicts: Verdicts) -> None:
+    known = values[verdicts.usable & np.isfinite(values).all(axis=1)]
+    if len(known) < _ENOUGH:
+        return
+    if unit == "rad":
+        beyond: BoolArray = np.asarray(np.isfinite(values) & (np.abs(values) > 1.05 * _TURN))
+        if (np.abs(known) > 1.05 * _TURN).any(axis=1).mean() > _MOST:
+            worst = names[int(np.argmax(np.abs(known).max(axis=0)))]
+            raise ColumnError(
+                "units",
+                f"{worst}: values such as {np.abs(known).max():g} are no radians; name the columns axis_1_deg, "
+                "axis_2_deg, and let both be degrees",
+            )
+        verdicts.refuse(
+            beyond.any(axis=1), "units", lambda row: f"{names[int(np.argmax(beyond[row]))]}: degrees among radians?"
+        )
+        return
+    if (np.abs(known) < 1.05 * _TURN).all() and np.ptp(known, axis=0).max() < _TURN:
+        raise ColumnError(
+            "units",
+            f"{names[0]}, {names[1]}: all values lie within {np.abs(known).max():.2f}: they look like radians; name "
+            "the columns axis_1_rad, axis_2_rad",
+        )
+    # Both axes of one row within a radian's range, where others are far beyond it: taken over in another unit.
+    small = (np.abs(values) < 1.6).all(axis=1) & (values != 0).all(axis=1)
+    if (np.abs(known).min(axis=1) > 5).mean() > _MOST:
+        verdicts.refuse(small, "units", "both readings are below 1.6 degrees: radians among degrees?")
+
+
+def _outside_text(design: HeliostatDesign, names: list[str], values: FloatArray, outside: BoolArray) -> str:
+    axis = int(np.argmax(outside))
+    low, high = design.limits[axis]
+    return f"{names[axis]}: {values[axis]:g} {design.reading_unit} is beyond the drive's limits {low:g} to {high:g}"
+
+
+# --- the sun ----------------------------------------------------------------------------------------------------------
+
+
+def suns_of(rows: Rows, site: Site, verdicts: Verdicts, needed: BoolArray) -> tuple[FloatArray, float]:
+    """Return the direction to the sun of each row: as told, else from its time.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows.
+    site : Site
+        Where the plant is.
+    verdicts : Verdicts
+        Takes rows without a sun, with one below the horizon, and with one that contradicts its time.
+    needed : ndarray of bool, shape (n,)
+        Rows that are nothing without the sun.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit vectors to the apparent sun; NaN where there is none.
+    float
+        Median angle between the sun as told and as SPA has it [rad]; NaN where not both are there.
+
+    Raises
+    ------
+    InputError
+        The suns as told are in radians, or counted by another convention, or the times are of another zone.
+    """
+    told = np.deg2rad(rows.vector("sun_azimuth_deg", "sun_elevation_deg"))
+    is_told: BoolArray = np.asarray(np.isfinite(told).all(axis=1))
+    _refuse_radians(np.rad2deg(told[is_told & verdicts.usable]))
+    timed = ~np.isnat(rows.times)
+    suns, computed = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
+    suns[is_told] = direction_from_angles(told[is_told, 0], told[is_told, 1])
+    if timed.any():
+        computed[timed] = sun_directions(rows.times[timed], site)
+    both = is_told & timed & verdicts.usable & needed
+    apart = _angle(suns, computed)
+    median = float(np.median(apart[both])) if both.any() else float("nan")
+    if np.count_nonzero(both) >= _ENOUGH and median > _CONVENTION_LIMIT_RAD:
+        raise _convention(told[both], rows.times[both], site, median)
+
+    def aside(row: int) -> str:
+        return f"the sun as told is {1e3 * apart[row]:.0f} mrad from where {rows.times[row]}Z puts it"
+
+    with np.errstate(invalid="ignore"):
+        verdicts.refuse(both & (apart > _SUN_LIMIT_RAD), "sun", aside)
+    suns = np.where(is_told[:, None], suns, computed)
+    verdicts.refuse(needed & ~np.isfinite(suns).all(axis=1), "time", "neither a time nor the sun's angles")
+    verdicts.refuse(
+        needed & (suns[:, 2] <= 0), "sun",
+        lambda row: f"the sun is {-np.rad2deg(np.arcsin(suns[row, 2])):.1f} degrees below the horizon",
+    )  # fmt: skip
+    return suns, median
+
+
+def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(one - other, axis=1) / 2, 0, 1)))
+
+
+def _refuse_radians(angles_deg: FloatArray) -> None:
+    azimuth, elevation = angles_deg.T
+    if len(angles_deg) >= _ENOUGH and elevation.max() < 1.6 and np.abs(azimuth).max() < 1.05 * _TURN:
+        raise ColumnError(
+            "units",
+            f"sun_elevation_deg: no value is above {elevation.max():.2f}, and azimuths lie within "
+            f"{np.abs(azimuth).max():.2f}: they look like radians",
+        )
+
+
+def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> ColumnError:
+    """Find the convention by which the suns as told would be those of their times."""
+    truth = sun_directions(times, site)
+    azimuth, elevation = told.T
+    forms: dict[str, Callable[[], FloatArray]] = {
+        "the azimuth is 0 in the south and positive to the east: write 180 - azimuth": lambda: np.pi - azimuth,
+        "the azimuth is 0 in the south and positive to the west: write 180 + azimuth": lambda: np.pi + azimuth,
+        "the azimuth is counter-clockwise from the north: write -azimuth": lambda: -azimuth,
+        "the azimuth is counter-clockwise from the east: write 90 - azimuth": lambda: np.pi / 2 - azimuth,
+    }
+    for text, form in forms.items():
+        if np.median(_angle(direction_from_angles(form(), elevation), truth)) < _CONVENTION_LIMIT_RAD:
+            return ColumnError("sun_convention", f"sun_azimuth_deg: {text}")
+    if np.median(_angle(direction_from_angles(azimuth, np.pi / 2 - elevation), truth)) < _CONVENTION_LIMIT_RAD:
+        return ColumnError("sun_convention", "sun_elevation_deg: it is the zenith angle; write 90 - angle")
+    suns = direction_from_angles(azimuth, elevation)
+    for minutes in range(-14 * 60, 14 * 60 + 1, 15):
+        shifted = sun_directions(times - np.timedelta64(minutes, "m"), site)
+        if np.median(_angle(suns, shifted)) < _CONVENTION_LIMIT_RAD:
+            return ColumnError(
+                "time_offset",
+                f"time_utc: the sun as told is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times",
+            )
+    return ColumnError(
+        "sun_convention",
+        f"the sun as told is {1e3 * median:.0f} mrad (median) from where its times put it, by no known convention; "
+        "azimuth must be 0 in the north and clockwise, elevation from the horizon; is the site's place right?",
+    )
+
+
+# --- repeats and constants --------------------------------------------------------------------------------------------
+
+
+def refuse_repeats(rows: Rows, verdicts: Verdicts) -> None:
+    """Refuse rows that say what an earlier one said: they would count twice.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows.
+    verdicts : Verdicts
+        Takes the repeats.
+    """
+    numbers = np.column_stack([*rows.numbers.values(), np.zeros(len(rows))])
+    texts = list(zip(*(rows.texts[name] for name in rows.texts if name != "split"), strict=True))
+    seen: dict[bytes, int] = {}
+    for row in range(len(rows)):
+        if verdicts.flags[row] == "unreadable":
+            continue
+        key = numbers[row].tobytes() + repr(texts[row] if texts else ()).encode() + rows.times[row].tobytes()
+        first = seen.setdefault(key, row)
+        if first != row:
+            verdicts.refuse(np.arange(len(rows)) == row, "duplicate", f"the same as {rows.ids[first]}")
+
+
+def refuse_constants(readings: FloatArray, suns: FloatArray, where: BoolArray, name: str) -> None:
+    """Refuse columns that never change although the sun moved.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n, 2)
+        Readings of both drives.
+    suns : ndarray, shape (n, 3)
+        Directions to the sun.
+    where : ndarray of bool, shape (n,)
+        Usable rows that need the sun.
+    name : str
+        The heliostat, for the message.
+
+    Raises
+    ------
+    InputError
+        A drive, or the sun, is the same in all rows.
+    """
+    count = int(np.count_nonzero(where))
+    if count < _ENOUGH:
+        return
+    if np.ptp(suns[where], axis=0).max() == 0:
+        raise ColumnError(
+            "constant_column",
+            f"{name}: the sun stands at the same place in all {count} rows; are its columns recorded?",
+        )
+    for axis in (0, 1):
+        if np.ptp(readings[where, axis]) == 0:
+            raise ColumnError(
+                "constant_column",
+                f"{name}: axis {axis + 1} reads {readings[where, axis][0]:g} in all {count} rows, although the sun "
+                "moved; is its column recorded?",
+            )

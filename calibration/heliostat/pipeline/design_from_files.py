@@ -1,0 +1,172 @@
+"""What is known of a heliostat beforehand becomes its kinematic design: preset, position, numbers of its own."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.files.store_paint import PaintProperties, parse_properties
+from calibration.heliostat.keys import KinematicsSection
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.kinematic_model.parameters import FREE
+from calibration.heliostat.kinematic_model.presets import (
+    ActuatorNumbers,
+    azimuth_elevation,
+    drone_heliostat,
+    linear_actuators,
+    six_error,
+    two_axes,
+    with_drive_terms,
+)
+from calibration.heliostat.pipeline.source import HeliostatTask, Plant, position_of
+from heliogauge.errors import InputError
+from heliogauge.geometry.geodesy import enu_from_geodetic
+
+_POSITION_CELLS = frozenset({"e_m", "n_m", "u_m", "lat_deg", "lon_deg", "alt_m"})
+
+
+def nominal_design(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:
+    """Return a heliostat as it is known before any observation.
+
+    Parameters
+    ----------
+    task : HeliostatTask
+        Its row of the table, or its properties.
+    plant : Plant
+        Origin of the field's frame.
+    kinematics : KinematicsSection
+        Preset, terms, numbers and priors that all share.
+
+    Returns
+    -------
+    HeliostatDesign
+        All parameters, those of the chosen free set and those with a prior free.
+
+    Raises
+    ------
+    InputError
+        A number that is missing or cannot be, a parameter that does not exist.
+    """
+    if task.properties:
+        design = paint_design(parse_properties(task.properties, f"properties of {task.name}"), task.name, plant)
+    else:
+        design = _preset(task, plant, kinematics)
+    for drive in (0, 1) if kinematics.terms else ():
+        ratio = 0.0 if kinematics.worm_ratio is None else kinematics.worm_ratio[drive]
+        design = with_drive_terms(design, drive, kinematics.terms, worm_ratio=ratio)
+    return _with_knowledge(design, task.cells, kinematics)
+
+
+def paint_design(properties: PaintProperties, name: str, plant: Plant) -> HeliostatDesign:
+    """Return the heliostat that a properties file of PAINT describes.
+
+    Parameters
+    ----------
+    properties : PaintProperties
+        What the file says.
+    name : str
+        Its name.
+    plant : Plant
+        Origin of the field's frame.
+
+    Returns
+    -------
+    HeliostatDesign
+        Two linear actuators, all parameters held.
+    """
+    numbers = [
+        ActuatorNumbers(
+            initial_angle_rad=one["initial_angle"],
+            initial_stroke_m=one["initial_stroke"],
+            offset_m=one["offset"],
+            pivot_radius_m=one["pivot_radius"],
+            increment_per_m=one["increment"],
+            clockwise=bool(one["clockwise"]),
+            count_limits=(one["lowest"], one["highest"]),
+        )
+        for one in properties.actuators
+    ]
+    shifts = properties.translations_m
+    design = linear_actuators(
+        name,
+        enu_from_geodetic(*properties.position, plant.origin),
+        (numbers[0], numbers[1]),
+        concentrator_m=shifts["concentrator"],
+        joints_m=(shifts["joint_1"], shifts["joint_2"]),
+    )
+    return design.with_value(properties.tilts_rad)
+
+
+def _preset(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:
+    position = position_of(task.cells, plant)
+    per_turn = kinematics.counts_per_turn
+    rotary: dict[str, Any] = {"rad_per_reading": None if per_turn is None else 2 * np.pi / np.array(per_turn)}
+    if kinematics.preset == "azimuth-elevation":
+        return azimuth_elevation(task.name, position, printed_tilts=kinematics.printed_signs, **rotary)
+    if kinematics.preset == "drone":
+        # Arm and pylon are parameters like the others: their values come from [kinematics.parameters] or the table.
+        return drone_heliostat(task.name, position, (0.0, 0.0), **rotary)
+    if kinematics.preset == "six-error":
+        return six_error(task.name, position, **rotary)
+    if kinematics.axes is not None and kinematics.normal is not None:
+        return two_axes(task.name, position, np.array(kinematics.axes), np.array(kinematics.normal), **rotary)
+    return linear_actuators(task.name, position, _actuators(task.cells, kinematics))
+
+
+def _actuators(cells: Mapping[str, str], kinematics: KinematicsSection) -> tuple[ActuatorNumbers, ActuatorNumbers]:
+    found = []
+    for axis in (1, 2):
+
+        def number(part: str, axis: int = axis) -> float:
+            name = f"{part}_{axis}"
+            told = kinematics.parameters.get(name)
+            value = _cell(name, cells[name]) if cells.get(name) else None if told is None else told.value
+            if value is None:
+                raise InputError(
+                    f"preset linear-actuators: {name} is missing; give it as a column of the table of heliostats or in "
+                    f"[kinematics.parameters]: {name} = {{value = ...}}"
+                )
+            return value
+
+        found.append(
+            ActuatorNumbers(
+                initial_angle_rad=number("initial_angle"),
+                initial_stroke_m=number("initial_stroke"),
+                offset_m=number("offset"),
+                pivot_radius_m=number("pivot_radius"),
+                increment_per_m=number("increment"),
+                # As at Juelich: the first axis counts against, the second with its turn.
+                clockwise=axis == 2,
+                count_limits=(-np.inf, np.inf),
+            )
+        )
+    return found[0], found[1]
+
+
+def _cell(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(f"table of heliostats: {name} = {text!r}: a finite number is needed")
+    return value
+
+
+def _with_knowledge(
+    design: HeliostatDesign, cells: Mapping[str, str], kinematics: KinematicsSection
+) -> HeliostatDesign:
+    """Put in values of the heliostat's own, then those all share; then say what is free and what has a prior."""
+    shared = {name: one.value for name, one in kinematics.parameters.items() if one.value is not None}
+    own = {name: _cell(name, text) for name, text in cells.items() if name not in _POSITION_CELLS and text}
+    design = design.with_value({**shared, **own})
+    if kinematics.free is not None:
+        design = design.with_free(kinematics.free)
+    sigmas = {name: one.sigma for name, one in kinematics.parameters.items() if one.sigma is not None}
+    return design.with_parameters(design.parameters.with_sigmas(sigmas))
+
+
+def told_free(kinematics: KinematicsSection) -> bool:
+    """Return whether the measurement itself says which parameters are free, so that nothing is left to choose."""
+    freed = any(one.sigma == FREE for one in kinematics.parameters.values() if one.sigma is not None)
+    return kinematics.free is not None or freed

@@ -1,0 +1,233 @@
+"""What a calibration is for: parameters for controllers, tables of corrections, files for other programs."""
+
+import datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.files.store_heliostat import HELIOSTAT_FILE, read_heliostat
+from calibration.heliostat.files.store_paint import exported_properties
+from calibration.heliostat.kinematic_model.aiming import aim
+from calibration.heliostat.kinematic_model.design import Driven, HeliostatDesign, LinearActuator, RotaryDrive, Turn
+from calibration.heliostat.kinematic_model.store_design import design_from
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import rotation_from_vector
+from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions
+from heliogauge.results.folder import write_json, write_table_csv
+from heliogauge.results.whole_folder import FolderKind, WholeFolder
+from heliogauge.validate import FloatArray
+
+CONTROLLER_FILE = "controllers.csv"
+EXPORT = FolderKind(content="exported files", mark="README.txt", remedy="choose another with --out")
+_README = """\
+Exported from a heliostat calibration.
+
+controllers.csv      azimuth-elevation heliostats: base rotation R = rm1..rm9 (row by row; it turns vectors east, north,
+                     up from the heliostat's own axes to the field's), biases [rad] and non-orthogonality e [rad].
+                     Wanted normal h -> g = R^T h; elevation = asin(g_z / cos e), azimuth = atan2(g_e, g_n)
+                     + atan2(sin(elevation) sin e, cos(elevation)); command = angle - bias.
+corrections_*.csv    readings over a day that put the beam on the aim point: as without calibration, as with it, and the
+                     difference, every few minutes of UTC.
+*_properties.json    heliostats with linear actuators in the convention of the PAINT database, which ARTIST reads. The
+                     tilts, which that convention has no place for, stand beside as first_joint_tilt_n,
+                     first_joint_tilt_u, second_joint_tilt_e, second_joint_tilt_n [rad].
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What to export.
+
+    Parameters
+    ----------
+    date : datetime.date or None
+        Day of the tables of corrections; none without.
+    step_minutes : float
+        Step of the tables [min].
+    target : str or None
+        Target whose centre is aimed at; the first one if None.
+    force : bool
+        Replace earlier exported files.
+    """
+
+    date: datetime.date | None = None
+    step_minutes: float = 10.0
+    target: str | None = None
+    force: bool = False
+
+
+def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[str]:
+    """Export calibrated heliostats.
+
+    Parameters
+    ----------
+    result : Path
+        Folder with ``heliostat.json``, or one with a folder for each heliostat.
+    out : Path
+        Where to.
+    options : ExportOptions, optional
+        What.
+
+    Returns
+    -------
+    list of str
+        Names of the files, in order.
+
+    Raises
+    ------
+    InputError
+        No results there, the folder cannot be used, no such target, or a step that cannot be.
+    """
+    options = options or ExportOptions()
+    if not 0.1 <= options.step_minutes <= 240:
+        raise InputError(f"--step-minutes {options.step_minutes:g}: between 0.1 and 240 minutes are needed")
+    with WholeFolder(out, EXPORT, force=options.force) as folder:
+        controllers: list[dict[str, Any]] = []
+        for content in results_of(result):
+            design = design_from(content["design"], content["parameters"], key="value")
+            if isinstance(design.drives[0], LinearActuator):
+                write_json(folder / f"{design.name}_properties.json", exported_properties(content, design))
+            elif (row := controller_row(design)) is not None:
+                controllers.append(row)
+            if options.date is not None:
+                columns = correction_columns(content, options)
+                write_table_csv(folder / f"corrections_{design.name}_{options.date}.csv", columns)
+        if controllers:
+            table = {key: [row[key] for row in controllers] for key in controllers[0]}
+            write_table_csv(folder / CONTROLLER_FILE, table)
+        (folder / "README.txt").write_text(_README, encoding="utf-8")
+        return sorted(file.name for file in folder.iterdir())
+
+
+def results_of(folder: Path) -> Iterator[dict[str, Any]]:
+    """Read what each calibrated heliostat of a folder of results says.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with ``heliostat.json``, or one with a folder for each heliostat.
+
+    Yields
+    ------
+    dict
+        Content of one ``heliostat.json``.
+
+    Raises
+    ------
+    InputError
+        No results there, or results of another version.
+    """
+    files = (
+        [folder / HELIOSTAT_FILE] if (folder / HELIOSTAT_FILE).is_file() else sorted(folder.glob(f"*/{HELIOSTAT_FILE}"))
+    )
+    if not files:
+        raise InputError(f"{folder}: no {HELIOSTAT_FILE} here or one folder below; give the results of a calibration")
+    for file in files:
+        content = read_heliostat(file.parent)
+        missing = [key for key in ("design", "parameters", "targets", "site") if key not in content]
+        if missing:
+            raise InputError(f"{file}: {', '.join(missing)} are missing; calibrate again with this version")
+        yield content
+
+
+def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
+    """Return what a local controller of an azimuth-elevation heliostat stores (Malan 2014, section 5.4).
+
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat with its calibrated numbers.
+
+    Returns
+    -------
+    dict or None
+        Rotation ``rm1`` to ``rm9``, biases and non-orthogonality [rad], position [m]; None for a chain that has no such
+        closed form.
+    """
+    numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
+    drives = design.drives
+    if not isinstance(drives[0], RotaryDrive) or not isinstance(drives[1], RotaryDrive):
+        return None
+    turns = [step for step in design.steps if isinstance(step, Turn | Driven)]
+    places = [index for index, step in enumerate(turns) if isinstance(step, Driven)]
+    between = turns[places[0] + 1 : places[1]]
+    known = [step.angle for step in between if isinstance(step, Turn)]
+    axes = np.stack([turns[place].axis for place in places] + [design.normal])
+    if known != ["non_orthogonality"] or turns[places[1] + 1 :] or (axes != [[0, 0, -1], [1, 0, 0], [0, 1, 0]]).any():
+        return None
+    rotation = np.eye(3)
+    for step in turns[: places[0]]:
+        if isinstance(step, Turn):
+            rotation = rotation @ rotation_from_vector(step.axis * numbers[step.angle])
+    biases = [drive.offset_sign * numbers[drive.offset] for drive in drives if isinstance(drive, RotaryDrive)]
+    east, north, up = design.position_m.tolist()
+    return {
+        "heliostat": design.name, **{f"rm{place + 1}": float(one) for place, one in enumerate(rotation.ravel())},
+        "azimuth_bias_rad": biases[0], "elevation_bias_rad": biases[1],
+        "non_orthogonality_rad": numbers["non_orthogonality"], "e_m": east, "n_m": north, "u_m": up,
+    }  # fmt: skip
+
+
+def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> dict[str, Any]:
+    """Return a day's readings without and with the calibration, and their difference.
+
+    Parameters
+    ----------
+    content : mapping
+        ``heliostat.json``.
+    options : ExportOptions
+        Date, step, target.
+
+    Returns
+    -------
+    dict of str to sequence
+        Columns of the table; rows from sunrise to sunset, NaN where a drive cannot go there.
+
+    Raises
+    ------
+    InputError
+        No such target, or no date.
+    """
+    targets = content["targets"]
+    name = next(iter(targets)) if options.target is None else options.target
+    if name not in targets:
+        raise InputError(f"--target {name}: no such target; there are {', '.join(targets)}")
+    if options.date is None:
+        raise InputError("--date: a day is needed for the table of corrections")
+    place = content["site"]
+    site = Site(place["latitude_deg"], place["longitude_deg"], place["altitude_m"],
+                place.get("pressure_hpa"), place.get("temperature_c", 12.0))  # fmt: skip
+    times, suns = _day(options, site)
+    readings = []
+    for key in ("nominal", "value"):
+        design = design_from(content["design"], content["parameters"], key=key)
+        found = aim(design, design.parameters.values, suns, np.array(targets[name]["center_m"]))
+        reachable = found.converged & found.within_limits
+        readings.append(np.where(reachable[:, None], found.readings, np.nan))
+    unit = content["design"]["reading_unit"]
+    azimuth, elevation = angles_from_direction(suns)
+    columns: dict[str, Any] = {
+        "time_utc": [f"{time}Z" for time in times.astype("datetime64[s]")],
+        "sun_azimuth_deg": np.rad2deg(azimuth), "sun_elevation_deg": np.rad2deg(elevation),
+    }  # fmt: skip
+    for axis in (0, 1):
+        columns[f"nominal_{axis + 1}_{unit}"] = readings[0][:, axis]
+        columns[f"corrected_{axis + 1}_{unit}"] = readings[1][:, axis]
+        columns[f"correction_{axis + 1}_{unit}"] = readings[1][:, axis] - readings[0][:, axis]
+    return columns
+
+
+def _day(options: ExportOptions, site: Site) -> tuple[Any, FloatArray]:
+    # The solar day of the place, not that of Greenwich.
+    noon = np.datetime64(f"{options.date}T12:00:00", "ms") - np.timedelta64(int(site.longitude_deg * 240_000), "ms")
+    half = int(720 / options.step_minutes)
+    step = np.timedelta64(round(options.step_minutes * 60_000), "ms")
+    times = noon.astype("datetime64[m]").astype("datetime64[ms]") + np.arange(-half, half + 1) * step
+    suns = sun_directions(times, site)
+    up = suns[:, 2] > 0
+    if not up.any():
+        raise InputError(f"--date {options.date}: the sun does not rise there on that day")
+    return times[up], np.asarray(suns[up])

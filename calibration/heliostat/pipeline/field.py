@@ -1,0 +1,277 @@
+"""A field of heliostats, straight into a folder: resumable, with flat memory, one broken heliostat stops no other."""
+
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.files.store_heliostat import (
+    FIELD_KIND,
+    KIND,
+    failed_row,
+    field_row,
+    heliostat_summary,
+    split_lines,
+    worst_first,
+    write_field,
+    write_heliostat,
+)
+from calibration.heliostat.fitting.population import Population
+from calibration.heliostat.keys import HeliostatMeasurement
+from calibration.heliostat.pipeline.folder import FieldFolder
+from calibration.heliostat.pipeline.measure import (
+    WORTH,
+    Chosen,
+    Options,
+    choose,
+    field_summary,
+    refuse_all,
+    run,
+    with_field,
+    write,
+)
+from calibration.heliostat.pipeline.one_heliostat import Shared, calibrate_one
+from calibration.heliostat.pipeline.source import HeliostatTask
+from heliogauge import __version__
+from heliogauge.results.folder import ResultFolder, Summary, hash_files, write_summary
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.running.scale import Failure, run_each
+
+#: Warnings of a field that are repeated in the terminal.
+_MOST_SAID = 20
+
+
+@dataclass(frozen=True, slots=True)
+class FieldResult:
+    """What came of a field; the heliostats themselves are in the folder.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Rows of ``field.csv``, the worst first.
+    summary : Summary
+        Counts and the middle of the field.
+    resumed : int
+        Heliostats that were finished before.
+    splits : tuple of str
+        For a single heliostat: what came of each split.
+    """
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    summary: Summary | None = None
+    resumed: int = 0
+    splits: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the result doubtful, as much of it as one reads in a terminal."""
+        said = () if self.summary is None else tuple(self.summary.warnings)
+        rest = len(said) - _MOST_SAID
+        return said if rest <= 0 else (*said[:_MOST_SAID], f"... and {rest} more in summary.json and field.csv")
+
+
+@dataclass(frozen=True, slots=True)
+class _Finished:
+    """A heliostat as it goes into the folder."""
+
+    row: dict[str, Any]
+    files: dict[str, bytes]
+
+
+def run_into(
+    measurement: HeliostatMeasurement,
+    out: Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    *,
+    force: bool = False,
+    report: bool = False,
+) -> FieldResult:
+    """Calibrate heliostats into a folder.
+
+    Parameters
+    ----------
+    measurement : HeliostatMeasurement
+        From `heliogauge.measurement.load.load_heliostat`.
+    out : Path
+        The folder. One heliostat: it appears whole or not at all. Several: it fills one by one; what an interrupted run
+        has finished is kept, and taken over by the next run with the same measurement and options.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+    force : bool, optional
+        Replace earlier results, interrupted ones too.
+    report : bool, optional
+        Add ``report.html``.
+
+    Returns
+    -------
+    FieldResult
+        The rows of the field, the worst first.
+
+    Raises
+    ------
+    InputError
+        The measurement cannot be meant, or the folder cannot be used.
+    EstimationError
+        No heliostat could be calibrated.
+    KeyboardInterrupt
+        With what is finished in its text.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    with progress.stage("look at heliostats"):
+        chosen = choose(measurement, options)
+    if len(chosen.names) == 1:
+        with ResultFolder(out, force=force) as working:
+            result = run(measurement, options, progress)
+            with progress.stage("write results"):
+                write(result, working)
+            if report:
+                _report(working, KIND, progress)
+        (one,) = result.heliostats
+        summary = heliostat_summary(one, durations_s=result.durations_s, input_sha256=result.input_sha256)
+        return FieldResult([field_row(one)], summary, splits=split_lines(one))
+    with FieldFolder(out, force=force) as folder:
+        try:
+            chosen = with_field(chosen, options.workers, progress)
+            filled = _fill(folder, chosen, measurement, options, progress)
+            if report:
+                _report(folder.path, FIELD_KIND, progress)
+            return filled
+        except KeyboardInterrupt:
+            count = len(folder.finished.keys() | folder.before.keys())
+            kept = f"{count} of {len(chosen.names)} heliostats are finished in {out}; the same command continues"
+            raise KeyboardInterrupt(kept if count else "nothing was written") from None
+
+
+def _fill(
+    folder: FieldFolder, chosen: Chosen, measurement: HeliostatMeasurement, options: Options, progress: Progress
+) -> FieldResult:
+    with progress.stage("hash inputs"):
+        hashes = hash_files(chosen.source.files, measurement.folder)
+    common = _digest(chosen.shared)
+    failures: dict[str, Failure] = {}
+    digests: dict[str, str] = {}
+    processes = options.workers.processes(len(chosen.names), worth=WORTH[chosen.shared.thorough])
+    with progress.stage("calibrate heliostats", len(chosen.names)) as stage:
+
+        def fresh() -> Iterator[HeliostatTask]:
+            """Yield what is not finished yet; what was finished from the same is taken over."""
+            for task in chosen.source.tasks(chosen.names):
+                digest = task.digest(common)
+                earlier = folder.before.get(task.name)
+                if earlier is not None and earlier[0] == digest and _is_there(folder.path, task.name, earlier[1]):
+                    folder.finished[task.name] = earlier
+                    stage.advance()
+                else:
+                    digests[task.name] = digest
+                    yield task
+
+        for done in run_each(_finish, chosen.shared, fresh(), workers=options.workers, processes=processes):
+            name, outcome = done.task.name, done.outcome
+            if isinstance(outcome, Failure):
+                failures[name] = outcome
+                files = {"error.txt": outcome.trace.encode()} if outcome.trace else {}
+                folder.keep(name, digests.pop(name), failed_row(name, outcome.reason, outcome.kind), files)
+            else:
+                folder.keep(name, digests.pop(name), outcome.row, outcome.files)
+            stage.advance()
+    if len(failures) == len(chosen.names):
+        folder.finished.clear()
+        refuse_all(failures)
+    rows = worst_first([folder.finished[name][1] for name in chosen.names])
+    resumed = sum(folder.finished[name] is folder.before.get(name) for name in chosen.names)
+    with progress.stage("write results"):
+        summary = field_summary(
+            measurement.model.name, rows, chosen.shared, durations_s=dict(progress.durations_s), input_sha256=hashes
+        )
+        write_field(folder.path, rows)
+        write_summary(folder.path / "summary.json", summary)
+    return FieldResult(rows, summary, resumed)
+
+
+def _report(folder: Path, kind: str, progress: Progress) -> None:
+    from heliogauge.reporting.build import NOTEBOOK_PACKAGES, build_report
+
+    if kind in NOTEBOOK_PACKAGES:
+        with progress.stage("report"):
+            build_report(folder)
+
+
+def _digest(shared: Shared) -> str:
+    plant = shared.plant
+    targets = [(name, one.center_m.tolist(), one.axes.tolist(), one.width_m, one.height_m)
+               for name, one in plant.targets.items()]  # fmt: skip
+    said = (__version__, plant.origin, plant.site, targets, plant.other_targets, shared.model.model_dump_json(),
+            shared.split, shared.free, shared.label, shared.thorough, _common(shared.population))  # fmt: skip
+    return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+def _common(population: Population | None) -> tuple[Any, ...]:
+    """Return what the heliostats know of each other, without the last digits, which differ between processors."""
+    if population is None:
+        return ()
+    return population.names, population.heliostats, np.round(population.offsets, 9).tolist()
+
+
+def _is_there(folder: Path, name: str, row: dict[str, Any]) -> bool:
+    # A failure has no files; it is tried again only when something changed.
+    return row.get("status") == "failed" or (folder / name / "summary.json").is_file()
+
+
+def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
+    """Calibrate a heliostat and return its files, so that whoever asked can write them, here or on another machine."""
+    result = calibrate_one(shared, task)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        summary = heliostat_summary(
+            result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
+        )
+        write_heliostat(result, shared, folder, summary)
+        return _Finished(field_row(result), {file.name: file.read_bytes() for file in folder.iterdir()})
+
+
+def headline_text(result: FieldResult) -> str:
+    """Say the most important numbers in a few lines.
+
+    Parameters
+    ----------
+    result : FieldResult
+        What `run_into` returned.
+
+    Returns
+    -------
+    str
+        Lines for the terminal.
+    """
+    lines = []
+    if result.resumed:
+        lines.append(f"{result.resumed} of {len(result.rows)} heliostats were finished before")
+    shown = result.rows[:20]
+    for row in shown:
+        if row["status"] == "failed":
+            lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
+            continue
+        lines.append(
+            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
+            f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
+            f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
+        )
+    lines += result.splits if len(result.splits) > 1 else ()
+    if len(result.rows) > len(shown):
+        lines.append(f"... and {len(result.rows) - len(shown)} more, better ones: field.csv")
+    return "\n".join(lines)
+
+
+def _found(row: dict[str, Any]) -> str:
+    kinds = str(row.get("diagnosis") or "").replace("_", " ")
+    return f" ({kinds})" if kinds else ""
+
+
+def _mrad(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} mrad"

@@ -1,0 +1,99 @@
+"""Pictures of beams for the reports: the photos that tell most, drawn with what was measured and what was expected."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calibration.heliostat.beam_photos.beam_image import BeamSettings
+from calibration.heliostat.files.store_residuals import residual_columns
+from calibration.heliostat.pipeline.beams import beam_frames
+from calibration.heliostat.pipeline.images import write_beams
+from calibration.heliostat.pipeline.one_heliostat import HeliostatResult, Shared
+from calibration.heliostat.pipeline.target_frames import TargetFinder
+from calibration.heliostat.report.figures_beam import beam_image_figure
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.reporting.canvas import png_of
+from heliogauge.validate import BoolArray, FloatArray
+
+BEAMS_FILE = "beams.csv"
+#: Of each heliostat at most so many pictures, about 70 kB each: left out, largest residuals, around the median.
+MOST_REFUSED, MOST_WORST, MOST_TYPICAL = 4, 5, 3
+
+
+def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, pictures: bool = True) -> None:
+    """Write ``beams.csv`` and pictures ``beam_NN.png`` of a heliostat whose rows name photos; nothing without photos.
+
+    Parameters
+    ----------
+    result : HeliostatResult
+        The heliostat.
+    shared : Shared
+        What all heliostats of the run share.
+    folder : Path
+        Where to.
+    pictures : bool, optional
+        Whether pictures are drawn, 0.3 s each.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written, or the measurement's photos have changed since.
+    """
+    if result.beams is None:
+        return
+    write_beams(folder / BEAMS_FILE, result.beams)
+    if not pictures:
+        return
+    columns = residual_columns(result, shared)
+    measured = set(result.beams.files)
+    photos = [shared.folder / name for name in columns["image"]]
+    seen = np.array([photo in measured for photo in photos], dtype=np.bool_)
+    residual = np.asarray(columns["residual_beam_mrad"], dtype=np.float64)
+    frames = beam_frames(shared.folder, shared.plant, shared.model)
+    finders: dict[str, TargetFinder] = {}
+    for number, (row, why) in enumerate(telling_rows(residual, list(columns["flag"]), seen), start=1):
+        photo, name = photos[row], str(columns["target"][row])
+        if name not in finders:
+            finders[name] = TargetFinder(frames[name])
+        predicted = np.array([columns["predicted_x_m"][row], columns["predicted_y_m"][row]])
+        content = _picture(finders[name], photo, predicted, f"{photo.name}: {why}")
+        if content is not None:
+            (folder / f"beam_{number:02d}.png").write_bytes(content)
+
+
+def telling_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: BoolArray) -> list[tuple[int, str]]:
+    """Choose the photos that tell most.
+
+    Parameters
+    ----------
+    residual_mrad : ndarray, shape (n,)
+        Residual of the beam; NaN where there is none [mrad].
+    flags : sequence of str, length n
+        Why a row was left out; empty for those that were used.
+    seen : ndarray of bool, shape (n,)
+        Rows whose beam was measured in a photo.
+
+    Returns
+    -------
+    list of (int, str)
+        Rows and why they were chosen, each row once: some that were left out, the largest residuals, the median.
+    """
+    left_out = np.array([flag != "" for flag in flags], dtype=np.bool_)
+    chosen = [(int(row), f"left out ({flags[row]})") for row in np.nonzero(seen & left_out)[0][:MOST_REFUSED]]
+    used = np.nonzero(seen & ~left_out & np.isfinite(residual_mrad))[0]
+    used = used[np.argsort(-residual_mrad[used], kind="stable")]
+    typical = used[max(len(used) // 2 - MOST_TYPICAL // 2, 0) :][:MOST_TYPICAL]
+    worst = [row for row in used if row not in typical][:MOST_WORST]
+    chosen += [(int(row), f"among the worst, {residual_mrad[row]:.2f} mrad") for row in worst]
+    return chosen + [(int(row), f"typical, {residual_mrad[row]:.2f} mrad") for row in typical]
+
+
+def _picture(finder: TargetFinder, photo: Path, predicted_m: FloatArray, words: str) -> bytes | None:
+    try:
+        image = finder.image(photo)
+    except (EstimationError, InputError):
+        return None  # Its row says why: there is no target to be drawn.
+    beam, _ = finder.measure(photo, BeamSettings())
+    place = predicted_m if np.isfinite(predicted_m).all() else None
+    return png_of(beam_image_figure(image, beam, aim_m=place, aim_name="predicted place", title=words, methods=False))

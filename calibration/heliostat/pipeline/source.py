@@ -1,0 +1,364 @@
+"""From a measurement to one task for each heliostat: what is known of it, and its observations as text.
+
+A task holds everything that is needed for one heliostat, so that it can be worked on in another process or on another
+machine; tasks are made one at a time, so that a field of any size fits into memory.
+"""
+
+import csv
+import hashlib
+import math
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+from calibration.heliostat.files.store_paint import (
+    TIMES_FILE,
+    TOWER_FILES,
+    PaintUnit,
+    Tower,
+    find_beside,
+    find_units,
+    read_tower,
+)
+from calibration.heliostat.keys import HeliostatMeasurement, HeliostatTargetSection, SiteSection
+from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.pipeline.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header
+from heliogauge.errors import InputError
+from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.results.json_file import read_json
+from heliogauge.results.tables import read_table_csv
+
+_POSITION = ("e_m", "n_m", "u_m")
+_GEODETIC = ("lat_deg", "lon_deg", "alt_m")
+
+
+@dataclass(frozen=True, slots=True)
+class HeliostatTask:
+    """One heliostat with its observations, as text.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    cells : dict of str to str
+        Its row in the table of heliostats; empty with PAINT.
+    properties : str
+        Its properties file of PAINT; empty with tables.
+    header : tuple of str
+        Columns of the table of observations; empty with PAINT.
+    records : tuple of (str, str)
+        Line number (or number of the calibration record) and text of each observation.
+    times : tuple of str
+        Times of the calibration records of PAINT, empty where not known.
+    fault : str
+        Why nothing can be read of it; empty where all could.
+    """
+
+    name: str
+    cells: dict[str, str] = field(default_factory=dict)
+    properties: str = ""
+    header: tuple[str, ...] = ()
+    records: tuple[tuple[str, str], ...] = ()
+    times: tuple[str, ...] = ()
+    fault: str = ""
+
+    def digest(self, shared: str) -> str:
+        """Return a hash of the task and of what it shares with others."""
+        return hashlib.sha256(f"{shared}\n{self!r}".encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plant:
+    """What all heliostats of a field share.
+
+    Parameters
+    ----------
+    origin : tuple of float
+        Latitude [deg], longitude [deg], altitude [m] of the field's frame.
+    site : SiteSection
+        The same with the air above.
+    targets : dict of str to PlaneTarget
+        Targets by name.
+    other_targets : tuple of str
+        Names of targets that are not flat: beams on them cannot be used.
+    """
+
+    origin: tuple[float, float, float]
+    site: SiteSection
+    targets: dict[str, PlaneTarget]
+    other_targets: tuple[str, ...] = ()
+
+
+class Source(Protocol):
+    """Where heliostats come from."""
+
+    plant: Plant
+    names: tuple[str, ...]
+    files: tuple[Path, ...]
+
+    def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
+        """Yield the task of each of these heliostats."""
+
+
+def open_source(measurement: HeliostatMeasurement) -> Source:
+    """Look at a measurement's tables, or at its PAINT folders.
+
+    Parameters
+    ----------
+    measurement : HeliostatMeasurement
+        From `heliogauge.measurement.load.load_heliostat`.
+
+    Returns
+    -------
+    Source
+        Names of the heliostats and a task for each.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, a column or key that is missing or unknown, a heliostat that is listed twice.
+    """
+    return _TableSource(measurement) if measurement.model.paint is None else _PaintSource(measurement)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+class _TableSource:
+    """Heliostats and observations in two tables; the second is read line by line, when a heliostat's turn comes."""
+
+    def __init__(self, measurement: HeliostatMeasurement) -> None:
+        model = measurement.model
+        if model.site is None:
+            raise InputError(f"{measurement.folder}: [site] is missing")
+        if not model.target:
+            raise InputError(
+                f"{measurement.path('measurement.toml')}: [[target]] is missing: where the beams were seen"
+            )
+        site = model.site
+        origin = (site.latitude_deg, site.longitude_deg, site.altitude_m)
+        self.plant = Plant(origin, site, {one.name: _target(one) for one in model.target})
+        self.files = measurement.input_files
+        self._observations = measurement.path(model.observations.file)
+        self._cells = _read_heliostats(measurement.path(model.heliostats.file))
+        self.names = tuple(dict.fromkeys((*self._cells, *self._index)))
+
+    @cached_property
+    def header(self) -> tuple[str, ...]:
+        """Columns of the table of observations."""
+        return _read_header(self._observations)
+
+    @cached_property
+    def _index(self) -> "dict[str, array[int]]":
+        """Where the lines of each heliostat begin, and their numbers: two entries for each line."""
+        only = next(iter(self._cells)) if len(self._cells) == 1 else None
+        return _index_lines(self._observations, self.header, only)
+
+    def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
+        with self._observations.open("rb") as file:
+            for name in names:
+                places = self._index.get(name, array("Q"))
+                records = []
+                for offset, number in zip(places[::2], places[1::2], strict=True):
+                    file.seek(offset)
+                    records.append((str(number), file.readline().decode("utf-8", "replace").rstrip("\r\n")))
+                fault = "" if name in self._cells else "it has observations, but no row in the table of heliostats"
+                yield HeliostatTask(
+                    name, self._cells.get(name, {}), header=self.header, records=tuple(records), fault=fault
+                )
+
+
+def _target(section: HeliostatTargetSection) -> PlaneTarget:
+    import numpy as np
+
+    if section.corners_m is not None:
+        return PlaneTarget.from_corners(section.name, np.array(section.corners_m))
+    return PlaneTarget.facing(
+        section.name, np.array(section.center_m), np.deg2rad(section.facing_azimuth_deg or 0.0),
+        float(section.width_m or 0.0), float(section.height_m or 0.0),
+    )  # fmt: skip
+
+
+def _read_heliostats(file: Path) -> dict[str, dict[str, str]]:
+    table = read_table_csv(file, ("heliostat",))
+    if not any(all(name in table for name in names) for names in (_POSITION, _GEODETIC)):
+        raise InputError(
+            f"{file}: the position is missing: columns {', '.join(_POSITION)} or {', '.join(_GEODETIC)}; there are: "
+            f"{', '.join(table)}"
+        )
+    found: dict[str, dict[str, str]] = {}
+    for line, row in enumerate(zip(*table.values(), strict=True), start=2):
+        cells = dict(zip(table, row, strict=True))
+        name = cells.pop("heliostat")
+        if not name:
+            raise InputError(f"{file}, line {line}: the heliostat's name is missing")
+        if name in found:
+            raise InputError(f"{file}, line {line}: heliostat {name!r} is listed twice; keep one row")
+        found[name] = cells
+    if not found:
+        raise InputError(f"{file}: no heliostat is listed")
+    return found
+
+
+def _read_header(file: Path) -> tuple[str, ...]:
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as opened:
+            first = opened.readline()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read as CSV ({error})") from error
+    header = tuple(name.strip() for name in next(csv.reader([first]), []))
+    if len(header) == 1 and (";" in first or "\t" in first):
+        raise InputError(f"{file}: columns are separated by ';' or tabs; commas are needed")
+    check_header(header, str(file), (*TEXT_COLUMNS, *NUMBER_COLUMNS))
+    units = [unit for unit in ("counts", "deg", "rad") if f"axis_1_{unit}" in header and f"axis_2_{unit}" in header]
+    if len(units) != 1:
+        raise InputError(
+            f"{file}: the readings of both axes are needed in one unit: axis_1_counts and axis_2_counts, or _deg, or "
+            f"_rad; there are: {', '.join(header)}"
+        )
+    sun = [name for name in ("sun_azimuth_deg", "sun_elevation_deg") if name in header]
+    if len(sun) == 1:
+        raise InputError(f"{file}: {sun[0]} is alone; sun_azimuth_deg and sun_elevation_deg belong together")
+    sigma = [name for name in ("sigma_x_mm", "sigma_y_mm") if name in header]
+    if len(sigma) == 1:
+        raise InputError(
+            f"{file}: {sigma[0]} is alone; sigma_x_mm and sigma_y_mm belong together, or sigma_mm for both"
+        )
+    # Drones, normals and points do without the sun: with kinds it is asked for row by row.
+    if not sun and "time_utc" not in header and "kind" not in header:
+        raise InputError(f"{file}: where the sun was is missing: time_utc, or sun_azimuth_deg and sun_elevation_deg")
+    return header
+
+
+def _index_lines(file: Path, header: tuple[str, ...], only: str | None) -> "dict[str, array[int]]":
+    if "heliostat" not in header and only is None:
+        raise InputError(f"{file}: the column heliostat is missing; there are several heliostats")
+    column = header.index("heliostat") if "heliostat" in header else -1
+    index: dict[str, array[int]] = {}
+    offset = 0
+    with file.open("rb") as opened:
+        for number, line in enumerate(opened, start=1):
+            if number > 1 and line.strip():
+                name = str(only) if column < 0 else _cell(line, column, file, number)
+                index.setdefault(name, array("Q")).extend((offset, number))
+            offset += len(line)
+    return index
+
+
+def _cell(line: bytes, column: int, file: Path, number: int) -> str:
+    try:
+        if b'"' not in line:
+            cells = line.split(b",", column + 1)
+            name = cells[column].decode("utf-8").strip()
+        else:
+            name = next(csv.reader([line.decode("utf-8")]))[column].strip()
+    except UnicodeDecodeError:
+        raise InputError(f"{file}, line {number}: not UTF-8; save the file as UTF-8 text") from None
+    except (IndexError, StopIteration):
+        name = ""
+    if not name:
+        raise InputError(f"{file}, line {number}: the heliostat's name is missing")
+    return name
+
+
+# --- PAINT ------------------------------------------------------------------------------------------------------------
+
+
+class _PaintSource:
+    """Folders of the PAINT database; files are read when a heliostat's turn comes."""
+
+    def __init__(self, measurement: HeliostatMeasurement) -> None:
+        paint = measurement.model.paint
+        folder = measurement.path(paint.folder if paint is not None else ".")
+        self._units = {unit.name: unit for unit in find_units(folder, () if paint is None else paint.heliostats)}
+        self.names = tuple(self._units)
+        file = find_beside(folder, TOWER_FILES) if paint is None or paint.tower is None else folder / paint.tower
+        if file is None:
+            raise InputError(
+                f"{folder}: the tower's file ({', '.join(TOWER_FILES[:2])}) is neither here, nor in tower/, nor above; "
+                "it holds the targets' corners"
+            )
+        tower = read_tower(file)
+        self.plant = _plant(tower, measurement.model.site)
+        times = find_beside(folder, (TIMES_FILE,))
+        self._times = {} if times is None else {key: str(value) for key, value in read_json(times).items()}
+        self.files = (*measurement.input_files, file, *(() if times is None else (times,)))
+        if len(self._units) == 1:
+            # Of many, each heliostat's own hash says what it was made from.
+            (unit,) = self._units.values()
+            self.files = (*self.files, unit.properties, *unit.calibrations)
+
+    def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
+        for name in names:
+            yield self._task(self._units[name])
+
+    def _task(self, unit: PaintUnit) -> HeliostatTask:
+        faults: list[str] = []
+        properties = _text(unit.properties, faults)
+        # A record that cannot be read is a row that cannot be used, not the end of its heliostat.
+        records = tuple((_number(file), _text(file, [])) for file in unit.calibrations)
+        times = tuple(self._times.get(f"{unit.name}_{number}", "") for number, _ in records)
+        if not records:
+            faults.append(
+                f"no calibration records (calibration/*_calibration_properties.json) in {unit.properties.parent}"
+            )
+        return HeliostatTask(
+            unit.name, properties=properties, records=records, times=times, fault="; ".join(faults[:1])
+        )
+
+
+def _plant(tower: Tower, site: SiteSection | None) -> Plant:
+    latitude, longitude, altitude = tower.origin
+    own = SiteSection(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
+    return Plant(tower.origin, own if site is None else site, tower.targets, tower.others)
+
+
+def _text(file: Path, faults: list[str]) -> str:
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        faults.append(f"{file}: cannot be read ({error})")
+        return ""
+
+
+def _number(file: Path) -> str:
+    name = file.stem.casefold().split("calibration")[0].strip("-_")
+    return name or file.stem
+
+
+def position_of(cells: dict[str, str], plant: Plant) -> tuple[float, float, float]:
+    """Return east, north, up of a heliostat from its row of the table [m].
+
+    Parameters
+    ----------
+    cells : dict of str to str
+        The row.
+    plant : Plant
+        Gives the origin where the row holds latitude, longitude and altitude.
+
+    Returns
+    -------
+    tuple of float
+        The position.
+
+    Raises
+    ------
+    InputError
+        A cell that is empty or no finite number.
+    """
+    names = _POSITION if any(cells.get(name) for name in _POSITION) else _GEODETIC
+    values = []
+    for name in names:
+        try:
+            values.append(float(cells.get(name, "")))
+        except ValueError:
+            values.append(math.nan)
+        if not math.isfinite(values[-1]):
+            said = cells.get(name, "")
+            raise InputError(f"table of heliostats: {name} = {said!r}: a finite number is needed for its position")
+    if names is _GEODETIC:
+        values = enu_from_geodetic(values[0], values[1], values[2], plant.origin).tolist()
+    return values[0], values[1], values[2]

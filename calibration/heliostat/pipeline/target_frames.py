@@ -1,0 +1,276 @@
+"""Where a target is in the photos of a camera, and how a photo gets from the file onto the target's plane."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from calibration.heliostat.beam_photos.background import TargetSurface, empty_target
+from calibration.heliostat.beam_photos.beam_flags import BeamFlag
+from calibration.heliostat.beam_photos.beam_image import Beam, BeamSettings, measure_beam, no_beam
+from calibration.heliostat.beam_photos.target_marks import (
+    CORNERS,
+    MarkTemplate,
+    TargetCorners,
+    dark_corners,
+    mark_corner,
+    template_corners,
+)
+from calibration.heliostat.beam_photos.target_view import Rectifier, TargetImage, view_from_points, whole_image
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import Image, read_channel
+from heliogauge.validate import FloatArray, float_array, freeze
+from photogrammetry.detection.markers import find_markers
+
+__all__ = [
+    "ArucoMarkers",
+    "CornerPixels",
+    "DarkMarks",
+    "MarkerTemplates",
+    "Source",
+    "TargetFinder",
+    "TargetFrame",
+    "WholeImage",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class WholeImage:
+    """The photo shows exactly the target.
+
+    Parameters
+    ----------
+    places : {"edge", "index"}
+        "edge": the photo's outer edges are the target's. "index": a pixel's index over the number of pixels is its
+        place, as in crops of the PAINT data base.
+    """
+
+    places: Literal["edge", "index"] = "edge"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerPixels:
+    """The target's corners are given.
+
+    Parameters
+    ----------
+    pixels_px : array_like, shape (4, 2)
+        Upper left, upper right, lower right, lower left as seen from the field [px].
+    sigma_px : float, optional
+        Their uncertainty [px].
+    """
+
+    pixels_px: FloatArray
+    sigma_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerTemplates:
+    """The target's corners carry dark marks of which there are pictures.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Four pictures in the order of the corners.
+    anchors_px : tuple of (float, float), optional
+        The target's corner in each; the outer corner of the mark if absent [px].
+    """
+
+    files: tuple[Path, ...]
+    anchors_px: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ArucoMarkers:
+    """The middles of four square markers are the target's corners.
+
+    Parameters
+    ----------
+    ids : tuple of int
+        Numbers of the markers in the order of the corners.
+    dictionary : str
+        OpenCV's name.
+    """
+
+    ids: tuple[int, ...]
+    dictionary: str = "DICT_4X4_50"
+
+
+@dataclass(frozen=True, slots=True)
+class DarkMarks:
+    """The target's corners carry dark marks: angles (outer corner) or filled rectangles (inner corner).
+
+    Parameters
+    ----------
+    corner : {"outer", "inner"}
+        Which corner of a mark is the target's.
+    """
+
+    corner: Literal["outer", "inner"] = "outer"
+
+
+Source: TypeAlias = WholeImage | CornerPixels | MarkerTemplates | ArucoMarkers | DarkMarks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetFrame:
+    """Where a target is in the photos of one camera.
+
+    Parameters
+    ----------
+    corners_m : array_like, shape (4, 2)
+        Its corners on its plane: upper left, upper right, lower right, lower left as seen from the field [m].
+    source : WholeImage, CornerPixels, MarkerTemplates, ArucoMarkers or DarkMarks
+        How they are found in a photo.
+    camera : Camera, optional
+        The lens.
+    empty_files : tuple of Path, optional
+        Photos of the target without a beam.
+    channel : str, optional
+        Colour that is measured: a sum of colours saturates sooner, and its centroid depends on their weights.
+    """
+
+    corners_m: FloatArray
+    source: Source = WholeImage()
+    camera: Camera | None = None
+    empty_files: tuple[Path, ...] = ()
+    channel: str = "green"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "corners_m", float_array("corners_m", self.corners_m, (4, 2)))
+
+
+class TargetFinder:
+    """Rectifies the photos of one target; what does not change from photo to photo is made once.
+
+    Parameters
+    ----------
+    frame : TargetFrame
+        Where the target is.
+
+    Raises
+    ------
+    InputError
+        Templates or photos without a beam that cannot be used.
+    EstimationError
+        The target is not found in a photo without a beam.
+    """
+
+    def __init__(self, frame: TargetFrame) -> None:
+        self._frame = frame
+        left, low = frame.corners_m.min(axis=0)
+        right, high = frame.corners_m.max(axis=0)
+        self._extent = np.array([left, right, low, high])
+        self._templates = _templates(frame.source) if isinstance(frame.source, MarkerTemplates) else ()
+        self._shape: tuple[int, int] | None = None
+        self._fixed: Rectifier | None = None
+        if isinstance(frame.source, CornerPixels):
+            self._fixed = self._rectifier(
+                TargetCorners(
+                    float_array("pixels_px", frame.source.pixels_px, (4, 2)), frame.source.sigma_px, np.ones(4)
+                )
+            )
+        self._near: TargetCorners | None = None
+        self._empty = self._empty_target()
+
+    def look(self, file: Path) -> None:
+        """Find the marks once, so that all photos start their search from the same place, whatever their order."""
+        if isinstance(self._frame.source, MarkerTemplates):
+            try:
+                self._near = template_corners(read_channel(file, self._frame.channel), self._templates)
+            except (EstimationError, InputError):
+                return  # Each photo then searches for itself, and says what is wrong with it.
+
+    def measure(self, file: Path, settings: BeamSettings) -> tuple[Beam, str]:
+        """Measure one photo; what cannot be measured is said, not raised."""
+        try:
+            photo = read_channel(file, self._frame.channel)
+        except InputError as error:
+            return no_beam(BeamFlag.UNREADABLE), str(error)
+        try:
+            image = self._on_target(photo)
+        except (EstimationError, InputError) as error:
+            return no_beam(BeamFlag.TARGET_NOT_FOUND), str(error)
+        if self._empty is not None and self._empty.values_dn.shape != image.values_dn.shape:
+            sizes = f"{image.values_dn.shape[::-1]} px, frames without a beam {self._empty.values_dn.shape[::-1]} px"
+            return no_beam(BeamFlag.TARGET_NOT_FOUND), f"the target measures {sizes}"
+        return measure_beam(image, empty=self._empty, settings=settings), ""
+
+    def image(self, file: Path) -> TargetImage:
+        """Read one photo and put it on the target's plane."""
+        return self._on_target(read_channel(file, self._frame.channel))
+
+    def _on_target(self, photo: Image) -> TargetImage:
+        source = self._frame.source
+        if isinstance(source, WholeImage):
+            return whole_image(photo, self._frame.corners_m, by_index=source.places == "index")
+        if self._fixed is not None:
+            return self._fixed.rectify(photo, full_scale_dn=_full_scale(photo))
+        return self._rectifier(self._corners(photo)).rectify(photo, full_scale_dn=_full_scale(photo))
+
+    def _rectifier(self, corners: TargetCorners) -> Rectifier:
+        frame = self._frame
+        view = view_from_points(corners.pixels_px, frame.corners_m, camera=frame.camera, sigma_px=corners.sigma_px)
+        made = Rectifier(view, self._extent, self._shape)
+        if self._empty_files and self._shape is None:
+            # Frames without a beam and photos must come out in the same pixels, wherever the marks are found.
+            self._shape = made.size
+        return made
+
+    @property
+    def _empty_files(self) -> tuple[Path, ...]:
+        return self._frame.empty_files
+
+    def _corners(self, photo: Image) -> TargetCorners:
+        source = self._frame.source
+        if isinstance(source, MarkerTemplates):
+            return template_corners(photo, self._templates, near=self._near)
+        if isinstance(source, ArucoMarkers):
+            return _marker_centers(photo, source)
+        outer = isinstance(source, DarkMarks) and source.corner == "outer"
+        return dark_corners(photo, outer=outer)
+
+    def _empty_target(self) -> TargetSurface | None:
+        if not self._empty_files:
+            return None
+        return empty_target([self.image(file).values_dn for file in self._empty_files])
+
+
+def _full_scale(photo: Image) -> float:
+    # Luminance of a photo in 16 bit comes as float32 (heliogauge.images.photos).
+    return 65535.0 if photo.dtype == np.uint16 or float(photo.max()) > 255.5 else 255.0
+
+
+def _templates(source: MarkerTemplates) -> tuple[MarkTemplate, ...]:
+    if len(source.files) != 4 or len(source.anchors_px) not in (0, 4):
+        raise InputError(f"markers: four pictures are needed ({', '.join(CORNERS)}), not {len(source.files)}")
+    templates = []
+    for k, (file, corner) in enumerate(zip(source.files, CORNERS, strict=True)):
+        values = np.asarray(read_channel(file, "luminance"), dtype=np.float64)
+        try:
+            anchor = source.anchors_px[k] if source.anchors_px else mark_corner(values, corner)[0]
+        except EstimationError as error:
+            raise InputError(f"{file}: {error}; give anchors_px") from error
+        templates.append(MarkTemplate(freeze(values), np.asarray(anchor, dtype=np.float64)))
+    return tuple(templates)
+
+
+def _marker_centers(photo: Image, source: ArucoMarkers) -> TargetCorners:
+    found = find_markers(photo, "target", source.dictionary)
+    missing = [number for number in source.ids if number not in found.numbers]
+    twice = [number for number in source.ids if number in found.duplicated]
+    if missing or twice:
+        said = f"marker {missing[0]} is not found" if missing else f"marker {twice[0]} is found twice"
+        raise EstimationError(f"{said} in the photo; the target carries {', '.join(map(str, source.ids))}")
+    squares = dict(zip(found.numbers, found.squares, strict=True))
+    centers, sigmas = [], []
+    for number in source.ids:
+        a, b, c, d = squares[number].corners_px
+        # The middle of a square is where its diagonals cross, also in perspective.
+        along = np.linalg.solve(np.stack([c - a, b - d], axis=1), b - a)
+        centers.append(a + along[0] * (c - a))
+        sigmas.append(squares[number].covariance_px2)
+    sigma = float(np.sqrt(np.mean([np.trace(each, axis1=-2, axis2=-1) / 2 for each in sigmas])))
+    return TargetCorners(freeze(np.array(centers)), sigma, np.ones(4))

@@ -1,0 +1,1 @@
+"""Which sun positions to measure next, for whom first, and what that will be worth."""

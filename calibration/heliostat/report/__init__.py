@@ -1,0 +1,1 @@
+"""Figures and sections of the report of a heliostat and of a field."""

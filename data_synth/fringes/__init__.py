@@ -1,0 +1,1 @@
+"""Fringe images of mirrors with known errors."""

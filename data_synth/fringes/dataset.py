@@ -1,0 +1,129 @@
+"""Measurement folders with known truth: images, measurement.toml, truth.json, truth.npz."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from data_synth.fringes.knowledge import Knowledge, measurement_content, response_table, screen_table
+from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes
+from data_synth.fringes.truth import PIXEL_ARRAYS, FringeTruth, PixelTruth, facet_from_json
+from heliogauge.errors import InputError
+from heliogauge.images.photos import write_image
+from heliogauge.measurement.writer import write_measurement
+from heliogauge.results.json_file import read_json, write_json
+from heliogauge.results.tables import write_table_csv
+from heliogauge.results.whole_folder import FolderKind, WholeFolder
+from heliogauge.running.progress import Progress, SilentProgress
+
+TRUTH_FILE = "truth.json"
+TRUTH_ARRAYS_FILE = "truth.npz"
+SYNTHETIC = FolderKind(content="synthetic measurements", mark=TRUTH_FILE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatasetOptions:
+    """How a scene becomes a folder.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all noise; the same seed gives the same files.
+    knowledge : Knowledge, optional
+        What measurement.toml tells the evaluation, and how well.
+    force : bool, optional
+        Replace an earlier synthetic measurement.
+    """
+
+    seed: int = 0
+    knowledge: Knowledge = field(default_factory=Knowledge)
+    force: bool = False
+
+
+def write_dataset(
+    folder: Path, scene: FringeScene, options: DatasetOptions | None = None, progress: Progress | None = None
+) -> SyntheticFringes:
+    """Render a scene and write it as a measurement folder that is whole or not there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write; must be absent or empty.
+    scene : FringeScene
+        What to draw.
+    options : DatasetOptions, optional
+        Seed, what the measurement file tells, whether an earlier synthetic measurement may be replaced.
+    progress : Progress, optional
+        Who is told how far it is.
+
+    Returns
+    -------
+    SyntheticFringes
+        What was written.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    """
+    chosen = DatasetOptions() if options is None else options
+    told = SilentProgress() if progress is None else progress
+    image_rng, knowledge_rng = np.random.default_rng(chosen.seed).spawn(2)
+    with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
+        with told.stage("render fringes"):
+            fringes = render_fringes(scene, image_rng)
+        names = {f"fringe_{index:02d}.png": frame for index, frame in enumerate(fringes.frames)}
+        with told.stage("write images", len(names) + 2) as stage:
+            for name, image in {**names, "dark.png": fringes.dark, "bright.png": fringes.bright}.items():
+                write_image(working / name, image)
+                stage.advance()
+        with told.stage("write truth"):
+            if not scene.bench.wall.is_plain:
+                write_table_csv(working / "screen_points.csv", dict(screen_table(scene.bench.wall)))
+            if chosen.knowledge.response:
+                write_table_csv(working / "response.csv", response_table(scene))
+            content = measurement_content(scene, list(names), chosen.knowledge, knowledge_rng)
+            write_measurement(working, content, comment=f"Synthetic measurement, seed {chosen.seed}; see truth.json.")
+            write_json(working / TRUTH_FILE, {**fringes.truth.parameters, "seed": chosen.seed})
+            _write_pixels(working / TRUTH_ARRAYS_FILE, fringes.truth.pixels)
+    return fringes
+
+
+def read_truth(folder: Path) -> FringeTruth:
+    """Read the truth of a synthetic measurement.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+
+    Returns
+    -------
+    FringeTruth
+        Facets with their exact surfaces, pixel arrays, parameters.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
+    """
+    parameters = read_json(folder / TRUTH_FILE)
+    arrays = folder / TRUTH_ARRAYS_FILE
+    try:
+        # A file object of our own: numpy leaves its own open when the archive is damaged.
+        with arrays.open("rb") as file, np.load(file) as stored:
+            pixels = PixelTruth(stored["facet_index"], *(stored[name] for name in PIXEL_ARRAYS))
+        facets = tuple(facet_from_json(facet) for facet in parameters["facets"])
+    except (OSError, ValueError, BadZipFile) as error:
+        raise InputError(f"{arrays}: cannot be read ({error})") from error
+    except KeyError as error:
+        raise InputError(f"{folder}: the truth lacks {error}; write it again with `heliogauge synth`") from error
+    return FringeTruth(facets, pixels, parameters)
+
+
+def _write_pixels(path: Path, pixels: PixelTruth) -> None:
+    arrays: Mapping[str, Any] = {name: getattr(pixels, name) for name in ("facet_index", *PIXEL_ARRAYS)}
+    np.savez_compressed(path, **arrays)

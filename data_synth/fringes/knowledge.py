@@ -1,0 +1,217 @@
+"""What the person who measures knows of a synthetic scene: measurement.toml, exact or with stated uncertainty."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from data_synth.fringes.scene import FringeScene
+from data_synth.optics.mirror import SyntheticFacet
+from data_synth.optics.wall import Wall
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """How well the measurement file knows the set-up: stated values are the true ones plus errors of these sigmas.
+
+    Parameters
+    ----------
+    pose_known : bool, optional
+        Give the mirror's pose; otherwise its outline and the measured distance.
+    sigma_pose_rotation_mrad, sigma_pose_translation_mm : float, optional
+        Errors of that pose.
+    sigma_distance_mm : float, optional
+        Error of the distance between the origins of mirror and screen.
+    sigma_screen_rotation_mrad, sigma_screen_translation_mm : float, optional
+        Errors of the screen's pose.
+    sigma_focal_px, sigma_center_px : float, optional
+        Errors of the camera, independent in x and y as measurement.toml has it.
+    response : bool, optional
+        Give the response of camera and display (as measured with grey steps) in response.csv.
+    """
+
+    pose_known: bool = False
+    sigma_pose_rotation_mrad: float = 0.0
+    sigma_pose_translation_mm: float = 0.0
+    sigma_distance_mm: float = 1.0
+    sigma_screen_rotation_mrad: float = 0.0
+    sigma_screen_translation_mm: float = 0.0
+    sigma_focal_px: float = 0.0
+    sigma_center_px: float = 0.0
+    response: bool = False
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if name.startswith("sigma") and not getattr(self, name) >= 0:
+                raise InputError(f"{name}: 0 or more is needed, not {getattr(self, name)}")
+        if self.sigma_distance_mm == 0:
+            raise InputError("sigma_distance_mm: more than 0 is needed; no tape is exact")
+
+
+def measurement_content(
+    scene: FringeScene, fringe_files: list[str], knowledge: Knowledge, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return the tables of measurement.toml.
+
+    Parameters
+    ----------
+    scene : FringeScene
+        The scene.
+    fringe_files : list of str
+        Names of the frames, in order.
+    knowledge : Knowledge
+        How well the set-up is known.
+    rng : numpy.random.Generator
+        Draws the errors of what is known.
+
+    Returns
+    -------
+    dict
+        Content for `heliogauge.measurement.writer.write_measurement`.
+    """
+    return {
+        "kind": "deflectometry",
+        "name": scene.name,
+        "notes": "Synthetic: drawn by heliogauge synth.",
+        "camera": _camera(scene, knowledge, rng),
+        "screen": _screen(scene, knowledge, rng),
+        "pattern": {
+            "set": [
+                {
+                    "axis": str(one.axis),
+                    "periods": one.periods,
+                    "steps_deg": np.degrees(one.steps_rad).round(9).tolist(),
+                }
+                for one in scene.pattern.sets
+            ]
+        },
+        "images": {
+            "fringes": fringe_files,
+            "dark": "dark.png",
+            "bright": "bright.png",
+            "saturation_dn": float(scene.sensor.saturation_dn),
+        },
+        "mirror": _mirror(scene, knowledge, rng),
+        "evaluation": {"align": "outline" if knowledge.pose_known else "normal"},
+    }
+
+
+def _camera(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+    camera = scene.bench.camera
+    focal_error_x, focal_error_y, center_error_x, center_error_y = rng.standard_normal(4)
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "focal_x_px": camera.focal_x_px + knowledge.sigma_focal_px * focal_error_x,
+        "focal_y_px": camera.focal_y_px + knowledge.sigma_focal_px * focal_error_y,
+        "center_x_px": camera.center_x_px + knowledge.sigma_center_px * center_error_x,
+        "center_y_px": camera.center_y_px + knowledge.sigma_center_px * center_error_y,
+        **{name: getattr(camera, name) for name in ("k1", "k2", "k3", "p1", "p2")},
+        "distortion_direction": "ideal_to_measured",
+        "sigma_focal_px": knowledge.sigma_focal_px,
+        "sigma_center_px": knowledge.sigma_center_px,
+    }
+
+
+def _screen(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+    wall = scene.bench.wall
+    pose = _pose(
+        scene.bench.cam_from_wall, knowledge.sigma_screen_rotation_mrad, knowledge.sigma_screen_translation_mm, rng
+    )
+    shape: dict[str, Any] = {"shape": "table", "file": "screen_points.csv"}
+    if wall.is_plain:
+        shape = {"shape": "rectangle", "width_m": wall.width_m, "height_m": wall.height_m}
+    return {**shape, **pose, "response_file": "response.csv" if knowledge.response else None}
+
+
+def _pose(
+    true: RigidTransform, rotation_mrad: float, translation_mm: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    step = rng.standard_normal(6) * np.repeat([1e-3 * rotation_mrad, 1e-3 * translation_mm], 3)
+    stated = true.moved(step)
+    return {
+        "rotation_vector_rad": stated.rotation_vector_rad,
+        "translation_m": stated.translation_m,
+        "sigma_rotation_mrad": rotation_mrad,
+        "sigma_translation_mm": translation_mm,
+    }
+
+
+def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+    bench, facets = scene.bench, scene.facets
+    pose = _pose(bench.cam_from_mirror, knowledge.sigma_pose_rotation_mrad, knowledge.sigma_pose_translation_mm, rng)
+    true_distance = float(np.linalg.norm(bench.cam_from_wall.translation_m - bench.cam_from_mirror.translation_m))
+    distance = {
+        "distance_m": true_distance + 1e-3 * knowledge.sigma_distance_mm * rng.standard_normal(),
+        "sigma_mm": knowledge.sigma_distance_mm,
+    }
+    known: dict[str, Any] = {"pose": pose} if knowledge.pose_known else {"distance": distance}
+    if len(facets) == 1:
+        return {**_design(facets[0]), "outline_m": facets[0].outline_m, **known}
+    listed = [
+        {
+            "name": facet.name,
+            **_design(facet),
+            "outline_m": facet.outline_m,
+            "position_m": facet.mirror_from_facet.translation_m,
+            "rotation_vector_rad": facet.mirror_from_facet.rotation_vector_rad,
+        }
+        for facet in facets
+    ]
+    return {**_design(facets[0]), **known, "facet": listed}
+
+
+def _design(facet: SyntheticFacet) -> dict[str, Any]:
+    design = facet.design
+    center = design.optic_from_facet.translation_m
+    is_turned = bool(np.any(design.optic_from_facet.rotation != np.eye(3)))
+    return {
+        "design": design.shape,
+        **design.parameters,
+        "design_center_m": center[:2],
+        "design_orientation": "normal" if is_turned else "axis",
+    }
+
+
+def screen_table(wall: Wall, nodes: int = 81) -> dict[str, list[float]]:
+    """Return the wall as a table of measured points.
+
+    Parameters
+    ----------
+    wall : Wall
+        The screen.
+    nodes : int, optional
+        Points per side; with 81 the chords of a wall that bulges by 0.12 m are wrong by 0.02 mm.
+
+    Returns
+    -------
+    dict of str to list of float
+        Columns u, v, x_m, y_m, z_m.
+    """
+    v, u = (values.ravel() for values in np.mgrid[0 : 1 : nodes * 1j, 0 : 1 : nodes * 1j])
+    x, y, z = wall.points_m(u, v).T
+    columns = {"u": u, "v": v, "x_m": x, "y_m": y, "z_m": z}
+    return {name: values.tolist() for name, values in columns.items()}
+
+
+def response_table(scene: FringeScene, steps: int = 33) -> dict[str, list[float]]:
+    """Return what the camera reads for grey steps of the display.
+
+    Parameters
+    ----------
+    scene : FringeScene
+        The scene with display and sensor.
+    steps : int, optional
+        Number of grey steps.
+
+    Returns
+    -------
+    dict of str to list of float
+        Columns camera_dn and display_level (fraction).
+    """
+    level = np.linspace(0.0, 1.0, steps)
+    light = scene.lighting.light(level.astype(np.float32)) + np.float32(scene.lighting.ambient)
+    camera = scene.sensor.expected_dn(np.float32(scene.lighting.reflectivity) * light)
+    return {"camera_dn": camera.tolist(), "display_level": level.tolist()}

@@ -1,0 +1,1 @@
+"""Beams, sightings and photos of heliostats with known errors."""

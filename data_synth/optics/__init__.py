@@ -1,0 +1,1 @@
+"""What draws: rays, mirrors, prints, sensors; images integrate over the pixel."""

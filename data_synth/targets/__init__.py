@@ -1,0 +1,1 @@
+"""Photos of coded targets and calibration boards at known places."""

@@ -1,0 +1,1 @@
+"""Photos of parabolic troughs in which the absorber is seen, with known errors."""

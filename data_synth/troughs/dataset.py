@@ -1,0 +1,472 @@
+"""Measurement folders of troughs with known truth: photos, measurement.toml, targets.csv, truth.json, truth.npz."""
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import cv2
+import numpy as np
+
+from data_synth.fringes.dataset import SYNTHETIC, TRUTH_ARRAYS_FILE, TRUTH_FILE
+from data_synth.fringes.truth import TRUTH_SCHEMA
+from data_synth.optics.mirror import transform_to_json
+from data_synth.optics.sensor import UnsignedArray
+from data_synth.optics.surface_errors import SurfaceErrors
+from data_synth.targets.dataset import TRUE_POINTS_FILE
+from data_synth.troughs.field import single_of
+from data_synth.troughs.mirror import SlopeGrid, TroughMirror
+from data_synth.troughs.photo import Photographer, PhotoPoints
+from data_synth.troughs.presets import DISTANCE_SIGMA_M, UNCODED
+from data_synth.troughs.receiver import TubeAxis
+from data_synth.troughs.scene import TroughScene, TroughView
+from heliogauge.errors import InputError
+from heliogauge.images.photos import write_image
+from heliogauge.measurement.load import MEASUREMENT_FILE
+from heliogauge.measurement.writer import dump_toml, write_text
+from heliogauge.results.json_file import read_json, write_json
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import write_table_csv
+from heliogauge.results.whole_folder import WholeFolder
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.validate import FloatArray
+
+TARGETS_FILE = "targets.csv"
+#: Names and rough places of targets without a code.
+UNCODED_FILE = "uncoded.csv"
+#: Step of the maps of the truth.
+_MAP_STEP_M = 0.02
+#: Truths of several troughs, a folder for each, in its own frame; beside it the first one's in the common frame.
+TRUTHS_FOLDER = "truth"
+_MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
+
+
+@dataclass(frozen=True, slots=True)
+class TroughOptions:
+    """How a scene becomes a folder.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all noise; the same seed gives the same files.
+    jpeg_quality : int or None, optional
+        Write JPEG files of this quality, 1 to 100, instead of PNG.
+    force : bool, optional
+        Replace an earlier synthetic measurement.
+
+    Raises
+    ------
+    InputError
+        A quality JPEG does not have.
+    """
+
+    seed: int = 0
+    jpeg_quality: int | None = None
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
+            raise InputError(f"jpeg_quality: 1 to 100 is needed, not {self.jpeg_quality}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TroughTruth:
+    """Truth of a synthetic trough measurement.
+
+    Parameters
+    ----------
+    x_m, y_m : ndarray, shape (nx,) and (ny,)
+        Grid of the maps [m].
+    slope_error_x, slope_error_y : ndarray, shape (ny, nx)
+        True minus design dz/dx and dz/dy, NaN in gaps.
+    theta_r_rad : ndarray, shape (ny, nx)
+        Transverse slope error as an angle, positive where the normal is turned towards +x [rad].
+    height_error_m : ndarray, shape (ny, nx)
+        True minus design height [m].
+    absorber_y_m, absorber_x_m, absorber_z_m : ndarray, shape (n,)
+        Middle of the absorber in the trough's frame [m].
+    parameters : mapping
+        The content of truth.json.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    slope_error_x: FloatArray
+    slope_error_y: FloatArray
+    theta_r_rad: FloatArray
+    height_error_m: FloatArray
+    absorber_y_m: FloatArray
+    absorber_x_m: FloatArray
+    absorber_z_m: FloatArray
+    parameters: Mapping[str, Any]
+
+
+def write_trough_dataset(
+    folder: Path, scene: TroughScene, options: TroughOptions | None = None, progress: Progress | None = None
+) -> None:
+    """Render a scene and write it as a measurement folder that is whole or not there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write; must be absent or empty.
+    scene : TroughScene
+        What to draw.
+    options : TroughOptions, optional
+        Seed, kind of files.
+    progress : Progress, optional
+        Who is told how far it is.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    """
+    chosen = TroughOptions() if options is None else options
+    told = SilentProgress() if progress is None else progress
+    suffix = ".png" if chosen.jpeg_quality is None else ".jpg"
+    if chosen.jpeg_quality is not None and scene.optics.sensor.bits != 8:
+        raise InputError("JPEG holds 8 bit; leave the quality out for photos of more bits")
+    with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
+        with told.stage("prepare the scene"):
+            photographer = Photographer(scene)
+        rngs = np.random.default_rng(chosen.seed).spawn(len(scene.views))
+
+        def shoot(view: TroughView, rng: np.random.Generator) -> None:
+            _write_photo(working / (view.name + suffix), photographer.take(view, rng), chosen.jpeg_quality)
+
+        # Arrays of 16 000 rays leave the interpreter's lock often enough for two threads to take 0.55 of one's time.
+        with told.stage("take photos", len(rngs)) as stage, ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            for _ in pool.map(shoot, scene.views, rngs):
+                stage.advance()
+        with told.stage("write truth"):
+            _write_knowledge(working, scene, suffix, chosen.seed)
+            _write_truth(working, scene, photographer, suffix, chosen.seed)
+
+
+def read_slope_errors(path: Path) -> SlopeGrid:
+    """Read the slope errors of a measured or synthetic map: measured minus design, in gaps those of the nearest node.
+
+    Parameters
+    ----------
+    path : Path
+        A NetCDF file as heliogauge writes slope maps, in the trough's frame.
+
+    Returns
+    -------
+    SlopeGrid
+        The errors.
+
+    Raises
+    ------
+    InputError
+        No such file, not a slope map, or one without a value.
+    """
+    slopes = read_slope_map(path)
+    return SlopeGrid(slopes.x_m, slopes.y_m, _filled(slopes.slope_error_x, path), _filled(slopes.slope_error_y))
+
+
+def _filled(error: FloatArray, path: Path | None = None) -> FloatArray:
+    """Fill gaps with the nearest value: zeros would be steps of the slope that no mirror has; all of it by zero."""
+    from scipy.ndimage import distance_transform_edt
+
+    missing = ~np.isfinite(error)
+    if missing.all():
+        if path is not None:
+            raise InputError(f"{path}: no node of the map has a slope")
+        return np.zeros_like(error)
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(error[tuple(nearest)])
+
+
+def read_trough_truth(folder: Path) -> TroughTruth:
+    """Read the truth of a synthetic trough measurement.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+
+    Returns
+    -------
+    TroughTruth
+        Maps, absorber, parameters.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
+    """
+    parameters = read_json(folder / TRUTH_FILE)
+    arrays = folder / TRUTH_ARRAYS_FILE
+    names = ("x_m", "y_m", *_MAPS, "absorber_y_m", "absorber_x_m", "absorber_z_m")
+    try:
+        with arrays.open("rb") as file, np.load(file) as stored:
+            return TroughTruth(**{name: stored[name] for name in names}, parameters=parameters)
+    except (OSError, ValueError, BadZipFile) as error:
+        raise InputError(f"{arrays}: cannot be read ({error})") from error
+    except KeyError as error:
+        raise InputError(f"{folder}: the truth lacks {error}; write it again with `heliogauge synth trough`") from error
+
+
+def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
+    """Return what measurement.toml says.
+
+    Parameters
+    ----------
+    scene : TroughScene
+        The scene.
+    suffix : str
+        How the photos' names end.
+
+    Returns
+    -------
+    dict
+        Tables.
+    """
+    purposes = {view.purpose for view in scene.views}
+    photos = {purpose: ("photo_*" if purpose == "reflection" else "absorber_*") + suffix for purpose in purposes}
+    content: dict[str, Any] = {
+        "kind": "observer",
+        "name": scene.name,
+        "notes": "Synthetic: drawn by heliogauge synth.",
+        "collector": _collector_content(scene),
+        "camera": _camera_content(scene),
+        "images": {"photos": photos.get("reflection", photos.get("absorber"))},
+        "targets": _targets_content(scene),
+    }
+    if purposes == {"reflection", "absorber"}:
+        content["absorber"] = {"photos": photos["absorber"]}
+    if scene.troughs:
+        content["module"] = [{"name": one.name, "place_m": one.place_m.tolist()} for one in scene.troughs]
+    else:
+        content["scale_bar"] = _long_distances(scene)
+    if not scene.world.mirror.is_shaped:
+        # Its normals are turned on the design's surface: heights from its slopes would be of another mirror.
+        content["evaluation"] = {"shape_from_slopes": False}
+    return content
+
+
+def _targets_content(scene: TroughScene) -> dict[str, Any]:
+    if scene.dictionary.startswith("DICT_"):
+        return {"dictionary": scene.dictionary, "file": TARGETS_FILE}
+    kind = {"uncoded_file": UNCODED_FILE} if scene.dictionary == UNCODED else {"dictionary": scene.dictionary}
+    size = {"diameter_mm": round(1e3 * scene.target_diameter_m, 9), "polarity": "black-on-white"}
+    return {**kind, **size, "file": TARGETS_FILE}
+
+
+def _collector_content(scene: TroughScene) -> dict[str, Any]:
+    design = scene.collector
+    content: dict[str, Any] = {
+        "aperture_width_m": design.aperture_width_m,
+        "length_m": design.length_m,
+        "focal_length_m": design.focal_length_m,
+        "absorber_diameter_mm": 1e3 * design.absorber_diameter_m,
+    }
+    if design.glass is not None:
+        content |= {
+            "glass_outer_diameter_mm": 1e3 * design.glass.outer_diameter_m,
+            "glass_inner_diameter_mm": 1e3 * design.glass.inner_diameter_m,
+            "glass_index": design.glass.index,
+        }
+    content |= {
+        "panel_edges_x_m": design.panel_edges_x_m.round(6).tolist(),
+        "panel_edges_y_m": design.panel_edges_y_m.round(6).tolist(),
+        "panel_gap_mm": 1e3 * design.panel_gap_m,
+    }
+    if design.panel_height_sigma_m:
+        content["panel_height_sigma_mm"] = 1e3 * design.panel_height_sigma_m
+    if len(design.support_y_m):
+        content |= {"support_y_m": design.support_y_m.tolist(), "support_width_m": design.support_width_m}
+    if all(view.orientation_deg is None for view in scene.views):
+        content["orientation_deg"] = scene.world.surroundings.orientation_deg
+    return {key: round(value, 9) if isinstance(value, float) else value for key, value in content.items()}
+
+
+def _camera_content(scene: TroughScene) -> dict[str, Any]:
+    camera = scene.camera
+    content = {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "focal_px": camera.focal_x_px,
+        "center_x_px": camera.center_x_px,
+        "center_y_px": camera.center_y_px,
+    }
+    return content | {name: value for name in ("k1", "k2", "k3", "p1", "p2") if (value := getattr(camera, name))}
+
+
+def _long_distances(scene: TroughScene) -> list[dict[str, Any]]:
+    """Measure along both rims with a tape, its error drawn."""
+    true = scene.points_m()
+    bars = []
+    rng = np.random.default_rng(len(true))
+    for side in (-1, 1):
+        names = [one.name for one in scene.targets if one.on_collector and side * one.stated_m[0] > 0]
+        names = [name for name in names if name in true]
+        if len(names) < 2:
+            continue
+        length = float(np.linalg.norm(true[names[0]] - true[names[-1]])) + DISTANCE_SIGMA_M * rng.standard_normal()
+        bars.append(
+            {"a": names[0], "b": names[-1], "length_m": round(float(length), 6), "sigma_mm": 1e3 * DISTANCE_SIGMA_M}
+        )
+    return bars
+
+
+def _write_knowledge(working: Path, scene: TroughScene, suffix: str, seed: int) -> None:
+    stated = np.array([target.stated_m for target in scene.targets]).reshape(-1, 3)
+    sigma_mm = 1e3 * np.array([target.sigma_m for target in scene.targets]).reshape(-1, 3)
+    known = np.isfinite(sigma_mm)
+    columns: dict[str, Any] = {"target": [target.name for target in scene.targets]}
+    for k, axis in enumerate("xyz"):
+        columns[f"{axis}_m"] = [f"{value:.6f}" for value in stated[:, k]]
+    for k, axis in enumerate("xyz"):
+        column = zip(sigma_mm[:, k], known[:, k], strict=True)
+        columns[f"sigma_{axis}_mm"] = [f"{value:g}" if is_known else "" for value, is_known in column]
+    columns["on_collector"] = [int(target.on_collector) for target in scene.targets]
+    write_table_csv(working / TARGETS_FILE, columns)
+    if scene.dictionary == UNCODED:
+        rough = {"id": columns["target"], **{f"{axis}_m": columns[f"{axis}_m"] for axis in "xyz"}}
+        write_table_csv(working / UNCODED_FILE, {**rough, "sigma_mm": ["5"] * len(scene.targets)})
+    comment = f"Synthetic measurement, seed {seed}; see {TRUTH_FILE}."
+    write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(observer_content(scene, suffix)))
+
+
+def _write_truth(working: Path, scene: TroughScene, photographer: Photographer, suffix: str, seed: int) -> None:
+    seen = [photographer.points(view) for view in scene.views]
+    write_table_csv(working / TRUE_POINTS_FILE, _true_points(scene, seen, suffix))
+    write_json(working / TRUTH_FILE, {**trough_to_json(scene, suffix), "seed": seed})
+    arrays: Mapping[str, Any] = truth_arrays(scene)
+    np.savez_compressed(working / TRUTH_ARRAYS_FILE, **arrays)
+    for trough in scene.troughs:
+        folder = working / TRUTHS_FOLDER / trough.name
+        folder.mkdir(parents=True)
+        own = single_of(scene, trough)
+        write_json(folder / TRUTH_FILE, {**trough_to_json(own, suffix), "seed": seed})
+        maps: Mapping[str, Any] = truth_arrays(own)
+        np.savez_compressed(folder / TRUTH_ARRAYS_FILE, **maps)
+
+
+def truth_arrays(scene: TroughScene) -> dict[str, FloatArray]:
+    """Return the maps of a scene's truth, by the names of `TroughTruth`.
+
+    Parameters
+    ----------
+    scene : TroughScene
+        The scene.
+
+    Returns
+    -------
+    dict
+        Arrays; the grid has a node in every 20 mm, the first half a step inside the aperture.
+    """
+    mirror, design = scene.world.mirror, scene.collector
+    x, y = (
+        np.asarray((np.arange(n) + 0.5 - n / 2) * _MAP_STEP_M, dtype=np.float64)
+        for n in (round(size / _MAP_STEP_M) for size in (design.aperture_width_m, design.length_m))
+    )
+    across, along = np.meshgrid(x, y)
+    height, slope_x, slope_y = mirror.deviation(across, along)
+    absorber_x, absorber_z = scene.world.receiver.position_m(y)
+    return {
+        "x_m": x,
+        "y_m": y,
+        "slope_error_x": slope_x,
+        "slope_error_y": slope_y,
+        "theta_r_rad": mirror.theta_r_rad(across, along),
+        "height_error_m": height,
+        "absorber_y_m": y,
+        "absorber_x_m": absorber_x,
+        "absorber_z_m": absorber_z,
+    }
+
+
+def trough_to_json(scene: TroughScene, suffix: str) -> dict[str, Any]:
+    """Return a scene's truth as plain values.
+
+    Parameters
+    ----------
+    scene : TroughScene
+        The scene.
+    suffix : str
+        How the photos' names end.
+
+    Returns
+    -------
+    dict
+        Collector, camera, poses, targets, errors of the mirror, receiver, surroundings.
+    """
+    camera, around = scene.camera, scene.world.surroundings
+    receiver = scene.world.receiver
+    return {
+        "schema": TRUTH_SCHEMA,
+        "kind": "trough",
+        "name": scene.name,
+        "collector": _collector_content(scene),
+        "camera": {name: getattr(camera, name) for name in camera.__dataclass_fields__},
+        "photos": {view.name + suffix: _view_to_json(view) for view in scene.views},
+        "points_m": {name: point.tolist() for name, point in scene.points_m().items()},
+        "stated_points_m": {target.name: target.stated_m.tolist() for target in scene.targets},
+        "mirror": _mirror_to_json(scene.world.mirror),
+        "absorber_offset": _axis_to_json(receiver.absorber),
+        "glass_offset": None if receiver.glass is None else _axis_to_json(receiver.glass),
+        "orientation_deg": around.orientation_deg,
+        "sun": around.sun.tolist(),
+        "sky": {name: getattr(around.sky, name) for name in around.sky.__dataclass_fields__},
+        "ground": {name: getattr(around.ground, name) for name in around.ground.__dataclass_fields__},
+        "blur_sigma_px": scene.optics.blur_sigma_px,
+    }
+
+
+def _view_to_json(view: TroughView) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "cam_from_trough": transform_to_json(view.cam_from_trough),
+        "position_m": view.position_m.tolist(),
+        "exposure": view.exposure,
+        "purpose": view.purpose,
+    }
+    if view.orientation_deg is not None:
+        content["orientation_deg"] = view.orientation_deg
+    if view.shutter is not None:
+        content["rolling_shutter"] = {
+            "readout_s": view.shutter.readout_s,
+            "velocity_m_s": view.shutter.velocity_m_s.tolist(),
+            "turn_rad_s": view.shutter.turn_rad_s.tolist(),
+        }
+    return content
+
+
+def _mirror_to_json(mirror: TroughMirror) -> dict[str, Any]:
+    content: dict[str, Any] = {"is_shaped": mirror.is_shaped}
+    for name in ("errors", "transverse", "longitudinal"):
+        terms: SurfaceErrors = getattr(mirror, name)
+        content[name] = terms.to_json()
+    if mirror.panels is not None:
+        content["panels"] = {
+            name: getattr(mirror.panels, name).tolist() for name in ("tilt_x", "tilt_y", "focal_length_m", "height_m")
+        }
+    return content
+
+
+def _axis_to_json(axis: TubeAxis) -> dict[str, Any]:
+    return {name: getattr(axis, name).tolist() for name in ("y_m", "x_m", "z_m")}
+
+
+def _true_points(scene: TroughScene, seen: list[PhotoPoints], suffix: str) -> dict[str, Any]:
+    pixels = np.concatenate([points.pixels_px for points in seen])
+    return {
+        "image": [view.name + suffix for view, points in zip(scene.views, seen, strict=True) for _ in points.names],
+        "target": [name for points in seen for name in points.names],
+        "x_px": pixels[:, 0],
+        "y_px": pixels[:, 1],
+    }
+
+
+def _write_photo(path: Path, image: UnsignedArray, jpeg_quality: int | None) -> None:
+    if jpeg_quality is None:
+        write_image(path, image)
+        return
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    path.write_bytes(encoded.tobytes())

@@ -1,0 +1,1 @@
+"""Measurements of other programs become measurement folders."""

@@ -1,0 +1,344 @@
+"""Turn the files of an OpenCSP/SOFAST measurement into a measurement folder."""
+
+import datetime
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.exchange.opencsp import (
+    STEPS_DEG,
+    CalculationRecord,
+    CameraRecord,
+    EnsembleRecord,
+    FacetRecord,
+    FocalLengthRecord,
+    FringeRecord,
+    OpencspFile,
+    RectangleRecord,
+    ResponseRecord,
+    TableRecord,
+    read_opencsp_file,
+)
+from heliogauge.errors import InputError, QualityWarning
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.images.photos import write_image
+from heliogauge.measurement.load import parse_measurement
+from heliogauge.measurement.writer import write_measurement
+from heliogauge.results.tables import write_table_csv
+from heliogauge.results.whole_folder import FolderKind, WholeFolder
+from heliogauge.validate import FloatArray, positive
+
+_T = TypeVar("_T")
+#: An import is never replaced: somebody may have corrected its measurement.toml by hand.
+_MEASUREMENT = FolderKind(content="measurements", remedy="give a new folder")
+
+
+@dataclass(frozen=True, slots=True)
+class OpencspOptions:
+    """What the files leave open.
+
+    Parameters
+    ----------
+    pose_from : Path or None
+        SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the outline.
+    correct_principal_point : bool
+        Move the principal point of averaged images to where averaging put it.
+    focal_length_m : float or None
+        Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise a plane.
+    sigma_distance_mm : float
+        Standard deviation of the measured distance, which the files do not hold [mm].
+    """
+
+    pose_from: Path | None = None
+    correct_principal_point: bool = False
+    focal_length_m: float | None = None
+    sigma_distance_mm: float = 10.0
+
+
+def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> list[str]:
+    """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where there
+        are any image calibration, ensemble definition and result file. A file made for one purpose wins over the
+        copy inside a result file.
+    folder : Path
+        Where to write; it must be empty or not there yet.
+    options : OpencspOptions, optional
+        What the files leave open.
+
+    Returns
+    -------
+    list of str
+        What was taken from which file, one line each.
+
+    Raises
+    ------
+    InputError
+        A kind of file is missing, given twice, not readable, or does not fit the others.
+
+    Notes
+    -----
+    The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
+    met exactly.
+    """
+    with WholeFolder(folder, _MEASUREMENT) as working:
+        parts = _Parts([read_opencsp_file(Path(path)) for path in files])
+        _write(working, parts, options or OpencspOptions())
+    return parts.taken
+
+
+def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
+    """Write the measurement that the records make up."""
+    fringes = parts.needed(FringeRecord, "a fringe measurement (MeasurementSofastFringe)")
+    height_px, width_px = fringes.dark_dn.shape
+    content: dict[str, Any] = {"kind": "deflectometry", "name": fringes.name or "OpenCSP measurement"}
+    date = _date(fringes.date)
+    if date is not None:
+        content["date"] = date
+    content["camera"] = _camera_section(
+        parts.needed(CameraRecord, "a camera (Camera)"), (height_px, width_px), options.correct_principal_point
+    )
+    screen, table = _screen_section(
+        parts.needed(RectangleRecord | TableRecord, "a display shape (DisplayShape)"),
+        parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)"),
+    )
+    content["screen"] = screen
+    response = parts.wanted(ResponseRecord)
+    if response is not None:
+        content["screen"]["response_file"] = "response.csv"
+    content["pattern"] = {"set": _pattern_sets(fringes)}
+    content["images"] = {"fringes": "fringe_*.png", "dark": "dark.png", "bright": "bright.png"}
+    content["mirror"] = _mirror_section(parts, fringes, options)
+    images = _storable(fringes)
+    # Everything is checked before the first file is written.
+    parse_measurement(content, Path("measurement.toml"))
+    for name, image in images:
+        write_image(working / name, np.ascontiguousarray(image))
+    if table is not None:
+        write_table_csv(working / "screen_points.csv", table)
+    if response is not None:
+        columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
+        write_table_csv(working / "response.csv", columns)
+    write_measurement(working, content, comment="Imported from OpenCSP/SOFAST files.")
+
+
+def _date(text: str) -> datetime.datetime | None:
+    try:
+        return datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+_WORDS: dict[type, str] = {
+    FringeRecord: "fringe measurement",
+    CameraRecord: "camera",
+    RectangleRecord: "display shape (rectangle)",
+    TableRecord: "display shape (table)",
+    RigidTransform: "orientation of camera and screen",
+    ResponseRecord: "camera-display response",
+    FacetRecord: "facet definition",
+    EnsembleRecord: "ensemble definition",
+    FocalLengthRecord: "design focal length",
+}
+
+
+class _Parts:
+    """The records of all files, with a note of what was taken from where."""
+
+    def __init__(self, files: list[OpencspFile]) -> None:
+        self.files = files
+        self.taken: list[str] = []
+
+    def wanted_all(self, kind: type[_T]) -> list[_T]:
+        """Return the records of a kind: from files made for it, else from result files."""
+        for is_result in (False, True):
+            found = [
+                (file.name, record)
+                for file in self.files
+                if file.is_result is is_result
+                for record in file.records
+                if isinstance(record, kind)
+            ]
+            if found:
+                what = _WORDS[type(found[0][1])]
+                self.taken.append(f"{what}: {', '.join(dict.fromkeys(name for name, _ in found))}")
+                return [record for _, record in found]
+        return []
+
+    def wanted(self, kind: type[_T]) -> _T | None:
+        """Return the one record of a kind, or None."""
+        found = self.wanted_all(kind)
+        if len(found) > 1:
+            raise InputError(f"{self.taken[-1]}: {len(found)} of one kind were given, which one is meant? Leave one")
+        return found[0] if found else None
+
+    def needed(self, kind: Any, words: str) -> Any:
+        """Return the one record of a kind."""
+        record = self.wanted(kind)
+        if record is None:
+            raise InputError(f"no file given holds {words}; files read: {', '.join(file.name for file in self.files)}")
+        return record
+
+
+def _camera_section(camera: CameraRecord, shape: tuple[int, int], correct: bool) -> dict[str, Any]:
+    width_px, height_px = camera.size_for(*shape)
+    if correct:
+        camera = camera.corrected()
+    elif camera.averaged > 1.001:
+        warnings.warn(
+            f"camera '{camera.name}' belongs to images averaged over {camera.averaged:.4g} x {camera.averaged:.4g} px,"
+            f" but its principal point misses the shift of {camera.principal_point_shift_px:.4f} px that averaging"
+            " causes; imported as given (import again with --correct-principal-point to repair it)",
+            QualityWarning,
+            stacklevel=3,
+        )
+    k1, k2, p1, p2, k3 = camera.distortion.tolist()
+    return {
+        "width_px": width_px, "height_px": height_px,
+        "focal_x_px": float(camera.matrix[0, 0]), "focal_y_px": float(camera.matrix[1, 1]),
+        "center_x_px": float(camera.matrix[0, 2]), "center_y_px": float(camera.matrix[1, 2]),
+        "skew": float(camera.matrix[0, 1]),
+        "k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2,
+        "distortion_direction": "ideal_to_measured",
+    }  # fmt: skip
+
+
+def _screen_section(
+    display: RectangleRecord | TableRecord, cam_from_screen: RigidTransform
+) -> tuple[dict[str, Any], dict[str, FloatArray] | None]:
+    table = None
+    if isinstance(display, RectangleRecord):
+        section: dict[str, Any] = {"shape": "rectangle", "width_m": display.width_m, "height_m": display.height_m}
+    else:
+        section = {"shape": "table", "file": "screen_points.csv"}
+        x_m, y_m, z_m = display.xyz_m.T
+        table = {"u": display.u, "v": display.v, "x_m": x_m, "y_m": y_m, "z_m": z_m}
+    return section | _pose_keys(cam_from_screen), table
+
+
+def _pose_keys(pose: RigidTransform) -> dict[str, Any]:
+    return {
+        "rotation_vector_rad": pose.rotation_vector_rad.tolist(),
+        "translation_m": pose.translation_m.tolist(),
+    }
+
+
+def _pattern_sets(fringes: FringeRecord) -> list[dict[str, Any]]:
+    return [
+        {"axis": axis, "periods": float(periods), "steps_deg": list(STEPS_DEG)}
+        for axis, all_periods in (("y", fringes.periods_y), ("x", fringes.periods_x))
+        for periods in all_periods
+    ]
+
+
+def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOptions) -> dict[str, Any]:
+    design = _design_keys(parts, options)
+    section: dict[str, Any] = {}
+    facets = parts.wanted_all(FacetRecord)
+    if not facets:
+        raise InputError("no file given holds a facet definition (JSON with v_facet_corners, or DefinitionFacet)")
+    ensemble = parts.wanted(EnsembleRecord)
+    if ensemble is None:
+        if len(facets) > 1:
+            raise InputError(
+                f"{parts.taken[-1]}: {len(facets)} facets, but no ensemble definition (JSON with v_facet_locations)"
+            )
+        section |= design
+        section["outline_m"] = _outline(facets[0])
+        section["reference_point_m"] = facets[0].centroid_m[:2].tolist()
+    else:
+        # SOFAST's focal length is that of each facet about its own middle, not of the whole mirror.
+        section["facet"] = [facet | design for facet in _facet_tables(facets, ensemble)]
+    positive("sigma_distance_mm", options.sigma_distance_mm, "mm")
+    section["distance"] = {
+        "distance_m": fringes.distance_m,
+        "sigma_mm": options.sigma_distance_mm,
+        "point_m": fringes.measure_point_m.tolist(),
+    }
+    if options.pose_from is not None:
+        section["pose"] = _pose_keys(_result_pose(options.pose_from))
+        parts.taken.append(f"pose of the mirror: {options.pose_from.name}")
+    return section
+
+
+def _design_keys(parts: _Parts, options: OpencspOptions) -> dict[str, Any]:
+    if options.focal_length_m is not None:
+        return {"design": "paraboloid", "focal_length_m": positive("focal length", options.focal_length_m, "metres")}
+    start = parts.wanted(FocalLengthRecord)
+    if start is None:
+        warnings.warn(
+            "no file given holds the design focal length; the design is written as a plane, so slope errors will"
+            " contain the mirror's curvature (give --focal-length-m, or edit [mirror] in measurement.toml)",
+            QualityWarning,
+            stacklevel=4,
+        )
+        return {"design": "plane"}
+    if start.focal_length_x_m == start.focal_length_y_m:
+        return {"design": "paraboloid", "focal_length_m": start.focal_length_x_m}
+    return {
+        "design": "paraboloid_xy",
+        "focal_length_x_m": start.focal_length_x_m,
+        "focal_length_y_m": start.focal_length_y_m,
+    }
+
+
+def _facet_tables(facets: list[FacetRecord], ensemble: EnsembleRecord) -> list[dict[str, Any]]:
+    count = len(ensemble.ensemble_from_facet)
+    if len(facets) == 1:
+        facets = facets * count
+    if len(facets) != count:
+        raise InputError(f"the ensemble definition has {count} facets, but {len(facets)} facet definitions were given")
+    return [
+        {
+            "name": f"facet_{index:03d}",
+            "outline_m": _outline(facet),
+            "reference_point_m": facet.centroid_m[:2].tolist(),
+            "position_m": place.translation_m.tolist(),
+            "rotation_vector_rad": place.rotation_vector_rad.tolist(),
+        }
+        for index, (facet, place) in enumerate(zip(facets, ensemble.ensemble_from_facet, strict=True))
+    ]
+
+
+def _outline(facet: FacetRecord) -> list[list[float]]:
+    """Return the corners counter-clockwise seen from the front; OpenCSP's examples go the other way round."""
+    corners = facet.corners_m[:, :2]
+    following = np.roll(corners, -1, axis=0)
+    doubled_area = float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
+    ordered: list[list[float]] = (corners if doubled_area > 0 else corners[::-1]).tolist()
+    return ordered
+
+
+def _result_pose(path: Path) -> RigidTransform:
+    for record in read_opencsp_file(path).records:
+        if isinstance(record, CalculationRecord):
+            return record.cam_from_mirror
+    raise InputError(f"{path.name}: no SOFAST result (DataSofastCalculation) in it, so no pose of the mirror")
+
+
+def _storable(fringes: FringeRecord) -> list[tuple[str, npt.NDArray[Any]]]:
+    """Return the images with their names, in an integer type that a PNG keeps without loss."""
+    count = fringes.frames_dn.shape[2]
+    images = [(f"fringe_{index:03d}.png", fringes.frames_dn[..., index]) for index in range(count)]
+    images += [("dark.png", fringes.dark_dn), ("bright.png", fringes.bright_dn)]
+    dtypes = {image.dtype for _, image in images}
+    if dtypes <= {np.dtype(np.uint8), np.dtype(np.uint16)}:
+        return images
+    values = np.concatenate([image.reshape(-1) for _, image in images])
+    if not (
+        np.isfinite(values).all() and np.all(values == np.rint(values)) and 0 <= values.min() <= values.max() < 65536
+    ):
+        raise InputError(
+            f"frames of type {', '.join(map(str, dtypes))} hold values that are no whole numbers from 0 to 65535; PNG"
+            " cannot keep them without loss"
+        )
+    wanted = np.uint8 if values.max() < 256 else np.uint16
+    return [(name, image.astype(wanted)) for name, image in images]

@@ -1,0 +1,1 @@
+"""Faulty frames are named before they spoil the map: repeated, stale, swapped, saturated."""

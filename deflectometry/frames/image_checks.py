@@ -1,0 +1,137 @@
+"""What image files say before any phase is computed: their size, where they saturate, what compression did to them."""
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.fringes.phase import NoiseModel, solve_steps
+from deflectometry.setup.patterns import FringePattern
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError, QualityWarning
+
+#: Largest readings of cameras with 10, 12 and 14 bits, as they are or moved to the upper end of 16 bits [DN].
+_FULL_WELLS_DN = frozenset(((1 << bits) - 1) << shift for bits in (10, 12, 14) for shift in (0, 16 - bits))
+#: A stated noise this many times off what the frames show is a mistake; half of it is said.
+_NOISE_FACTOR = 4.0
+
+
+def check_size(frames: npt.NDArray[Any], camera: Camera, place: str) -> None:
+    """Refuse images that are not the camera's.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (n, h, w)
+        The frames.
+    camera : Camera
+        The camera.
+    place : str
+        Where the images are, for the message.
+
+    Raises
+    ------
+    InputError
+        Another size than the camera's.
+    """
+    height, width = frames.shape[1:]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise InputError(
+            f"{place}: the images have {width} x {height} px, but [camera] is for {camera.width_px} x "
+            f"{camera.height_px} px; give the camera of these images, or images that were not cut, turned or scaled"
+        )
+
+
+def saturation_level(frames: npt.NDArray[Any], full_scale_dn: float) -> float:
+    """Return the reading at which a camera saturates.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (n, h, w)
+        The frames [DN].
+    full_scale_dn : float
+        Largest value of the files [DN].
+
+    Returns
+    -------
+    float
+        The largest reading if it is the full well of a camera with 10, 12 or 14 bits, else the largest value [DN].
+        Frames that do not saturate lose at most the few pixels that reach that very number.
+    """
+    top = float(frames.max())
+    return top if full_scale_dn > 255 and top in _FULL_WELLS_DN else full_scale_dn
+
+
+def warn_of_compression(names: Sequence[str]) -> None:
+    """Warn of images that lost details when they were stored.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the fringe images.
+
+    Warns
+    -----
+    QualityWarning
+        At least one is a JPEG.
+    """
+    lossy = [name for name in names if name.lower().endswith((".jpg", ".jpeg"))]
+    if lossy:
+        warnings.warn(
+            f"{len(lossy)} of {len(names)} fringe images are JPEG files ({lossy[0]}, ...): their compression changes "
+            "the phase in blocks of 8 x 8 px, which sigma does not contain; store PNG or TIFF",
+            QualityWarning,
+            stacklevel=2,
+        )
+
+
+def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseModel) -> None:
+    """Compare a stated noise with the scatter of the frames about their sinusoids.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (n, h, w)
+        The frames [DN].
+    pattern : FringePattern
+        What was shown.
+    noise : NoiseModel
+        The stated noise.
+
+    Raises
+    ------
+    EstimationError
+        Less than a quarter of what the frames show, or more than 16 times as much.
+
+    Warns
+    -----
+    QualityWarning
+        Less than half, or more than twice of it.
+    """
+    step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / 20000)))
+    readings = frames[:, ::step, ::step].reshape(len(frames), -1).astype(np.float64)
+    left, freedom = np.zeros(readings.shape[1]), 0
+    for fringes, position in zip(pattern.sets, pattern.frame_slices, strict=True):
+        solver = solve_steps(fringes.steps_rad)
+        left += ((solver.residual @ readings[position]) ** 2).sum(axis=0)
+        freedom += solver.redundancy
+    if freedom == 0:
+        return
+    # Without fringes a pixel has the noise of darkness; the median pixel that has some stands for the mirror.
+    spread = readings.std(axis=0)
+    on_mirror = spread > 0.3 * np.quantile(spread, 0.99)
+    seen_dn = float(np.sqrt(np.median(left[on_mirror]) / freedom)) if on_mirror.any() else float("nan")
+    stated_dn = float(noise.sigma_read_dn)
+    ratio = stated_dn / max(seen_dn, 0.29)
+    if not 1 / _NOISE_FACTOR < ratio < 4 * _NOISE_FACTOR:
+        raise EstimationError(
+            f"images.pixel_noise_dn = {stated_dn:g}, but the readings scatter by {seen_dn:.2g} DN about their "
+            "sinusoids; leave the key out to take the noise from the frames, or check the linearity of the display"
+        )
+    if not 2 / _NOISE_FACTOR < ratio < _NOISE_FACTOR / 2:
+        warnings.warn(
+            f"images.pixel_noise_dn = {stated_dn:g}, but the readings scatter by {seen_dn:.2g} DN about their "
+            "sinusoids; all sigmas follow the stated number",
+            QualityWarning,
+            stacklevel=2,
+        )

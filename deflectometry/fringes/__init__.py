@@ -1,0 +1,1 @@
+"""Fringe images become phases, phases become the screen point that each pixel sees."""

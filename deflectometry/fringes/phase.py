@@ -1,0 +1,476 @@
+"""Phase of fringes with its uncertainty: least squares over any steps, and the pixel noise pooled over an image."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.setup.patterns import design_matrix, determines_phase
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
+
+TURN_RAD = 2 * np.pi
+
+#: Variance of rounding to whole digital numbers [DN^2]; no integer frame can have less noise.
+QUANTISATION_VARIANCE_DN2 = 1.0 / 12.0
+
+
+#: Where the response is three times steeper than usual it bends within the noise, and first order overstates it.
+_STEEP = 9.0
+
+
+class LightResponse(Protocol):
+    """What turns camera readings into quantities linear in the display's level."""
+
+    def linearise(self, camera_dn: FloatArray) -> FloatArray:
+        """Return the linear quantity for camera readings [DN]."""
+
+    def slope(self, camera_dn: FloatArray) -> FloatArray:
+        """Return its derivative with respect to the camera reading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseModel:
+    """Noise of one camera reading: ``variance = sigma_read_dn**2 + gain_dn * signal_dn``.
+
+    Parameters
+    ----------
+    sigma_read_dn : float
+        Share that does not depend on the signal; includes rounding to whole numbers (0.29 DN) [DN].
+    gain_dn : float, optional
+        Photon share, digital numbers per electron [DN].
+
+    Raises
+    ------
+    InputError
+        Negative, not finite, or both zero.
+    """
+
+    sigma_read_dn: float
+    gain_dn: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = (self.sigma_read_dn, self.gain_dn)
+        if not all(math.isfinite(value) and value >= 0 for value in values) or not any(values):
+            raise InputError(f"pixel noise: numbers >= 0, not both 0, are needed, not {values} DN")
+
+    def variance(self, signal_dn: FloatArray) -> FloatArray:
+        """Return the variance of readings [DN^2]; negative readings count as dark."""
+        return np.asarray(self.sigma_read_dn**2 + self.gain_dn * np.maximum(signal_dn, 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepSolver:
+    """Least-squares solution for one set of steps, as matrices that act on the readings.
+
+    Parameters
+    ----------
+    steps_rad : ndarray, shape (n,)
+        Phase steps [rad].
+    estimate : ndarray, shape (3, n)
+        Readings to (a, b cos(phi), b sin(phi)).
+    residual : ndarray, shape (n - 3, n)
+        Readings to the n - 3 orthonormal combinations that any sinusoid leaves zero.
+    variance : ndarray, shape (4, n)
+        Variances of the readings to the variances of b cos(phi) and b sin(phi), their covariance, and the mean
+        variance of the residuals (the last row is zero for n = 3).
+    balanced : bool
+        Whether the phase's variance needs only the mean reading: equal steps, n >= 4.
+    """
+
+    steps_rad: FloatArray
+    estimate: FloatArray
+    residual: FloatArray
+    variance: FloatArray
+    balanced: bool
+
+    @property
+    def redundancy(self) -> int:
+        """Readings beyond the three unknowns."""
+        return len(self.residual)
+
+
+def solve_steps(steps_rad: npt.ArrayLike) -> StepSolver:
+    """Prepare the least-squares solution for one set of steps.
+
+    Parameters
+    ----------
+    steps_rad : array_like, shape (n,)
+        Phase steps [rad].
+
+    Returns
+    -------
+    StepSolver
+        Matrices to apply to readings.
+
+    Raises
+    ------
+    EstimationError
+        The steps do not determine the phase.
+    """
+    steps = float_array("steps_rad", steps_rad, (None,))
+    if not determines_phase(steps):
+        raise EstimationError(
+            f"phase: the steps {np.degrees(steps).round(4).tolist()} deg do not determine offset, modulation and "
+            "phase; at least three steps that differ modulo 360 deg are needed"
+        )
+    matrix = design_matrix(steps)
+    n = len(steps)
+    basis = np.linalg.svd(matrix, full_matrices=True)[0]
+    estimate, residual = np.linalg.pinv(matrix), basis[:, 3:].T
+    spread = (residual**2).sum(axis=0) / max(n - 3, 1)
+    variance = np.stack([estimate[1] ** 2, estimate[2] ** 2, estimate[1] * estimate[2], spread])
+    # With n >= 4 equal steps the photon share's harmonics 1 and 3 of the phase cancel: the mean reading is enough.
+    angle = np.linspace(0, TURN_RAD, 24, endpoint=False)[:, None]
+    weights = (np.cos(angle) * estimate[2] - np.sin(angle) * estimate[1]) ** 2
+    uneven = max(np.abs(weights.sum(axis=1) - 2 / n).max(), np.abs((weights * np.cos(angle - steps)).sum(axis=1)).max())
+    return StepSolver(steps, freeze(estimate), freeze(residual), freeze(variance), bool(n > 3 and uneven < 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseFit:
+    """Sinusoid fitted to each pixel of one set of frames.
+
+    Parameters
+    ----------
+    phase_rad : ndarray, shape (...)
+        Phase in (-pi, pi] [rad].
+    sigma_rad : ndarray, shape (...)
+        Its standard deviation [rad]; infinite without modulation.
+    modulation_dn : ndarray, shape (...)
+        Amplitude b of the sinusoid [DN, or the response's unit].
+    offset_dn : ndarray, shape (...)
+        Mean a [DN, or the response's unit].
+    residual_dn : ndarray, shape (...)
+        Root of the sum of squared residuals per degree of freedom; NaN for three frames [DN, or the response's unit].
+    """
+
+    phase_rad: FloatArray
+    sigma_rad: FloatArray
+    modulation_dn: FloatArray
+    offset_dn: FloatArray
+    residual_dn: FloatArray
+
+
+def fit_phase(
+    frames: npt.ArrayLike,
+    steps_rad: npt.ArrayLike,
+    *,
+    noise: NoiseModel | None = None,
+    response: LightResponse | None = None,
+) -> PhaseFit:
+    """Fit ``I_k = a + b cos(phi - step_k)`` to each pixel by least squares.
+
+    Parameters
+    ----------
+    frames : array_like, shape (n, ...)
+        Readings in the order of the steps [DN].
+    steps_rad : array_like, shape (n,)
+        Phase steps, any values that determine the phase [rad].
+    noise : NoiseModel, optional
+        Noise of the readings; estimated from the residuals of all pixels without it.
+    response : LightResponse, optional
+        Makes readings linear first; the noise is carried through its slope.
+
+    Returns
+    -------
+    PhaseFit
+        Float64 arrays of the pixels' shape; NaN where a reading is not finite.
+
+    Raises
+    ------
+    InputError
+        Number of frames and of steps differ.
+    EstimationError
+        The steps do not determine the phase, or three frames without a noise model.
+
+    Notes
+    -----
+    Unweighted least squares. With the rows c, s of the solution that give b cos(phi) and b sin(phi),
+    ``sigma_phi**2 = sum_k (cos(phi) s_k - sin(phi) c_k)**2 var(I_k) / b**2``; n equal steps and constant noise give the
+    Cramer-Rao bound ``sigma_phi = sqrt(2 / n) sigma / b``. First order: it holds for sigma_phi below about 0.3 rad.
+    Model: spec 003 C-31 (Ulmer et al. 2011 for four steps), with steps of any value instead of 2 pi / n.
+
+    Examples
+    --------
+    >>> fit = fit_phase([3.0, 2.0, 1.0, 2.0], [0, np.pi / 2, np.pi, 3 * np.pi / 2], noise=NoiseModel(0.01))
+    >>> round(float(fit.modulation_dn), 6), round(float(fit.sigma_rad), 6)
+    (1.0, 0.007071)
+    """
+    given = np.asarray(frames)
+    floor = QUANTISATION_VARIANCE_DN2 if given.dtype.kind in "ui" else 1e-12
+    readings = given.astype(np.float64)
+    solver = solve_steps(steps_rad)
+    if readings.ndim < 1 or len(readings) != len(solver.steps_rad):
+        raise InputError(f"phase: {len(solver.steps_rad)} steps need as many frames, not {readings.shape}")
+    shape = readings.shape[1:]
+    readings = readings.reshape(len(readings), -1)
+    model = noise if noise is not None else estimate_noise(readings, [solver], response=response, floor_dn2=floor)
+    light, slope_squared = _linear_light(readings, response)
+    offset, cosine, sine = solver.estimate @ light
+    modulation = np.hypot(cosine, sine)
+    var_cc, var_ss, var_cs, _ = solver.variance @ (slope_squared * model.variance(readings))
+    across = cosine**2 * var_ss + sine**2 * var_cc - 2 * cosine * sine * var_cs
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = np.where(modulation == 0, np.inf, np.sqrt(np.maximum(across, 0.0)) / modulation**2)
+    squares = ((solver.residual @ light) ** 2).sum(axis=0)
+    residual = np.sqrt(squares / solver.redundancy) if solver.redundancy else np.full_like(offset, np.nan)
+    phase = wrap_phase(np.arctan2(sine, cosine))
+    return PhaseFit(*(freeze(part.reshape(shape)) for part in (phase, sigma, modulation, offset, residual)))
+
+
+def wrap_phase(phase_rad: FloatArray) -> FloatArray:
+    """Wrap angles into (-pi, pi].
+
+    Parameters
+    ----------
+    phase_rad : ndarray, shape (...)
+        Angles [rad].
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The same angles within (-pi, pi] [rad].
+
+    Examples
+    --------
+    >>> wrap_phase(np.array([3 * np.pi, -np.pi]))
+    array([3.14159265, 3.14159265])
+    """
+    return np.asarray(phase_rad - TURN_RAD * np.ceil((phase_rad - np.pi) / TURN_RAD), dtype=np.float64)
+
+
+def _linear_light(readings: FloatArray, response: LightResponse | None) -> tuple[FloatArray, FloatArray]:
+    """Return linear light and the squared slope that carries a variance of readings to it."""
+    if response is None:
+        return readings, np.ones_like(readings)
+    return response.linearise(readings), response.slope(readings) ** 2
+
+
+def estimate_noise(
+    readings: FloatArray,
+    solvers: Sequence[StepSolver],
+    *,
+    response: LightResponse | None = None,
+    floor_dn2: float = 1e-12,
+) -> NoiseModel:
+    """Estimate read and photon noise from what sinusoids leave over, pooled over pixels and sets.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n_frames, n_pixels)
+        Readings of all sets after one another [DN].
+    solvers : sequence of StepSolver
+        One for each set, in the order of the frames.
+    response : LightResponse, optional
+        Makes readings linear.
+    floor_dn2 : float, optional
+        Smallest variance; `QUANTISATION_VARIANCE_DN2` for integer frames [DN^2].
+
+    Returns
+    -------
+    NoiseModel
+        Of camera readings, whether or not there is a response.
+
+    Raises
+    ------
+    EstimationError
+        No set has more than three frames, or no pixel is finite.
+
+    Notes
+    -----
+    Each residual r of weights q has the expected square ``sum_k q_k**2 slope_k**2 (read**2 + gain I_k)``, linear in
+    both unknowns: weighted regression of the squares, readings beyond 4 sigma left out (they carry 0.1 % of a normal
+    variance). Pixels that show fringes decide where there are enough: dark pixels clip at zero and would look quiet.
+    What harmonics of the display leave (`residual_distortion`) is taken out first: it is no noise.
+    """
+    squares = _squared_residuals(readings, solvers, response)
+    if squares.value.size == 0:
+        raise EstimationError(
+            "pixel noise: sets of three frames leave no residual to estimate it from; give pixel_noise_dn, "
+            "or take four or more steps"
+        )
+    ratio = squares.value / np.maximum(squares.constant, 1e-300)
+    # 0.4549 is the median of a chi-square with one degree of freedom; whole numbers can put the median at zero.
+    start = max(float(np.median(ratio)) / 0.4549 or float(np.mean(ratio)), floor_dn2)
+    # b above 7.4 sigma of one reading: what a pixel without fringes reaches with 4 frames once in 1e12.
+    bright = squares.power > 55.0 * start * squares.constant
+    for better in (bright & (squares.steepness < _STEEP), bright):
+        if np.count_nonzero(better) >= 200:
+            squares = squares.chosen(better)
+            break
+    read, gain = start, 0.0
+    for _ in range(6):
+        expected = read * squares.constant + gain * squares.linear
+        kept = (squares.value < 16.0 * expected) & (expected > 0)
+        if not kept.any():
+            break
+        read, gain = _regress(squares.chosen(kept), expected[kept], floor_dn2)
+    return NoiseModel(math.sqrt(read), gain)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Squares:
+    """Squared residuals of all sets and pixels, with what goes with each.
+
+    Parameters
+    ----------
+    value : ndarray, shape (k,)
+        Squared residuals.
+    constant, linear : ndarray, shape (k,)
+        Their expected values for 1 DN^2 of read noise and for a gain of 1 DN.
+    power : ndarray, shape (k,)
+        Squared modulation of the pixel.
+    steepness : ndarray, shape (k,)
+        Largest squared slope of the response among the readings, over the median.
+    """
+
+    value: FloatArray
+    constant: FloatArray
+    linear: FloatArray
+    power: FloatArray
+    steepness: FloatArray
+
+    def chosen(self, where: BoolArray) -> "_Squares":
+        """Return some of them."""
+        return _Squares(*(part[where] for part in self._parts()))
+
+    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        return self.value, self.constant, self.linear, self.power, self.steepness
+
+    @classmethod
+    def joined(cls, sets: "Sequence[_Squares]") -> "_Squares":
+        """Join the sets; nothing for no set."""
+        if not sets:
+            return cls(*(np.zeros(0) for _ in range(5)))
+        return cls(*(np.concatenate(parts) for parts in zip(*(one._parts() for one in sets), strict=True)))
+
+
+def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], response: LightResponse | None) -> _Squares:
+    """Return what sinusoids leave over in the pixels whose readings are all finite."""
+    found: list[_Squares] = []
+    finite = np.isfinite(readings).all(axis=0)
+    start = 0
+    for solver in solvers:
+        stop = start + len(solver.steps_rad)
+        chosen = readings[start:stop, finite]
+        start = stop
+        if solver.redundancy == 0 or chosen.size == 0:
+            continue
+        light, slope_squared = _linear_light(chosen, response)
+        weights = solver.residual**2
+        _, cosine, sine = solver.estimate @ light
+        constant = weights @ slope_squared
+        steepness = slope_squared.max(axis=0) / (float(np.median(slope_squared)) or 1.0)
+        # Next to black a response can be steep and bent: such pixels must not shape the harmonics of all others.
+        gentle = (
+            (steepness < _STEEP)
+            if np.count_nonzero(steepness < _STEEP) >= 50
+            else np.ones(steepness.shape, dtype=np.bool_)
+        )
+        distortion = residual_distortion(light, solver, gentle / np.maximum(constant.mean(axis=0), 1e-300))
+        squares = (solver.residual @ light - distortion @ _harmonics(cosine, sine)) ** 2
+        linear = weights @ (slope_squared * np.maximum(chosen, 0.0))
+        power, steepness = (np.broadcast_to(part, squares.shape) for part in (cosine**2 + sine**2, steepness))
+        found.append(_Squares(*(part.ravel() for part in (squares, constant, linear, power, steepness))))
+    return _Squares.joined(found)
+
+
+def residual_distortion(light: FloatArray, solver: StepSolver, weights: FloatArray | None = None) -> FloatArray:
+    """Fit what the second and third harmonic of the fringes leave in the residuals of one set, pooled over pixels.
+
+    Parameters
+    ----------
+    light : ndarray, shape (n, n_pixels)
+        Linear readings of the set [DN, or the response's unit].
+    solver : StepSolver
+        Solution for the set's steps.
+    weights : ndarray, shape (n_pixels,), optional
+        Inverse variance of the pixels' residuals, up to a factor; all the same without it.
+
+    Returns
+    -------
+    ndarray, shape (n - 3, 4)
+        Residual for each DN of modulation, on the cosine and sine of twice and three times the phase.
+
+    Notes
+    -----
+    Four equal steps show the second harmonic only (the third falls on the fundamental), five or more show both;
+    combinations that the steps cannot show come out as zero.
+    """
+    _, cosine, sine = solver.estimate @ light
+    basis = _harmonics(cosine, sine)
+    weighted = basis if weights is None else basis * weights
+    scale = np.maximum(np.sqrt((basis * weighted).sum(axis=1)), 1e-100)
+    normal = (basis / scale[:, None]) @ (weighted / scale[:, None]).T
+    right = (weighted / scale[:, None]) @ (solver.residual @ light).T
+    return np.asarray((np.linalg.lstsq(normal, right, rcond=1e-9)[0] / scale[:, None]).T)
+
+
+def _harmonics(cosine: FloatArray, sine: FloatArray) -> FloatArray:
+    """Return modulation times cos 2 phi, sin 2 phi, cos 3 phi, sin 3 phi, shape (4, n_pixels)."""
+    modulation, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
+    return np.stack([modulation * wave(order * phase) for order in (2, 3) for wave in (np.cos, np.sin)])
+
+
+def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[float, float]:
+    """Fit squares = read * constant + gain * linear, read at least the floor; sigma of a square is its expectation."""
+    columns = np.stack([squares.constant, squares.linear], axis=1) / expected[:, None]
+    wanted = squares.value / expected
+    normal, right = columns.T @ columns, columns.T @ wanted
+    scale = np.maximum(np.sqrt(np.diag(normal)), 1e-100)
+    covariance = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10)
+    read, gain = (covariance @ (right / scale)) / scale
+    # A square scatters by sqrt(2) of its mean. Where the signal varies too little to tell the photon share apart
+    # (4 sigma), all of the noise counts as read noise; the variance at that signal is the same.
+    if gain < 4 * np.sqrt(2.0 * covariance[1, 1]) / scale[1]:
+        return max(float(right[0] / scale[0] ** 2), floor), 0.0
+    if read < floor:
+        return floor, max(0.0, float((right[1] - floor * normal[0, 1]) / scale[1] ** 2))
+    return float(read), float(gain)
+
+
+def chi_square_limit(redundancy: int, probability: float) -> float:
+    """Return the value that a chi-square exceeds with a given probability.
+
+    Parameters
+    ----------
+    redundancy : int
+        Degrees of freedom, at least 1.
+    probability : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    float
+        The limit.
+
+    Examples
+    --------
+    >>> round(chi_square_limit(1, 0.05), 4), round(chi_square_limit(8, 0.01), 4)
+    (3.8415, 20.0902)
+    """
+    low, high = 0.0, 2.0
+    while _chi_square_tail(high, redundancy) > probability:
+        high *= 2.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _chi_square_tail(middle, redundancy) > probability else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _chi_square_tail(value: float, redundancy: int) -> float:
+    """Return P(chi-square > value): the closed forms for even and odd degrees of freedom."""
+    half = 0.5 * value
+    if half > 700.0:
+        return 0.0
+    odd = redundancy % 2
+    total = math.erfc(math.sqrt(half)) if odd else 0.0
+    term = math.exp(-half) * (math.sqrt(half / math.pi) * 2.0 if odd else 1.0)
+    for index in range(redundancy // 2):
+        total += term
+        term *= half / (index + (1.5 if odd else 1.0))
+    return total

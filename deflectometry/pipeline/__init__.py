@@ -1,0 +1,1 @@
+"""The stages of a deflectometric measurement, in a row in `measure`."""

@@ -1,0 +1,195 @@
+"""The numbers and words that stand for a measurement: what summary.json holds."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from deflectometry.pipeline.evaluate import Evaluation, LocatedMirror
+from deflectometry.setup.bench import Setup
+from heliogauge.flags import FLAG_TEXTS, count_flags
+from heliogauge.reporting.notation import number_text
+from heliogauge.results.folder import Summary, unit_of
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.statistics import Removal, SlopeStatistics, canting, curl, fit_quadratic, statistics
+from heliogauge.validate import FloatArray
+
+Numbers = dict[str, float | int | None]
+
+#: What is taken out, and how the numbers that are left are called.
+VIEWS: tuple[tuple[str, Removal], ...] = (
+    ("", Removal.NOTHING),
+    ("_tilt_removed", Removal.TILT),
+    ("_best_focus", Removal.FOCUS),
+    ("_best_quadratic", Removal.QUADRATIC),
+)
+
+
+def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
+    """Collect the headline numbers of one map.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map, after what the user wants removed.
+    as_measured : SlopeMap
+        The map before that: focal lengths and twist are the mirror's, not those of what is left.
+
+    Returns
+    -------
+    dict of str to number
+        Numbers by name with the unit at the end, each sigma beside its number.
+    """
+    numbers: Numbers = {}
+    for view, removal in VIEWS:
+        numbers.update(_deviation_numbers(statistics(slope_map, removed=removal), view))
+    fit = fit_quadratic(as_measured)
+    numbers |= {
+        "focal_length_x_m": fit.focal_length_x_m,
+        "sigma_focal_length_x_m": fit.sigma_focal_length_x_m,
+        "focal_length_y_m": fit.focal_length_y_m,
+        "sigma_focal_length_y_m": fit.sigma_focal_length_y_m,
+        "twist_per_m": float(fit.coefficients[4]),
+        "sigma_twist_per_m": float(np.sqrt(fit.covariance[4, 4])),
+    }
+    numbers |= _uncertainty_numbers(slope_map)
+    numbers["measured_share"] = slope_map.measured_share
+    numbers["valid_nodes_count"] = int(np.count_nonzero(slope_map.valid))
+    return numbers
+
+
+def canting_numbers(as_measured: SlopeMap) -> Numbers:
+    """Collect the canting of one facet of an ensemble, from its map before anything was removed."""
+    canted = canting(as_measured)
+    sigma = np.sqrt(np.diag(canted.covariance_slope_rad2))
+    return {
+        "canting_x_mrad": 1e3 * float(canted.slope_rad[0]),
+        "sigma_canting_x_mrad": 1e3 * float(sigma[0]),
+        "canting_y_mrad": 1e3 * float(canted.slope_rad[1]),
+        "sigma_canting_y_mrad": 1e3 * float(sigma[1]),
+    }
+
+
+def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
+    values = {
+        "sdx": (deviation.sdx_rad, deviation.sigma_sdx_rad),
+        "sdy": (deviation.sdy_rad, deviation.sigma_sdy_rad),
+        "sd": (deviation.sd_rad, deviation.sigma_sd_rad),
+    }
+    numbers: Numbers = {}
+    for name, (value, sigma) in values.items():
+        numbers[f"{name}{view}_mrad"] = 1e3 * value
+        numbers[f"sigma_{name}{view}_mrad"] = 1e3 * sigma
+    return numbers
+
+
+def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
+    """Tell the shares of the uncertainty apart: random, and each common source, as RMS over the map."""
+    valid = slope_map.valid
+    sigma_x, sigma_y = slope_map.sigma_slope()
+    numbers: Numbers = {
+        "sigma_slope_x_rms_mrad": 1e3 * _rms(sigma_x[valid]),
+        "sigma_slope_y_rms_mrad": 1e3 * _rms(sigma_y[valid]),
+        "sigma_random_x_rms_mrad": 1e3 * _rms(slope_map.sigma_random_x[valid]),
+        "sigma_random_y_rms_mrad": 1e3 * _rms(slope_map.sigma_random_y[valid]),
+    }
+    common = slope_map.common
+    modes = common.evaluate(*(grid[valid] for grid in np.meshgrid(slope_map.x_m, slope_map.y_m)))
+    for source in dict.fromkeys(common.sources):
+        chosen = [k for k, name in enumerate(common.sources) if name == source]
+        share = np.sqrt((modes[chosen] ** 2).sum(axis=0).mean(axis=-1))
+        name = source.replace(" ", "_")
+        numbers[f"sigma_{name}_x_rms_mrad"] = 1e3 * float(share[0])
+        numbers[f"sigma_{name}_y_rms_mrad"] = 1e3 * float(share[1])
+    turn = curl(slope_map)
+    numbers["curl_rms_per_m"] = _rms(turn.value_per_m[valid & np.isfinite(turn.value_per_m)])
+    numbers["curl_expected_rms_per_m"] = _rms(turn.sigma_per_m[valid & np.isfinite(turn.value_per_m)])
+    return numbers
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+
+
+def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:
+    """Collect the evidence for the pose and the noise of the images."""
+    pose = evaluation.solution.cam_from_mirror
+    numbers: Numbers = {
+        "camera_distance_m": float(np.linalg.norm(pose.translation_m)),
+        "noise_dn": float(evaluation.screen_map.noise.sigma_read_dn),
+        "alignment_turn_mrad": 1e3
+        * float(np.linalg.norm((located.pose.cam_from_mirror.inverse() @ pose).rotation_vector_rad)),
+    }
+    evidence = located.evidence
+    if evidence is not None:
+        numbers |= {
+            "pose_residual_px": evidence.residual_rms_px,
+            "pose_residual_without_distance_px": evidence.image_only_rms_px,
+            "pose_points_count": evidence.n_points,
+            "pose_rejected_count": evidence.n_rejected,
+        }
+        for test in evidence.distance_tests:
+            numbers |= {
+                "distance_measured_m": test.measured_m,
+                "distance_from_image_m": test.image_only_m,
+                "sigma_distance_from_image_m": test.sigma_image_only_m,
+                "distance_residual_mm": 1e3 * test.residual_m,
+                "distance_agreement_probability": test.probability,
+            }
+    return numbers
+
+
+def flag_words(evaluation: Evaluation) -> str:
+    """Say how many pixels of the mirror were rejected, and why."""
+    on_mirror = evaluation.facet_index >= 0
+    total = int(np.count_nonzero(on_mirror))
+    counts = count_flags(evaluation.screen_map.flags, on_mirror)
+    if not counts:
+        return f"none of {total} pixels rejected"
+    listed = "; ".join(f"{FLAG_TEXTS[flag]}: {count}" for flag, count in counts.items())
+    return f"{listed} (of {total} pixels on the mirror)"
+
+
+def geometry(setup: Setup, evaluation: Evaluation) -> Mapping[str, object]:
+    """Collect points for the sketch of the setup, in the mirror's frame [m]."""
+    mirror_from_cam = evaluation.solution.cam_from_mirror.inverse()
+    edge = np.array([0.001, 0.25, 0.5, 0.75, 0.999])
+    low, high = np.full(5, 0.001), np.full(5, 0.999)
+    border = setup.screen.points_m(
+        np.concatenate([edge, high, edge[::-1], low]), np.concatenate([low, edge, high, edge[::-1]])
+    )
+    outlines = [facet.ensemble_from_facet.apply(facet.corners_m) for facet in evaluation.located.facets]
+    return {
+        "camera": mirror_from_cam.translation_m.tolist(),
+        "camera_axis": mirror_from_cam.rotate([0.0, 0.0, 1.0]).tolist(),
+        "screen": (mirror_from_cam @ setup.cam_from_screen).apply(border).tolist(),
+        "mirror": np.concatenate(outlines).tolist(),
+    }
+
+
+def headline_text(summary: Summary) -> str:
+    """Say the most important numbers in a few lines for the terminal.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        Lines with values, sigmas and what they refer to.
+    """
+
+    def number(key: str) -> str:
+        value, sigma = summary.numbers[key], summary.numbers[f"sigma_{key}"]
+        return "not determined" if value is None else number_text(float(value), sigma, unit_of(key)[1])
+
+    lines = [
+        f"{summary.name}: slope deviation of the normal against {summary.texts['design']}",
+        f"  as measured      SDx {number('sdx_mrad')}   SDy {number('sdy_mrad')}",
+        f"  best-fit focus   SDx {number('sdx_best_focus_mrad')}   SDy {number('sdy_best_focus_mrad')}",
+        f"  focal length     x {number('focal_length_x_m')}   y {number('focal_length_y_m')}",
+        f"  removed          {summary.texts['removed']}",
+        f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",
+    ]
+    return "\n".join(lines)

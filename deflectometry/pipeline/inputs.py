@@ -1,0 +1,252 @@
+"""From measurement.toml to what the numeric modules work on: camera, screen, pattern, facets."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
+from deflectometry.setup.bench import RectangularScreen, Screen, Setup, TabulatedScreen
+from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from deflectometry.setup.screen_table import check_screen_table
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet, Quadric
+from heliogauge.measurement.designs import build_design
+from heliogauge.measurement.load import MEASUREMENT_FILE, DeflectometryMeasurement
+from heliogauge.measurement.models import (
+    CameraParameters,
+    FacetSection,
+    MirrorSection,
+    PoseSection,
+    RectangularScreenSection,
+    TabulatedScreenSection,
+)
+from heliogauge.results.tables import read_camera_json, read_table_csv
+from heliogauge.validate import FloatArray, float_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPose:
+    """A pose that was measured otherwise.
+
+    Parameters
+    ----------
+    cam_from_mirror : RigidTransform
+        The pose.
+    covariance : ndarray, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved` [rad, m].
+    """
+
+    cam_from_mirror: RigidTransform
+    covariance: FloatArray
+
+
+#: A full turn; no rotation needs more.
+TURN_RAD = 2 * np.pi
+#: Steps over less than this leave the phase to noise.
+LEAST_SPAN_DEG = 30.0
+
+
+def build_setup(measurement: DeflectometryMeasurement) -> Setup:
+    """Build camera and screen of a measurement.
+
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        The checked measurement.
+
+    Returns
+    -------
+    Setup
+        Camera, screen, their relative pose and its covariance.
+
+    Raises
+    ------
+    InputError
+        A camera file or screen table that cannot be read, or a rotation of more than a turn.
+    """
+    section = measurement.model.screen
+    known = _known_pose(section)
+    return Setup(
+        camera=_build_camera(measurement),
+        screen=_build_screen(measurement),
+        cam_from_screen=known.cam_from_mirror,
+        covariance_cam_from_screen=known.covariance,
+        sigma_screen_points_m=section.sigma_points_mm * 1e-3,
+    )
+
+
+def _build_camera(measurement: DeflectometryMeasurement) -> Camera:
+    section = measurement.model.camera
+    if not isinstance(section, CameraParameters):
+        return read_camera_json(measurement.path(section.file))
+    distortion = BrownDistortion(
+        k1=section.k1, k2=section.k2, k3=section.k3, p1=section.p1, p2=section.p2,
+        direction=DistortionDirection(section.distortion_direction),
+    )  # fmt: skip
+    sigma = [
+        section.sigma_focal_px, section.sigma_focal_px, section.sigma_center_px, section.sigma_center_px,
+        section.sigma_skew, section.sigma_k1, section.sigma_k2, section.sigma_p1, section.sigma_p2, section.sigma_k3,
+    ]  # fmt: skip
+    return Camera(
+        width_px=section.width_px, height_px=section.height_px,
+        focal_x_px=section.focal_x_px, focal_y_px=section.focal_y_px,
+        center_x_px=section.center_x_px, center_y_px=section.center_y_px,
+        skew=section.skew, distortion=distortion, covariance=np.diag(np.square(sigma)),
+    )  # fmt: skip
+
+
+def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
+    section = measurement.model.screen
+    if isinstance(section, RectangularScreenSection):
+        return RectangularScreen(section.width_m, section.height_m)
+    names = ("u", "v", "x_m", "y_m", "z_m")
+    file = measurement.path(section.file)
+    columns = read_number_columns(file, names)
+    check_screen_table(columns, str(file))
+    try:
+        return TabulatedScreen(columns[0], columns[1], columns[2:].T)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
+    """Read named columns of numbers from a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    names : tuple of str
+        Names of the columns.
+
+    Returns
+    -------
+    ndarray, shape (n_names, n_rows)
+        The numbers.
+
+    Raises
+    ------
+    InputError
+        A missing column, or a cell that is not a finite number.
+    """
+    table = read_table_csv(path, names)
+    try:
+        values = [[float(cell) for cell in table[name]] for name in names]
+    except ValueError as error:
+        raise InputError(f"{path}: {', '.join(names)} must hold numbers ({error})") from error
+    return float_array(f"{path}", values, (len(names), None))
+
+
+def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
+    """Build the fringe pattern of a measurement."""
+    for number, one in enumerate(measurement.model.pattern.set, start=1):
+        span = max(one.steps_deg) - min(one.steps_deg)
+        if 0 < span < LEAST_SPAN_DEG:
+            raise InputError(
+                f"{measurement.folder / MEASUREMENT_FILE}: pattern.set[{number}].steps_deg span only {span:.3g} "
+                "deg; are they in radians? Give degrees, such as [0, 90, 180, 270]"
+            )
+    return FringePattern(
+        tuple(
+            FringeSet(Axis(one.axis), one.periods, np.deg2rad(one.steps_deg)) for one in measurement.model.pattern.set
+        )
+    )
+
+
+def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScreenSection) -> KnownPose:
+    turn_rad = float(np.linalg.norm(section.rotation_vector_rad))
+    if turn_rad > TURN_RAD:
+        raise InputError(
+            f"rotation_vector_rad = {list(section.rotation_vector_rad)}: {turn_rad:.4g} rad are more than one turn; "
+            "is it in degrees? Give axis times angle in radians"
+        )
+    pose = RigidTransform.from_rotation_vector(section.rotation_vector_rad, section.translation_m)
+    sigma = 1e-3 * np.array([*section.sigma_rotation_mrad, *section.sigma_translation_mm])
+    return KnownPose(pose, np.diag(sigma**2))
+
+
+def build_pose(section: PoseSection) -> KnownPose:
+    """Build the mirror's pose from what was measured otherwise."""
+    return _known_pose(section)
+
+
+def build_facets(section: MirrorSection, name: str) -> tuple[Facet, ...]:
+    """Build the facets of a mirror.
+
+    Parameters
+    ----------
+    section : MirrorSection
+        The mirror; with an outline or facets.
+    name : str
+        Name of a single mirror.
+
+    Returns
+    -------
+    tuple of Facet
+        One facet, or those of the ensemble; empty where no outline is given. A facet of an ensemble without a design
+        of its own is cut from the ensemble's surface.
+    """
+    if section.facet:
+        return tuple(_ensemble_facet(one, section) for one in section.facet)
+    if section.outline_m is None:
+        return ()
+    return (_facet(name, build_design(section), section.outline_m, section.reference_point_m),)
+
+
+def _ensemble_facet(one: FacetSection, section: MirrorSection) -> Facet:
+    place = RigidTransform.from_rotation_vector(one.rotation_vector_rad, one.position_m)
+    design = build_design(one) if one.design else build_design(section).transformed(place.inverse())
+    return _facet(one.name, design, one.outline_m, one.reference_point_m, place)
+
+
+def _facet(
+    name: str,
+    design: Quadric,
+    outline_m: tuple[tuple[float, float], ...],
+    reference_point_m: tuple[float, float] | None,
+    place: RigidTransform | None = None,
+) -> Facet:
+    reference = np.full(2, np.nan) if reference_point_m is None else np.asarray(reference_point_m)
+    return Facet(name, np.asarray(outline_m), design, place or RigidTransform.identity(), reference)
+
+
+def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
+    """Build what helps to find the pose: measured distance, known points, trust in the outline, expected roll.
+
+    Parameters
+    ----------
+    section : MirrorSection
+        The mirror.
+    setup : Setup
+        Gives the screen's origin in the camera frame.
+
+    Returns
+    -------
+    Knowledge
+        Distances and points with their sigmas, how well the outline is known, and the expected roll.
+    """
+    distances: tuple[DistanceObservation, ...] = ()
+    if section.distance is not None:
+        measured = section.distance
+        distances = (
+            DistanceObservation(
+                measured.distance_m, measured.sigma_mm * 1e-3, np.asarray(measured.point_m),
+                setup.cam_from_screen.translation_m,
+            ),
+        )  # fmt: skip
+    points = section.known_point
+    known = KnownPoints(
+        np.array([one.point_m for one in points]).reshape(-1, 3),
+        np.array([one.image_px for one in points]).reshape(-1, 2),
+        np.array([one.sigma_px for one in points]),
+    )
+    return Knowledge(
+        distances=distances,
+        points=known,
+        roll_rad=float(np.deg2rad(section.roll_deg)),
+        sigma_outline_m=section.outline_sigma_mm * 1e-3,
+    )

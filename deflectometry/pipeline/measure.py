@@ -1,0 +1,438 @@
+"""A measurement folder to results: read, check, evaluate, write."""
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calibration.screen.response import ScreenResponse
+from deflectometry.frames.checks import check_frames
+from deflectometry.frames.image_checks import check_noise, check_size, saturation_level, warn_of_compression
+from deflectometry.fringes.phase import NoiseModel
+from deflectometry.fringes.screen_map import ScreenMapLimits
+from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, MirrorInput, Observation, evaluate_frames
+from deflectometry.pipeline.headline import Numbers, canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
+from deflectometry.pipeline.inputs import (
+    build_facets,
+    build_knowledge,
+    build_pattern,
+    build_pose,
+    build_setup,
+    read_number_columns,
+)
+from deflectometry.pose.mirror_pose import MirrorPose
+from deflectometry.setup.bench import Setup
+from deflectometry.setup.patterns import FringePattern
+from deflectometry.setup.screen_table import warn_beyond_table
+from deflectometry.shape.assemble import assemble_maps
+from deflectometry.shape.plausibility import doubts, refuse_impossible
+from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.geometry.rigid import skew
+from heliogauge.images.photos import read_frames
+from heliogauge.measurement.designs import build_design
+from heliogauge.measurement.load import DeflectometryMeasurement
+from heliogauge.measurement.models import Section
+from heliogauge.results.folder import (
+    PhotoPose,
+    Summary,
+    hash_files,
+    write_cameras_json,
+    write_pixels,
+    write_slope_map,
+    write_summary,
+    write_table_csv,
+)
+from heliogauge.results.slope_map_file import ASSEMBLED
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.removal import Removal, remove
+from heliogauge.validate import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices that override those of measurement.toml.
+
+    Parameters
+    ----------
+    align : Align or None
+        Orientation that the slopes refer to; None as measurement.toml says.
+    grid_step_mm : float or None
+        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
+    remove : Removal or None
+        What is taken out of the maps; None as measurement.toml says.
+    jobs : int or None
+        Threads that decode images; None for all processors.
+    """
+
+    align: Align | None = None
+    grid_step_mm: float | None = None
+    remove: Removal | None = None
+    jobs: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Everything a measurement gave, ready to be written.
+
+    Parameters
+    ----------
+    name : str
+        Name of the mirror.
+    setup : Setup
+        Camera and screen as used.
+    pattern : FringePattern
+        What was shown.
+    evaluation : Evaluation
+        Poses, pixels and the map of each facet as measured.
+    maps : dict of str to SlopeMap
+        The map of each measured facet, after what was to be removed.
+    assembled : SlopeMap
+        The map of the whole mirror, put together from these; that of the only facet where there is one.
+    assembled_as_measured : SlopeMap
+        The same before anything was removed.
+    numbers : dict of str to number
+        Headline numbers of the mirror.
+    facets : dict of str to dict
+        Headline numbers of each facet; empty for a single one.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    setup: Setup
+    pattern: FringePattern
+    evaluation: Evaluation
+    maps: dict[str, SlopeMap]
+    assembled: SlopeMap
+    assembled_as_measured: SlopeMap
+    numbers: Numbers
+    facets: dict[str, Numbers]
+    warnings: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+def run(
+    measurement: DeflectometryMeasurement, options: Options | None = None, progress: Progress | None = None
+) -> Result:
+    """Evaluate a measurement.
+
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        From `heliogauge.measurement.load.load_measurement`.
+    options : Options, optional
+        Choices that override the file's.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Maps, pixels, poses and warnings.
+
+    Raises
+    ------
+    InputError
+        Images or tables that cannot be used.
+    EstimationError
+        Frames that contradict the pattern, no mirror, or no slopes.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", QualityWarning)
+        setup, pattern = build_setup(measurement), build_pattern(measurement)
+        observation = read_observation(measurement, pattern, options, progress)
+        check_size(observation.frames, setup.camera, str(measurement.folder))
+        warn_of_compression([file.name for file in measurement.fringe_files])
+        with progress.stage("check frames"):
+            refuse_faulty_frames(observation)
+        warn_of_missing_sigmas(measurement, setup)
+        mirror = describe_mirror(measurement, setup)
+        if mirror.known_pose is not None:
+            refuse_impossible(setup, mirror.known_pose[0])
+        evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
+        refuse_impossible(setup, evaluation.solution.cam_from_mirror)
+        as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)
+        removal = evaluation.choices.removal
+        maps = {name: remove(one, removal) for name, one in evaluation.maps.items()}
+        assembled = as_measured if removal is Removal.NOTHING else assemble_maps(evaluation, maps, removal)
+        with progress.stage("statistics"):
+            numbers, facets = _numbers(evaluation, maps, (assembled, as_measured))
+        warn_beyond_table(setup.screen, evaluation.screen_map)
+        for doubt in doubts(numbers, facets, evaluation):
+            warnings.warn(doubt, QualityWarning, stacklevel=2)
+        with progress.stage("hash inputs"):
+            hashes = hash_files(measurement.input_files, measurement.folder)
+    said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
+    return Result(
+        measurement.model.name,
+        setup,
+        pattern,
+        evaluation,
+        maps,
+        assembled,
+        as_measured,
+        numbers,
+        facets,
+        said,
+        dict(progress.durations_s),
+        hashes,
+    )
+
+
+def read_observation(
+    measurement: DeflectometryMeasurement, pattern: FringePattern, options: Options, progress: Progress
+) -> Observation:
+    """Read the images of a measurement.
+
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        The measurement.
+    pattern : FringePattern
+        Its pattern.
+    options : Options
+        How many threads decode.
+    progress : Progress
+        Told of each image.
+
+    Returns
+    -------
+    Observation
+        Frames, response, noise and limits.
+
+    Raises
+    ------
+    InputError
+        An image that cannot be read, or images of different sizes.
+    """
+    section = measurement.model.images
+    extra = [measurement.path(text) for text in (section.dark, section.bright) if text is not None]
+    files = (*measurement.fringe_files, *extra)
+    frames = read_frames(files, jobs=options.jobs, progress=progress)
+    fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
+    lit = None
+    if section.bright is not None:
+        lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
+    saturation = section.saturation_dn or saturation_level(fringes, frames.full_scale_dn)
+    return Observation(
+        frames=fringes,
+        pattern=pattern,
+        response=read_response(measurement),
+        lit=lit,
+        noise=None if section.pixel_noise_dn is None else NoiseModel(section.pixel_noise_dn),
+        limits=ScreenMapLimits(saturation_dn=saturation),
+    )
+
+
+def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | None:
+    """Read the response of camera and display, where there is one."""
+    name = measurement.model.screen.response_file
+    if name is None:
+        return None
+    camera_dn, level = read_number_columns(measurement.path(name), ("camera_dn", "display_level"))
+    try:
+        return ScreenResponse(camera_dn, level)
+    except InputError as error:
+        raise InputError(f"{measurement.path(name)}: {error}") from None
+
+
+def refuse_faulty_frames(observation: Observation) -> None:
+    """Warn of doubtful frames; refuse frames that contradict the pattern.
+
+    Parameters
+    ----------
+    observation : Observation
+        The frames.
+
+    Raises
+    ------
+    EstimationError
+        At least one fault that makes the phases wrong, each with the frames and the remedy.
+    """
+    faults = check_frames(
+        observation.frames, observation.pattern, response=observation.response,
+        saturation_dn=observation.limits.saturation_dn,
+    )  # fmt: skip
+    for fault in faults:
+        if fault.severity == "warning":
+            warnings.warn(fault.message, QualityWarning, stacklevel=2)
+    errors = [fault.message for fault in faults if fault.severity == "error"]
+    if errors:
+        raise EstimationError("images.fringes: " + "\n  ".join(errors))
+    if observation.noise is not None and observation.response is None:
+        check_noise(observation.frames, observation.pattern, observation.noise)
+
+
+def warn_of_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> None:
+    """Say which inputs count as exact because nobody said how well they are known; a sigma of 0.0 is a statement."""
+    exact = []
+    if not setup.camera.covariance.any() and not _states_sigma(measurement.model.camera):
+        exact.append("the camera ([camera] sigma_focal_px ...)")
+    if not setup.covariance_cam_from_screen.any() and not _states_sigma(measurement.model.screen):
+        exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
+    if exact:
+        warnings.warn(
+            f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
+            "uncertainty (focus, astigmatism, twist) is too small",
+            QualityWarning,
+            stacklevel=2,
+        )
+
+
+def _states_sigma(section: Section) -> bool:
+    return any(key.startswith("sigma") for key in section.model_fields_set)
+
+
+def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
+    """Put together what the file says of the mirror."""
+    section = measurement.model.mirror
+    pose = None if section.pose is None else build_pose(section.pose)
+    return MirrorInput(
+        name=measurement.model.name,
+        facets=build_facets(section, measurement.model.name),
+        design=build_design(section),
+        known_pose=None if pose is None else (pose.cam_from_mirror, pose.covariance),
+        knowledge=build_knowledge(section, setup),
+    )
+
+
+def _choices(measurement: DeflectometryMeasurement, options: Options) -> Choices:
+    section = measurement.model.evaluation
+    step_mm = options.grid_step_mm if options.grid_step_mm is not None else section.grid_step_mm
+    if step_mm is not None and not step_mm > 0:
+        raise InputError(f"grid step: a positive number of mm is needed, not {step_mm}")
+    return Choices(
+        align=options.align or Align(section.align),
+        grid_step_m=0.0 if step_mm is None else step_mm * 1e-3,
+        removal=options.remove or Removal(section.remove),
+    )
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the files of a result into an existing folder.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    evaluation = result.evaluation
+    maps = dict(result.maps)
+    if len(evaluation.located.facets) > 1:
+        maps[ASSEMBLED] = result.assembled
+    attributes = {"name": result.name, "input_sha256": result.input_sha256, "pose": evaluation.located.source}
+    write_slope_map(folder / "slope_map.nc", maps, attributes)
+    write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": result.name})
+    write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, _facet_poses(evaluation))
+    if evaluation.located.evidence is not None:
+        write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
+    """Return the pose of each facet; a turn of an ensemble also shifts the facets away from its origin."""
+    located, cam_from_mirror = evaluation.located, evaluation.solution.cam_from_mirror
+    residual = None if located.evidence is None else located.evidence.residual_rms_px
+    poses = {}
+    for facet in located.facets:
+        carry = np.eye(6)
+        carry[3:, :3] = -skew(cam_from_mirror.rotate(facet.ensemble_from_facet.translation_m))
+        pose = cam_from_mirror @ facet.ensemble_from_facet
+        poses[facet.name] = PhotoPose("camera", pose, carry @ located.pose.covariance @ carry.T, residual)
+    return poses
+
+
+def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
+    (x_px, y_px), (residual_x_px, residual_y_px) = evidence.points_px.T, evidence.residuals_px.T
+    return {"x_px": x_px, "y_px": y_px, "residual_x_px": residual_x_px, "residual_y_px": residual_y_px}
+
+
+def _numbers(
+    evaluation: Evaluation, maps: dict[str, SlopeMap], assembled: tuple[SlopeMap, SlopeMap]
+) -> tuple[Numbers, dict[str, Numbers]]:
+    """Return the headline numbers of the mirror and of each facet."""
+    numbers = facet_numbers(*assembled) | pose_numbers(evaluation.located, evaluation)
+    if len(evaluation.located.facets) == 1:
+        return numbers, {}
+    facets = {name: canting_numbers(one) | facet_numbers(maps[name], one) for name, one in evaluation.maps.items()}
+    return numbers, facets
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
+    evaluation = result.evaluation
+    texts = {
+        "design": result.assembled.design,
+        "removed": result.assembled.removed,
+        "frame": result.assembled.frame,
+        "camera": f"{result.setup.camera.width_px} x {result.setup.camera.height_px} px",
+        "screen": result.setup.screen.describe(),
+        "pattern": _pattern_words(result.pattern),
+        "pose": evaluation.located.source,
+        "pixels": flag_words(evaluation),
+        "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
+    }
+    return Summary(
+        kind="deflectometry",
+        name=result.name,
+        numbers=result.numbers,
+        texts=texts,
+        warnings=result.warnings,
+        durations_s=result.durations_s,
+        input_sha256=result.input_sha256,
+        facets=result.facets,
+        geometry_m=geometry(result.setup, evaluation),
+    )
+
+
+def _pattern_words(pattern: FringePattern) -> str:
+    listed = ", ".join(f"{one.axis} {one.periods:g} periods x {one.n_frames} steps" for one in pattern.sets)
+    return f"{pattern.n_frames} frames: {listed}"
+
+
+def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
+    """Put the pixels of all facets into images of the camera's size."""
+    screen_map = evaluation.screen_map
+    shape = screen_map.flags.shape
+    arrays = {name: np.full(shape, np.nan) for name in ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")}
+    flags = screen_map.flags.copy()
+    surfaces = dict(zip(evaluation.images, evaluation.solution.surfaces, strict=True))
+    for name, image in evaluation.images.items():
+        index = [facet.name for facet in evaluation.located.facets].index(name)
+        rows = slice(image.row, image.row + image.x_m.shape[0])
+        columns = slice(image.column, image.column + image.x_m.shape[1])
+        own = evaluation.facet_index[rows, columns] == index
+        values: dict[str, npt.NDArray[Any]] = {
+            "x": image.x_m, "y": image.y_m, "z": surfaces[name].height(image.x_m, image.y_m),
+            "slope_x": image.slope_x, "slope_y": image.slope_y, "sigma_x": image.sigma_x, "sigma_y": image.sigma_y,
+        }  # fmt: skip
+        for key, value in values.items():
+            arrays[key][rows, columns][own] = value[own]
+        flags[rows, columns][own] = image.flags[own]
+    return {
+        **arrays,
+        "u": screen_map.u,
+        "v": screen_map.v,
+        "sigma_u": screen_map.sigma_u,
+        "sigma_v": screen_map.sigma_v,
+        "modulation_dn": screen_map.modulation_dn,
+        "facet": (evaluation.facet_index + 1).astype(np.int16),
+        "flag": flags,
+    }

@@ -1,0 +1,1 @@
+"""Where the mirror is: outline, known points and distance in one adjustment."""

@@ -1,0 +1,117 @@
+"""A pose that was measured otherwise, held against the mirror's outline in the image."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deflectometry.pose.outline_edges import OutlineFit, OutlineSearch, edge_margin_px
+from deflectometry.pose.pose_observations import KnownPoints
+from deflectometry.pose.pose_start import mirror_regions
+from deflectometry.setup.facet import find_mirrors
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, QualityWarning
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.validate import Float32Array, FloatArray
+
+#: A sharp image: half a pixel's diagonal is what a pixel needs to lie wholly on the mirror.
+SHARP_MARGIN_PX = 0.5 * float(np.sqrt(2.0))
+#: Offsets of the outline beyond this many of their sigmas are said, and those beyond this share of the edge's width.
+_OFF_SIGMAS = 3.0
+_OFF_WIDTH = 0.2
+#: A fit whose corners are farther off the given pose than this share of a facet follows other edges than the mirror's.
+_FARTHEST = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineCheck:
+    """How a given pose fits the image.
+
+    Parameters
+    ----------
+    outline_pose : RigidTransform
+        Pose whose outline lies on the edges in the image: says which pixels see the mirror, not where the mirror is.
+    margin_px : float
+        Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
+    residual_rms_px : float
+        RMS distance of the projected outline from the edges; NaN where no edges were found [px].
+    """
+
+    outline_pose: RigidTransform
+    margin_px: float
+    residual_rms_px: float
+
+
+def check_given_pose(
+    image_dn: Float32Array,
+    camera: Camera,
+    facets: Sequence[Facet],
+    pose: RigidTransform,
+    covariance: FloatArray,
+) -> OutlineCheck:
+    """Look where the edges of a mirror with a given pose really are, and how wide.
+
+    Parameters
+    ----------
+    image_dn : ndarray of float32, shape (h, w)
+        Modulation of the fringes, or bright minus dark [DN].
+    camera : Camera
+        The camera.
+    facets : sequence of Facet
+        The facets.
+    pose : RigidTransform
+        cam_from_mirror as given.
+    covariance : ndarray, shape (6, 6)
+        Its covariance for steps of `RigidTransform.moved` [rad, m].
+
+    Returns
+    -------
+    OutlineCheck
+        The pose and margin for the mask, and how far the outline of the given pose is off the edges.
+
+    Warns
+    -----
+    QualityWarning
+        The outline lies off the edges by more than pose and image allow.
+    """
+    image = np.nan_to_num(np.ascontiguousarray(image_dn, dtype=np.float32), posinf=0.0, neginf=0.0)
+    try:
+        found = find_mirrors(image)
+        regions = mirror_regions(found, len(facets))
+        facet_px = float(np.sqrt(np.median([region.area_px for region in regions])))
+        fit = OutlineSearch(image, camera, facets, found.noise_dn, facet_px).follow(pose, KnownPoints())
+        _refuse_strayed(fit, camera, facets, pose, facet_px)
+    except EstimationError as error:
+        warnings.warn(
+            f"the given pose of the mirror could not be held against the image: {error}", QualityWarning, stacklevel=3
+        )
+        return OutlineCheck(pose, SHARP_MARGIN_PX, float("nan"))
+    edges = fit.edges.subset(fit.used)
+    residuals, derivatives = edges.rows(camera, pose)
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    by_pose = float(np.einsum("ni,ij,nj->n", derivatives, covariance, derivatives).mean())
+    allowed = _OFF_SIGMAS * float(np.sqrt(fit.sigma_px**2 + by_pose))
+    if rms > max(allowed, _OFF_WIDTH * edges.width_px):
+        warnings.warn(
+            f"the given pose of the mirror puts its outline {rms:.2f} px RMS off its edges in the image (its sigmas "
+            f"allow {allowed:.2f} px); check [mirror.pose], or leave it out and the outline gives the pose",
+            QualityWarning,
+            stacklevel=3,
+        )
+    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms)
+
+
+def _refuse_strayed(
+    fit: OutlineFit, camera: Camera, facets: Sequence[Facet], pose: RigidTransform, facet_px: float
+) -> None:
+    """Refuse a fit that left the given pose for edges of something else (a facet beside the image's border, say)."""
+    corners = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets])
+    shift = camera.project(fit.pose.apply(corners)) - camera.project(pose.apply(corners))
+    farthest = float(np.max(np.hypot(*shift.T)))
+    if not farthest <= _FARTHEST * facet_px:
+        raise EstimationError(
+            f"the edges found put a corner {farthest:.1f} px from where the given pose has it; check [mirror.pose], "
+            "and leave some room between the mirror and the border of the image"
+        )

@@ -1,0 +1,483 @@
+"""Pose of a mirror from its outline, known points and a measured distance, in one adjustment.
+
+The observations are edge points along all sides, each measured across the side only. They are weighted by how well
+they fit among themselves, so that a distance measured with its own sigma takes exactly its share.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.pose.mirror_outline import lit_share
+from deflectometry.pose.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
+from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
+from deflectometry.pose.pose_start import mirror_regions, point_poses, start_poses
+from deflectometry.setup.bench import Setup
+from deflectometry.setup.facet import find_mirrors
+from heliogauge.adjust.chi_square import chi_square_cdf
+from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.validate import FloatArray, freeze
+
+#: Below this probability of so large a disagreement the distance and the image are reported as contradicting.
+MIN_PROBABILITY = 0.01
+#: Edge residuals above this share of the mirror's size in the image are no pose: 6 mm on a 1.2 m facet. (In a small
+#: image a fifth of the edges' width is allowed: a disc taken for a square of 80 px leaves half a width.)
+MAX_RESIDUAL_SHARE = 0.005
+#: A distance this many times longer or shorter than in the image is another unit or another thing, not an error.
+MAX_DISTANCE_RATIO = 1.5
+_DISTANCE_REMEDY = "check the distance, its point, the size of the mirror and the camera's focal length"
+#: Fewer edge points than this share of those expected, and the outline was not found.
+MIN_POINT_SHARE = 0.4
+#: More rejected edge points than this share are reported: clips and stains on the reference facet take 8 %.
+MAX_REJECTED_SHARE = 0.2
+#: A facet with less than this share lit is reported.
+MIN_LIT_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceTest:
+    """Whether a measured distance agrees with the image.
+
+    Parameters
+    ----------
+    measured_m : float
+        The measured distance [m].
+    image_only_m, sigma_image_only_m : float
+        What the image alone says, with sigma; NaN where it does not determine the distance [m].
+    residual_m : float
+        Distance of the final pose less the measured one [m].
+    probability : float
+        Probability of so large a disagreement (chi-square, one degree of freedom); NaN without an image-only distance.
+    """
+
+    measured_m: float
+    image_only_m: float
+    sigma_image_only_m: float
+    residual_m: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorPose:
+    """The pose with its covariance and the evidence for it.
+
+    Parameters
+    ----------
+    cam_from_mirror : RigidTransform
+        Pose of the mirror (facet or ensemble frame) in the camera frame.
+    covariance : ndarray, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved`, rotation [rad] then translation [m]; for the camera as given.
+    residual_rms_px : float
+        RMS of the edge points' distances to the projected outline that the adjustment used [px]; of the known points'
+        coordinates where there is no outline.
+    image_only_rms_px : float
+        The same before the distances took part [px].
+    sigma_edge_px : float
+        Spread of one edge point [px].
+    correlation_points : float
+        Neighbouring edge points that err together; the covariance counts them as one.
+    edge_width_px : float
+        Width of the edges in the image [px].
+    n_points, n_rejected : int
+        Edge points (or known points) used and rejected.
+    facet_share : ndarray, shape (n_facets,)
+        Share of each facet that is bright in the image.
+    distance_tests : tuple of DistanceTest
+        One for each measured distance.
+    points_px : ndarray, shape (n_points, 2)
+        The edge points (or known points) that were used (x, y) [px].
+    residuals_px : ndarray, shape (n_points, 2)
+        Projected outline (or point) minus measured; of an edge point the part across the side [px].
+    observations : PoseObservations
+        What the pose was adjusted to.
+    """
+
+    cam_from_mirror: RigidTransform
+    covariance: FloatArray
+    residual_rms_px: float
+    image_only_rms_px: float
+    sigma_edge_px: float
+    correlation_points: float
+    edge_width_px: float
+    n_points: int
+    n_rejected: int
+    facet_share: FloatArray
+    distance_tests: tuple[DistanceTest, ...]
+    points_px: FloatArray
+    residuals_px: FloatArray
+    observations: "PoseObservations"
+
+    @property
+    def mask_margin_px(self) -> float:
+        """Distance from the outline within which a pixel mixes the facet with what is beside it [px]."""
+        return edge_margin_px(self.edge_width_px, self.sigma_edge_px)
+
+    def with_setup(self, setup: Setup) -> RigidTransform:
+        """Return the pose that the same images and distances give with another camera or screen."""
+        return self.observations.pose_with(setup, self.cam_from_mirror)
+
+
+def locate_mirror(
+    image_dn: npt.ArrayLike, camera: Camera, facets: Sequence[Facet], knowledge: Knowledge | None = None
+) -> MirrorPose:
+    """Find the pose of a mirror in the camera frame, from an image in which the mirror is bright.
+
+    Parameters
+    ----------
+    image_dn : array_like, shape (h, w)
+        Modulation of the fringes, or bright minus dark [DN].
+    camera : Camera
+        The camera, of the size of the image.
+    facets : sequence of Facet
+        The facets with their outlines and places; one for a single facet.
+    knowledge : Knowledge, optional
+        Measured distances, known points, expected roll.
+
+    Returns
+    -------
+    MirrorPose
+        The pose. Which corner of a symmetric mirror is which follows from the expected roll.
+
+    Raises
+    ------
+    InputError
+        Image and camera differ in size.
+    EstimationError
+        No mirror in view, cut by the border, or an outline that does not fit the design.
+
+    Warns
+    -----
+    QualityWarning
+        A distance contradicts the image, two tilts fit equally well, or facets are not seen.
+
+    Notes
+    -----
+    Edge points are measured along normals of the projected outline, the pose is adjusted, and both are repeated with
+    a shorter reach. Lens distortion and the curved edge of a curved mirror are in the projection. The residuals give
+    the spread of an edge point (robust) and the number of neighbours that err together; both set the weights.
+    """
+    knowledge = knowledge or Knowledge()
+    image = np.ascontiguousarray(image_dn, dtype=np.float32)
+    if image.shape != (camera.height_px, camera.width_px):
+        raise InputError(
+            f"image_dn: the camera is for {camera.width_px} x {camera.height_px} px, the image has shape {image.shape}"
+        )
+    image = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+    found = find_mirrors(image)
+    regions = mirror_regions(found, len(facets))
+    starts = start_poses(camera, regions, facets, knowledge.roll_rad)
+    facet_px = np.sqrt(float(np.median([region.area_px for region in regions])))
+    size_px = float(np.ptp(np.concatenate([region.contour_px for region in regions]), axis=0).max())
+    search = OutlineSearch(image, camera, facets, found.noise_dn, facet_px)
+    fits = [search.follow(start.cam_from_mirror, knowledge.points) for start in starts]
+    fits.sort(key=lambda fit: fit.rms_px)
+    best = fits[0]
+    allowed_px = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
+    _check_outline(best, allowed_px)
+    if len(fits) > 1:
+        best = _resolve_tilt(best, fits[1], knowledge)
+    pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
+    _check_distance(pose, allowed_px)
+    return pose
+
+
+def _check_distance(pose: MirrorPose, allowed_px: float) -> None:
+    """Refuse a pose that a contradicting distance has pulled off the outline."""
+    said = "; ".join(_contradiction(test) for test in pose.distance_tests if test.probability < MIN_PROBABILITY)
+    if not said or pose.residual_rms_px <= allowed_px:
+        return
+    raise EstimationError(
+        f"{said}. The pose in between misses the outline by {pose.residual_rms_px:.2f} px RMS where {allowed_px:.2f} px"
+        f" are allowed (the image alone: {pose.image_only_rms_px:.3f} px); {_DISTANCE_REMEDY}"
+    )
+
+
+def _contradiction(test: DistanceTest) -> str:
+    return (
+        f"the measured distance {test.measured_m:.4f} m contradicts the image, which says {test.image_only_m:.4f} m"
+        f" (sigma {1e3 * test.sigma_image_only_m:.1f} mm)"
+    )
+
+
+def _check_outline(best: OutlineFit, allowed_px: float) -> None:
+    n_used = int(best.used.sum())
+    if n_used < MIN_POINT_SHARE * best.edges.n_expected or not best.rms_px <= allowed_px:
+        raise EstimationError(
+            f"the outline in the image does not fit the mirror's outline: {n_used} of {best.edges.n_expected} edge"
+            f" points fit, with a residual of {best.rms_px:.2f} px where {allowed_px:.2f} px are allowed; check"
+            " outline_m, the camera's focal length, and that nothing covers the mirror, or give the pose in"
+            " [mirror.pose]"
+        )
+
+
+def _resolve_tilt(best: OutlineFit, other: OutlineFit, knowledge: Knowledge) -> OutlineFit:
+    """Choose between the two tilts in which a flat object looks alike."""
+    normals = [fit.pose.rotation[:, 2] for fit in (best, other)]
+    angle_rad = float(np.arccos(np.clip(normals[0] @ normals[1], -1, 1)))
+    # Difference of chi-square if the better one is right; 9 is three sigma.
+    evidence = best.used.sum() / best.correlation_points * ((other.rms_px / max(best.rms_px, 1e-12)) ** 2 - 1)
+    if angle_rad < 1e-3 or evidence > 9.0:
+        return best
+    chosen = best
+    if knowledge.distances:
+        # The mirror is seen to reflect the screen: the right normal points between camera and screen.
+        chosen = min((best, other), key=lambda fit: _off_bisector(fit.pose, knowledge.distances[0]))
+    warnings.warn(
+        f"two tilts of the mirror, {np.degrees(angle_rad):.2f} degrees apart, fit its outline equally well (residuals"
+        f" {best.rms_px:.3f} and {other.rms_px:.3f} px); "
+        + (
+            "the one that reflects the screen's middle into the camera was taken"
+            if knowledge.distances
+            else "the one that fits better was taken: measure a distance or a known point off the plane to be sure"
+        ),
+        QualityWarning,
+        stacklevel=3,
+    )
+    return chosen
+
+
+def _off_bisector(pose: RigidTransform, distance: DistanceObservation) -> float:
+    point = pose.apply(distance.mirror_point_m)
+    to_screen = distance.cam_point_m - point
+    bisector = to_screen / np.linalg.norm(to_screen) - point / np.linalg.norm(point)
+    return -float(bisector @ pose.rotation[:, 2])
+
+
+def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: FloatArray) -> MirrorPose:
+    """Adjust with everything, each edge point counted for its independent share.
+
+    Which points are rejected was decided by the image alone: a contradicting distance must not hide behind them.
+    """
+    edges = best.edges.subset(best.used)
+    sigma_px = best.sigma_px * float(np.sqrt(best.correlation_points))
+    side_px = np.hypot(
+        knowledge.side_share * edges.width_px, knowledge.sigma_outline_m * edges.pixels_per_metre(camera, best.pose)
+    )
+    observations = PoseObservations(_Outline(edges, sigma_px, side_px), knowledge.points, knowledge.distances)
+    image_only = observations.image_only().adjust(camera, best.pose).require("mirror pose")
+    final = image_only
+    if knowledge.distances:
+        _refuse_other_unit(knowledge.distances, image_only.state)
+        final = observations.adjust(camera, image_only.state).require("mirror pose")
+    rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
+    tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
+    _warn(tests, share, rms)
+    n_rejected = int((~best.used).sum())
+    if n_rejected > MAX_REJECTED_SHARE * best.used.size:
+        warnings.warn(
+            f"{n_rejected} of {best.used.size} edge points do not lie on the outline that the others agree on; is"
+            " outline_m right, or a part of the mirror covered or dark?",
+            QualityWarning,
+            stacklevel=3,
+        )
+    return MirrorPose(
+        cam_from_mirror=final.state,
+        covariance=final.covariance + _in_doubt(tests, image_only.state, final.state),
+        residual_rms_px=rms[1],
+        image_only_rms_px=rms[0],
+        sigma_edge_px=best.sigma_px,
+        correlation_points=best.correlation_points,
+        edge_width_px=edges.width_px,
+        n_points=int(best.used.sum()),
+        n_rejected=n_rejected,
+        facet_share=freeze(share),
+        distance_tests=tests,
+        points_px=freeze(edges.image_px),
+        residuals_px=freeze(edges.rows(camera, final.state)[0][:, None] * edges.normals),
+        observations=observations,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Outline:
+    """Edge points with the sigma of each and of each side."""
+
+    edges: OutlineEdges
+    sigma_px: float
+    sigma_side_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseObservations:
+    """What a pose is adjusted to; kept, because the pose follows when camera or screen stand elsewhere.
+
+    Parameters
+    ----------
+    outline : _Outline or None
+        Edge points, where there is an outline.
+    points : KnownPoints
+        Known points.
+    distances : tuple of DistanceObservation
+        Distances to the origin of the screen.
+    """
+
+    outline: _Outline | None
+    points: KnownPoints
+    distances: tuple[DistanceObservation, ...]
+
+    def image_only(self) -> "PoseObservations":
+        """Return the observations without the distances."""
+        return replace(self, distances=())
+
+    def adjust(self, camera: Camera, start: RigidTransform) -> Solution[RigidTransform]:
+        """Find the pose that fits best.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera.
+        start : RigidTransform
+            Pose near by.
+
+        Returns
+        -------
+        Solution
+            The adjusted pose with covariance.
+        """
+
+        def evaluate(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
+            residuals, derivatives = self.points.rows(camera, pose)
+            if self.outline is None:
+                return residuals, derivatives
+            outline = self.outline
+            across, d_across = outline.edges.whitened(camera, pose, outline.sigma_px, outline.sigma_side_px)
+            return np.concatenate([across, residuals]), np.concatenate([d_across, derivatives])
+
+        extra = tuple(distance.constraint() for distance in self.distances)
+        # A ten-thousandth of a sigma is enough; iterating to round-off doubles the time.
+        return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
+
+    def pose_with(self, setup: Setup, start: RigidTransform) -> RigidTransform:
+        """Return the pose that the same observations give with another camera, or with the screen elsewhere.
+
+        Parameters
+        ----------
+        setup : Setup
+            The other camera and screen.
+        start : RigidTransform
+            Pose near by.
+
+        Returns
+        -------
+        RigidTransform
+            cam_from_mirror.
+        """
+        origin_m = setup.cam_from_screen.translation_m
+        distances = tuple(replace(one, cam_point_m=origin_m) for one in self.distances)
+        return replace(self, distances=distances).adjust(setup.camera, start).require("mirror pose").state
+
+
+def _test_distance(
+    distance: DistanceObservation, image_only: Solution[RigidTransform], final: RigidTransform
+) -> DistanceTest:
+    predicted, derivatives = distance.predict(image_only.state)
+    variance = float(derivatives @ image_only.covariance @ derivatives)
+    square = (predicted - distance.distance_m) ** 2 / (variance + distance.sigma_m**2)
+    return DistanceTest(
+        measured_m=distance.distance_m,
+        image_only_m=predicted,
+        sigma_image_only_m=float(np.sqrt(variance)),
+        residual_m=distance.predict(final)[0] - distance.distance_m,
+        probability=1.0 - chi_square_cdf(square, 1.0),
+    )
+
+
+def _refuse_other_unit(distances: Sequence[DistanceObservation], image_only: RigidTransform) -> None:
+    """Refuse a distance that no adjustment can reconcile: a number in another unit, or a length in one."""
+    for distance in distances:
+        seen_m = distance.predict(image_only)[0]
+        if not 1 / MAX_DISTANCE_RATIO < distance.distance_m / seen_m < MAX_DISTANCE_RATIO:
+            raise EstimationError(
+                f"the measured distance {distance.distance_m:g} m is {distance.distance_m / seen_m:.3g} times the"
+                f" {seen_m:.4g} m that the image says; are distance_m, outline_m and the screen's translation_m all in"
+                " metres, and is the camera's focal length right?"
+            )
+
+
+def _in_doubt(tests: Sequence[DistanceTest], image_only: RigidTransform, final: RigidTransform) -> FloatArray:
+    """Return the covariance of not knowing which is right: the step from the image's pose to the adjusted one."""
+    if all(test.probability >= MIN_PROBABILITY for test in tests):
+        return np.zeros((6, 6))
+    turn = RigidTransform(final.rotation @ image_only.rotation.T, np.zeros(3)).rotation_vector_rad
+    step = np.concatenate([turn, final.translation_m - image_only.translation_m])
+    return np.outer(step, step)
+
+
+def _warn(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[float]) -> None:
+    for test in tests:
+        if test.probability < MIN_PROBABILITY:
+            warnings.warn(
+                f"{_contradiction(test)}: probability {test.probability:.2g}. The pose in between leaves"
+                f" {1e3 * test.residual_m:.1f} mm and {rms_px[1]:.3f} px (the image alone: {rms_px[0]:.3f} px); the way"
+                f" from one to the other counts as uncertainty; {_DISTANCE_REMEDY}",
+                QualityWarning,
+                stacklevel=4,
+            )
+    unseen = np.flatnonzero(share < MIN_LIT_SHARE)
+    if unseen.size:
+        warnings.warn(
+            f"{unseen.size} of {share.size} facets are bright on less than {MIN_LIT_SHARE:.0%} of their area (numbers"
+            f" {', '.join(map(str, unseen[:12]))}): they are dark, covered, missing, or see past the screen",
+            QualityWarning,
+            stacklevel=4,
+        )
+
+
+def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
+    """Find the pose from known points alone, with measured distances where there are any.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    knowledge : Knowledge
+        At least four known points.
+
+    Returns
+    -------
+    MirrorPose
+        The pose; what concerns edges is NaN.
+
+    Raises
+    ------
+    EstimationError
+        The points do not determine the pose, or do not fit within their sigmas by far.
+    """
+    points = knowledge.points
+    starts = point_poses(camera, points.points_m, points.image_px)
+    observations = PoseObservations(None, points, knowledge.distances)
+    solutions = [observations.image_only().adjust(camera, start.cam_from_mirror) for start in starts]
+    image_only = min(solutions, key=lambda solution: float(solution.residuals @ solution.residuals))
+    image_only = image_only.require("mirror pose from known points")
+    final = image_only
+    if knowledge.distances:
+        _refuse_other_unit(knowledge.distances, image_only.state)
+        final = observations.adjust(camera, image_only.state).require("mirror pose")
+    rms = [_points_rms(camera, points, solution.state) for solution in (image_only, final)]
+    # 6 sigma for every point at once is no bad luck.
+    if image_only.redundancy and image_only.variance_factor > 36.0:
+        raise EstimationError(
+            f"the known points miss their places in the image by {rms[0]:.2f} px,"
+            f" {np.sqrt(image_only.variance_factor):.0f} times what their sigmas allow; check coordinates, order and"
+            " the camera"
+        )
+    tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
+    _warn(tests, np.ones(1), rms)
+    nan = float("nan")
+    misses = freeze(camera.project(final.state.apply(points.points_m)) - points.image_px)
+    count = len(points.points_m)
+    return MirrorPose(
+        final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, count, 0, np.zeros(0), tests,
+        points.image_px, misses, observations,
+    )  # fmt: skip
+
+
+def _points_rms(camera: Camera, points: KnownPoints, pose: RigidTransform) -> float:
+    return float(np.sqrt(((camera.project(pose.apply(points.points_m)) - points.image_px) ** 2).mean()))

@@ -1,0 +1,1 @@
+"""Description of a set-up: patterns, screen, facets. Estimates nothing."""

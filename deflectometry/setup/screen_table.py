@@ -1,0 +1,101 @@
+"""Whether a table of measured screen points can be trusted: its units, single wrong points, what it covers."""
+
+import warnings
+
+import numpy as np
+
+from deflectometry.fringes.screen_map import ScreenMap
+from deflectometry.setup.bench import Screen, TabulatedScreen
+from heliogauge.errors import InputError, QualityWarning
+from heliogauge.slopes.map import monomials
+from heliogauge.validate import FloatArray
+
+#: Display coordinates are fractions; measured points may lie a little outside of the displayed image.
+_FARTHEST = 0.5
+#: A point this many times farther from the smooth wall than the usual one, and by this length, is a mistake.
+_OUTLIER_SIGMAS = 15.0
+_OUTLIER_M = 5e-3
+#: Pixels that see beyond the table before it is said.
+_BEYOND_SHARE = 0.01
+
+
+def check_screen_table(columns: FloatArray, name: str) -> None:
+    """Refuse a table in other units, warn of points that stand out of the wall.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (5, n)
+        u, v, x, y, z of each point.
+    name : str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        Display coordinates that are no fractions.
+
+    Warns
+    -----
+    QualityWarning
+        Points far off the smooth surface through all of them.
+    """
+    display = columns[:2]
+    if display.size and (display.min() < -_FARTHEST or display.max() > 1 + _FARTHEST):
+        raise InputError(
+            f"{name}: u, v go from {display.min():g} to {display.max():g}; fractions of the displayed image are needed "
+            "(0 to 1, u from its left edge, v from its top edge)"
+        )
+    terms = monomials(2 * columns[0] - 1, 2 * columns[1] - 1, 4)
+    if columns.shape[1] < 2 * len(terms):
+        return
+    weight = np.ones(columns.shape[1])
+    for _ in range(4):
+        fitted = np.linalg.lstsq((terms * weight).T, (columns[2:] * weight).T, rcond=None)[0]
+        away = np.linalg.norm(columns[2:] - fitted.T @ terms, axis=0)
+        # A single point that is half a metre off must not bend the surface by which it is judged.
+        weight = 1.0 / np.maximum(away, max(float(np.median(away)), 1e-9))
+    wrong = np.flatnonzero((away > _OUTLIER_SIGMAS * np.median(away)) & (away > _OUTLIER_M))
+    if wrong.size:
+        worst = int(wrong[np.argmax(away[wrong])])
+        warnings.warn(
+            f"{name}: {wrong.size} of {away.size} points stand out of the smooth surface of all, the worst in line "
+            f"{worst + 2} (u = {columns[0, worst]:g}, v = {columns[1, worst]:g}) by {1e3 * away[worst]:.3g} mm",
+            QualityWarning,
+            stacklevel=2,
+        )
+
+
+def warn_beyond_table(screen: Screen, screen_map: ScreenMap) -> None:
+    """Warn where the mirror shows parts of the display that no measured point surrounds.
+
+    Parameters
+    ----------
+    screen : Screen
+        The screen.
+    screen_map : ScreenMap
+        Display point of each pixel.
+
+    Warns
+    -----
+    QualityWarning
+        More than a hundredth of the pixels see beyond the table.
+    """
+    if not isinstance(screen, TabulatedScreen):
+        return
+    good = screen_map.flags == 0
+    beyond = np.zeros(np.count_nonzero(good), dtype=np.bool_)
+    reach = []
+    for name, seen, table in (("u", screen_map.u, screen.u), ("v", screen_map.v, screen.v)):
+        low, high = float(table.min()), float(table.max())
+        # Half the usual distance between points: so far the surface beside them is as good as between them.
+        margin = 0.5 * (high - low) / max(np.sqrt(table.size) - 1.0, 1.0)
+        beyond |= (seen[good] < low - margin) | (seen[good] > high + margin)
+        reach.append(f"{name} from {low:.3g} to {high:.3g}")
+    share = float(beyond.mean()) if beyond.size else 0.0
+    if share > _BEYOND_SHARE:
+        warnings.warn(
+            f"screen table: {share:.0%} of the pixels see beyond the measured points ({', '.join(reach)}); there the "
+            "screen is a guess: measure points up to the edges of the displayed image",
+            QualityWarning,
+            stacklevel=2,
+        )

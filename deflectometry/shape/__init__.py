@@ -1,0 +1,1 @@
+"""Screen points become slopes, slopes a map with random and common uncertainty."""

@@ -1,0 +1,143 @@
+"""One map of a whole ensemble from the maps of its facets."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from deflectometry.pipeline.evaluate import Align, Evaluation, alignment_words
+from deflectometry.shape.common_modes import spread_indices
+from deflectometry.shape.gridding import default_step_m, grid_axis
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
+from heliogauge.slopes.removal import Removal
+from heliogauge.validate import BoolArray, FlagArray, FloatArray
+
+
+def assemble_maps(evaluation: Evaluation, maps: Mapping[str, SlopeMap], removal: Removal) -> SlopeMap:
+    """Put the maps of all facets into one map in the frame of the ensemble.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Where the facets are.
+    maps : mapping of str to SlopeMap
+        Map of each measured facet.
+    removal : Removal
+        What was taken out of each of these maps.
+
+    Returns
+    -------
+    SlopeMap
+        The map of the only facet, or the map of the ensemble: slopes, design slopes and heights in its frame, nodes
+        between facets and facets that were not measured flagged.
+
+    Notes
+    -----
+    Each node is carried into the facet that covers it, the facet's map is read at its nearest node, and measured and
+    design normal are turned into the ensemble's frame: canting shows as a step between facets. The maps of the facets
+    keep what the nearest node loses.
+    """
+    facets = {facet.name: facet for facet in evaluation.located.facets}
+    if len(facets) == 1:
+        return next(iter(maps.values()))
+    first = next(iter(maps.values()))
+    corners = np.concatenate([facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets.values()])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    step = max(float(first.x_m[1] - first.x_m[0]), default_step_m(0.0, float(np.prod((high - low)[:2]))))
+    x_m, y_m = grid_axis(low[0], high[0], step), grid_axis(low[1], high[1], step)
+    grid = np.meshgrid(x_m, y_m)
+    fields = np.full((7, *grid[0].shape), np.nan)
+    flags = np.full(grid[0].shape, np.uint32(SampleFlag.OUTSIDE_MIRROR))
+    aperture = np.zeros(grid[0].shape, dtype=bool)
+    parts = []
+    for name, facet in facets.items():
+        own, nodes = _nodes_of(facet, grid)
+        aperture |= own
+        flags[own] = np.uint32(SampleFlag.NOT_SEEN)
+        if name in maps:
+            fields[:, own], flags[own] = _read_facet(maps[name], nodes, facet.ensemble_from_facet)
+            parts.append((maps[name].common, facet.ensemble_from_facet, nodes))
+    return SlopeMap(
+        x_m=x_m, y_m=y_m,
+        slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
+        sigma_random_x=fields[4], sigma_random_y=fields[5], noise_correlation=first.noise_correlation,
+        common=_joint_modes(parts, 0.5 * (low + high)[:2], 0.5 * float((high - low)[:2].max())),
+        height_m=fields[6], flags=flags, aperture=aperture,
+        design=f"ensemble of {len(facets)} facets: {first.design}",
+        frame="ensemble frame: x across, y up, seen from the front, z out of the mirror [m]",
+        removed=_removed_words(evaluation.choices.align, removal, len(facets)),
+    )  # fmt: skip
+
+
+def _removed_words(align: Align, removal: Removal, n_facets: int) -> str:
+    """Say what was taken out; the numbers differ from facet to facet and stand in the facets' own maps."""
+    aligned = alignment_words(align, n_facets)
+    if removal is Removal.NOTHING:
+        return aligned
+    return f"{aligned}; then {removal} of each facet on its own, so that its canting is no longer in the map"
+
+
+def _nodes_of(facet: Facet, grid: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, FloatArray]:
+    """Return which nodes of the ensemble's grid a facet covers, and where these are in its own frame, shape (2, n)."""
+    facet_from_ensemble = facet.ensemble_from_facet.inverse()
+    points = np.stack([grid[0], grid[1], np.full(grid[0].shape, facet.ensemble_from_facet.translation_m[2])], axis=-1)
+    for _ in range(3):
+        # The node is given in x and y of the ensemble; its height there is that of the facet.
+        local = facet_from_ensemble.apply(points)
+        local[..., 2] = facet.design.height(local[..., 0], local[..., 1])
+        points[..., 2] = facet.ensemble_from_facet.apply(local)[..., 2]
+    local = facet_from_ensemble.apply(points)
+    own = facet.contains(local[..., 0], local[..., 1])
+    return own, np.stack([local[own][:, 0], local[own][:, 1]])
+
+
+def _read_facet(
+    slope_map: SlopeMap, nodes: FloatArray, ensemble_from_facet: RigidTransform
+) -> tuple[FloatArray, FlagArray]:
+    """Read a facet's map at points of its frame; slopes, design slopes, sigmas and height in the ensemble's frame."""
+    column = np.clip(np.rint((nodes[0] - slope_map.x_m[0]) / _step(slope_map.x_m)), 0, slope_map.x_m.size - 1)
+    row = np.clip(np.rint((nodes[1] - slope_map.y_m[0]) / _step(slope_map.y_m)), 0, slope_map.y_m.size - 1)
+    at = row.astype(int), column.astype(int)
+    rotation = ensemble_from_facet.rotation
+    slopes = _turned(slope_map.slope_x[at], slope_map.slope_y[at], rotation)
+    design = _turned(slope_map.design_slope_x[at], slope_map.design_slope_y[at], rotation)
+    # Facets are turned against the ensemble by little but for a turn about z: the sigmas turn as vectors.
+    sigma = np.sqrt(
+        rotation[:2, :2] ** 2 @ np.stack([slope_map.sigma_random_x[at] ** 2, slope_map.sigma_random_y[at] ** 2])
+    )
+    points = np.stack([nodes[0], nodes[1], slope_map.height_m[at]], axis=-1)
+    height = ensemble_from_facet.apply(points)[:, 2]
+    return np.stack([*slopes, *design, *sigma, height]), slope_map.flags[at]
+
+
+def _step(axis_m: FloatArray) -> float:
+    return float(axis_m[1] - axis_m[0]) if axis_m.size > 1 else 1.0
+
+
+def _turned(slope_x: FloatArray, slope_y: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn slopes into another frame by way of the normal."""
+    normal = rotation @ np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+    return -normal[0] / normal[2], -normal[1] / normal[2]
+
+
+def _joint_modes(
+    parts: list[tuple[CommonModes, RigidTransform, FloatArray]], center_m: FloatArray, scale_m: float
+) -> CommonModes:
+    """Fit one set of polynomials to the modes of all facets; a source moves them together."""
+    sources = parts[0][0].sources
+    values, positions = [], []
+    for common, place, nodes in parts:
+        if common.sources != sources:
+            continue
+        thinned = nodes[:, spread_indices(nodes.shape[1], 200)]
+        modes = common.evaluate(thinned[0], thinned[1])
+        values.append(np.einsum("ab,kbn->kan", place.rotation[:2, :2], modes))
+        ensemble = place.apply(np.stack([thinned[0], thinned[1], np.zeros(thinned.shape[1])], axis=-1))
+        positions.append(ensemble[:, :2].T)
+    at = (np.concatenate(positions, axis=1) - center_m[:, None]) / scale_m
+    terms = monomials(at[0], at[1], 3)
+    stacked = np.concatenate(values, axis=2).reshape(-1, at.shape[1])
+    coefficients = np.linalg.lstsq(terms.T, stacked.T, rcond=None)[0].T
+    return CommonModes(sources, coefficients.reshape(len(sources), 2, terms.shape[0]), center_m, scale_m)

@@ -1,0 +1,151 @@
+"""Whether a result can be true: what a wrong setup does to it although every step went well.
+
+Mirrored images, exchanged axes or a screen of the wrong size leave frames and outline as good as ever. They show in the
+geometry, in slopes that no surface can have, and in a mirror that is far from its design.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from deflectometry.pipeline.evaluate import Align, Evaluation
+from deflectometry.pipeline.headline import flag_words
+from deflectometry.setup.bench import Setup
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform
+
+Numbers = Mapping[str, float | int | None]
+
+#: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
+_GROSS_MRAD = 10.0
+#: Curl against its expectation, and what it adds to the noise: below 0.1 mrad over a metre it spoils nothing. The
+#: reference facet has 1.2 times its expectation, a wrong setup 5 times and more.
+_CURL_RATIO = 3.0
+_CURL_EXCESS_PER_M = 1e-4
+#: Deviation whose cause is the curvature of the whole mirror: the best-fit quadratic takes away more than two thirds.
+_SHAPE_MRAD = 1.0
+_SHAPE_SHARE = 0.3
+#: Pixels inside the outline that good measurements lose: dust, a few at the noise's limits.
+_REJECTED_SHARE = 0.05
+#: How far the normal of a good mirror may be off that of its outline [rad], and how many sigma beyond that are said.
+_MOUNTING_RAD = 3e-3
+_TURN_SIGMAS = 5.0
+
+
+def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
+    """Refuse a setup in which the mirror can see neither camera nor screen.
+
+    Parameters
+    ----------
+    setup : Setup
+        Camera and screen.
+    cam_from_mirror : RigidTransform
+        Pose of the mirror.
+
+    Raises
+    ------
+    EstimationError
+        The mirror is behind the screen, or its back is turned to the camera.
+    """
+    camera_m = cam_from_mirror.inverse().translation_m
+    if not camera_m[2] > 0:
+        raise EstimationError(
+            f"the camera is {-camera_m[2]:.3g} m behind the mirror; check [mirror.pose]: it must carry the mirror's "
+            "frame (z out of the mirror) into the camera's (z forward)"
+        )
+    mirror_m = (setup.cam_from_screen.inverse() @ cam_from_mirror).translation_m
+    if not mirror_m[2] > 0:
+        raise EstimationError(
+            f"the mirror is {-mirror_m[2]:.3g} m behind the screen; check rotation_vector_rad and translation_m of "
+            "[screen]: they must carry the screen's frame (x right, y up, z towards the viewer) into the camera's, "
+            "in radians and metres"
+        )
+
+
+def doubts(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation) -> Iterator[str]:
+    """Yield what makes a result doubtful as a whole.
+
+    Parameters
+    ----------
+    numbers : mapping of str to number
+        Headline numbers of the mirror.
+    facets : mapping of str to numbers
+        Headline numbers of each facet; empty for a single one.
+    evaluation : Evaluation
+        The result.
+
+    Yields
+    ------
+    str
+        A warning with its numbers and what to look at.
+    """
+    yield from _rejection_doubt(evaluation)
+    yield from _turn_doubt(evaluation)
+    yield from _curl_doubt(facets or {"": numbers})
+    error, rest = _number(numbers, "sd_tilt_removed_mrad"), _number(numbers, "sd_best_quadratic_mrad")
+    lengths = (
+        f"focal lengths x {_number(numbers, 'focal_length_x_m'):.4g} m, y {_number(numbers, 'focal_length_y_m'):.4g} m"
+    )
+    if error > _GROSS_MRAD:
+        yield (
+            f"the slopes are {error:.1f} mrad RMS off the design (best fit: {lengths}): too far for any solar mirror; "
+            "check the design and its unit, size and pose of the screen, the axes of [[pattern.set]], and that no "
+            "program has mirrored or turned the images"
+        )
+    elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
+        yield (
+            f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
+            f"left with {lengths}; check the design and its focal length or radius [m]"
+        )
+
+
+def _number(numbers: Numbers, name: str) -> float:
+    value = numbers.get(name)
+    return float("nan") if value is None else float(value)
+
+
+def _rejection_doubt(evaluation: Evaluation) -> Iterator[str]:
+    """Tell how much of the mirror is missing, and why."""
+    on_mirror = evaluation.facet_index >= 0
+    rejected = on_mirror & (evaluation.screen_map.flags != 0)
+    share = float(np.count_nonzero(rejected)) / max(int(np.count_nonzero(on_mirror)), 1)
+    if share > _REJECTED_SHARE:
+        yield (
+            f"{share:.0%} of the pixels on the mirror were rejected ({flag_words(evaluation)}); all numbers are of the "
+            "rest: check the mirror's pose or outline, and what covers or dims it"
+        )
+
+
+def _turn_doubt(evaluation: Evaluation) -> Iterator[str]:
+    """Compare the orientation that the reflection says with the one that the outline says."""
+    located = evaluation.located
+    if evaluation.choices.align is not Align.NORMAL or located.evidence is None:
+        return
+    before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
+    turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
+    covariance = located.pose.covariance[:3, :3] + _MOUNTING_RAD**2 * np.eye(3)
+    if float(turn @ np.linalg.solve(covariance, turn)) > _TURN_SIGMAS**2:
+        sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
+        yield (
+            f"the reflection says another orientation of the mirror than its outline: {1e3 * np.linalg.norm(turn):.1f} "
+            f"mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check camera (distortion and its "
+            "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images"
+        )
+
+
+def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[str]:
+    """Tell slopes that no surface can have: the curl of a surface's slopes is zero."""
+    doubtful = []
+    for name, numbers in facets.items():
+        curl, expected = _number(numbers, "curl_rms_per_m"), _number(numbers, "curl_expected_rms_per_m")
+        excess = np.sqrt(max(curl**2 - expected**2, 0.0))
+        if curl > _CURL_RATIO * expected and excess > _CURL_EXCESS_PER_M:
+            doubtful.append((name, curl, expected))
+    if doubtful:
+        name, curl, expected = max(doubtful, key=lambda one: one[1])
+        where = f" (facet {name}, one of {len(doubtful)})" if name else ""
+        yield (
+            f"no surface has these slopes: their curl is {1e3 * curl:.3g} mrad/m RMS{where}, where noise makes "
+            f"{1e3 * expected:.3g}; check the shape and pose of the screen, the axes of [[pattern.set]], that the "
+            "images are neither mirrored nor strongly compressed, and that nothing moved"
+        )

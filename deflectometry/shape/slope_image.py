@@ -1,0 +1,148 @@
+"""Slopes of every pixel of a facet, with the random share of their uncertainty."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.fringes.screen_map import ScreenMap
+from deflectometry.setup.bench import Setup
+from deflectometry.shape.slopes import FittedSurface, slope_sensitivity, slopes_at
+from heliogauge.flags import REJECTED, SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray
+
+#: Pixels worked on at a time: a dozen float64 buffers of this size stay in a 2 MiB second-level cache.
+BLOCK_PIXELS = 16384
+#: Pixels kept around a facet: an edge blurred over 8 pixels is flagged as edge, not as unseen.
+BORDER_PIXELS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeImage:
+    """Slopes of one facet on the pixels of its bounding box.
+
+    Parameters
+    ----------
+    row, column : int
+        Image position of the first pixel.
+    x_m, y_m : ndarray, shape (h, w)
+        Where the pixel's line of sight meets the surface, facet frame [m]; NaN outside the facet.
+    slope_x, slope_y : ndarray, shape (h, w)
+        Measured dz/dx and dz/dy; NaN where rejected.
+    sigma_x, sigma_y : ndarray of float32, shape (h, w)
+        Random standard deviation of the slopes from the noise of the frames [rad].
+    flags : ndarray of uint32, shape (h, w)
+        Bits of `heliogauge.flags.SampleFlag`.
+    """
+
+    row: int
+    column: int
+    x_m: FloatArray
+    y_m: FloatArray
+    slope_x: FloatArray
+    slope_y: FloatArray
+    sigma_x: Float32Array
+    sigma_y: Float32Array
+    flags: FlagArray
+
+    @property
+    def footprint_m(self) -> float:
+        """Mean spacing of the pixels on the mirror [m]."""
+        across = np.hypot(np.diff(self.x_m, axis=1), np.diff(self.y_m, axis=1))
+        down = np.hypot(np.diff(self.x_m, axis=0), np.diff(self.y_m, axis=0))
+        return float(np.sqrt(np.nanmedian(across) * np.nanmedian(down)))
+
+
+def bounding_box(region: BoolArray) -> tuple[slice, slice]:
+    """Return the rows and columns that hold all true pixels, with the edge pixels around them that have flags."""
+    rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
+    return (
+        slice(max(int(rows[0]) - BORDER_PIXELS, 0), min(int(rows[-1]) + 1 + BORDER_PIXELS, region.shape[0])),
+        slice(max(int(columns[0]) - BORDER_PIXELS, 0), min(int(columns[-1]) + 1 + BORDER_PIXELS, region.shape[1])),
+    )
+
+
+def pixel_blocks(region: BoolArray) -> Iterator[npt.NDArray[np.intp]]:
+    """Yield the flat indices of true pixels, some rows at a time."""
+    indices = np.flatnonzero(region)
+    for start in range(0, indices.size, BLOCK_PIXELS):
+        yield indices[start : start + BLOCK_PIXELS]
+
+
+def screen_directions(setup: Setup) -> FloatArray:
+    """Return how a screen point moves with u and with v, in the camera frame, shape (2, 3) [m]."""
+    around = np.array([0.25, 0.75, 0.5, 0.5]), np.array([0.5, 0.5, 0.25, 0.75])
+    left, right, top, bottom = setup.screen.points_m(*around)
+    return setup.cam_from_screen.rotate(np.stack([right - left, bottom - top]) * 2.0)
+
+
+def measure_slopes(
+    setup: Setup, screen_map: ScreenMap, region: BoolArray, cam_from_facet: RigidTransform, surface: FittedSurface
+) -> SlopeImage:
+    """Compute the slopes of all pixels of a facet.
+
+    Parameters
+    ----------
+    setup : Setup
+        Camera and screen.
+    screen_map : ScreenMap
+        Screen point of each pixel with its sigma and flags.
+    region : ndarray of bool, shape (h, w)
+        Pixels of this facet.
+    cam_from_facet : RigidTransform
+        Pose of the facet.
+    surface : FittedSurface
+        Shape of the facet, from `deflectometry.shape.slopes.solve_shape`.
+
+    Returns
+    -------
+    SlopeImage
+        Slopes with the random share of their sigma; the share common to all pixels is in `CommonModes`.
+    """
+    rows, columns = bounding_box(region)
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    x_m, y_m, slope_x, slope_y = (np.full(shape, np.nan) for _ in range(4))
+    sigma_x, sigma_y = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
+    flags = screen_map.flags[rows, columns].copy()
+    flags[~region[rows, columns] & (flags == 0)] = np.uint32(SampleFlag.OUTSIDE_MIRROR)
+    # Flat and contiguous: an index through ``.flat`` takes three times as long.
+    u, v, sigma_u, sigma_v = (
+        image[rows, columns].reshape(-1)
+        for image in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v)
+    )
+    results = [image.reshape(-1) for image in (x_m, y_m, slope_x, slope_y, sigma_x, sigma_y)]
+    facet_from_cam = cam_from_facet.inverse()
+    camera = facet_from_cam.translation_m
+    facet_from_screen = facet_from_cam @ setup.cam_from_screen
+    along_u, along_v = facet_from_cam.rotate(screen_directions(setup))
+    for index in pixel_blocks(region[rows, columns]):
+        row, column = np.divmod(index, shape[1])
+        pixels = np.stack([column + float(columns.start), row + float(rows.start)], axis=-1)
+        points = surface.intersect(camera, facet_from_cam.rotation @ setup.camera.cast_rays(pixels).T)
+        local = setup.screen.points_m(u[index], v[index])
+        screen = facet_from_screen.rotation @ local.T + facet_from_screen.translation_m[:, None]
+        slopes = slopes_at(points, camera, screen)
+        by_u = slope_sensitivity(points, camera, screen, along_u) * sigma_u[index]
+        by_v = slope_sensitivity(points, camera, screen, along_v) * sigma_v[index]
+        sigmas = np.sqrt(by_u * by_u + by_v * by_v)
+        for image, values in zip(results, (points[0], points[1], *slopes, *sigmas), strict=True):
+            image[index] = values
+    _reject(flags, (slope_x, slope_y, sigma_x, sigma_y), region[rows, columns], x_m)
+    return SlopeImage(rows.start, columns.start, x_m, y_m, slope_x, slope_y, sigma_x, sigma_y, flags)
+
+
+def _reject(
+    flags: FlagArray,
+    values: tuple[FloatArray, FloatArray, Float32Array, Float32Array],
+    region: BoolArray,
+    x_m: FloatArray,
+) -> None:
+    """Flag pixels whose ray misses, and blank everything that carries a rejecting flag."""
+    flags[region & np.isnan(x_m)] |= np.uint32(SampleFlag.NO_INTERSECTION)
+    missing = region & np.isnan(values[0]) & ((flags & np.uint32(REJECTED)) == 0)
+    flags[missing] |= np.uint32(SampleFlag.OFF_SCREEN)
+    rejected = (flags & np.uint32(REJECTED)) != 0
+    for image in values:
+        image[rejected] = np.nan

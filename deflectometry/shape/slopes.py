@@ -1,0 +1,421 @@
+"""Slopes from lines of sight, screen points and a surface that is found together with them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform, rotation_between
+from heliogauge.geometry.surfaces import Facet, Quadric
+from heliogauge.slopes.map import monomials
+from heliogauge.validate import FloatArray
+
+#: Degree of the polynomial that carries the measured shape beside the design. Slopes depend on the height only
+#: through the place of the reflecting point: what degree 4 leaves (ripple of 1 mrad over 0.1 m is 16 um high)
+#: changes a slope at 10 m by less than 1 urad.
+SHAPE_DEGREE = 4
+#: The shape and the tilt are converged when no slope changes by more than this [rad].
+SLOPE_TOLERANCE_RAD = 1e-9
+#: A fit is settled when reweighting changes its coefficients by less than this share of the largest.
+SETTLED = 1e-7
+#: Newton rounds along a line of sight.
+MAX_ITERATIONS = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedSurface:
+    """The design surface plus a polynomial that follows the measured slopes.
+
+    Parameters
+    ----------
+    design : Quadric
+        Design surface in the facet frame.
+    coefficients_m : ndarray, shape (15,)
+        Height of the polynomial on the monomials of `heliogauge.slopes.map.monomials`, degree 4 [m].
+    center_m : ndarray, shape (2,)
+        Point where the polynomial's variables are zero [m].
+    scale_m : float
+        Length that becomes 1 [m].
+    """
+
+    design: Quadric
+    coefficients_m: FloatArray
+    center_m: FloatArray
+    scale_m: float
+
+    def correction(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Return the height of the polynomial, shape (...) [m]."""
+        u, v = (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m
+        return polynomial(self.coefficients_m, u, v)
+
+    def correction_gradient(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the slopes of the polynomial in x and y, each of shape (...)."""
+        u, v = (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m
+        along_u, along_v = derivative_coefficients(self.coefficients_m)
+        return polynomial(along_u / self.scale_m, u, v), polynomial(along_v / self.scale_m, u, v)
+
+    def gradient(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the slopes of design and polynomial together, each of shape (...)."""
+        design_x, design_y = self.design.gradient(x_m, y_m)
+        more_x, more_y = self.correction_gradient(x_m, y_m)
+        return design_x + more_x, design_y + more_y
+
+    def height(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Return the height of design and polynomial together, shape (...) [m]."""
+        return self.design.height(x_m, y_m) + self.correction(x_m, y_m)
+
+    def intersect(self, origin_m: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return where lines of sight meet the surface.
+
+        Parameters
+        ----------
+        origin_m : ndarray, shape (3,)
+            Common origin of the lines [m].
+        directions : ndarray, shape (3, n)
+            Directions of any length.
+
+        Returns
+        -------
+        ndarray, shape (3, n)
+            Points [m]; NaN where a line misses the design surface.
+        """
+        length = self.design.intersect(origin_m, directions.T)
+        points = origin_m[:, None] + length * directions
+        if not self.coefficients_m.any():
+            return np.asarray(points)
+        # Newton along the ray: each step leaves the product of two small slopes, 3 steps reach round-off
+        # from a plane that stands for an f = 10 m dish.
+        for _ in range(MAX_ITERATIONS):
+            design_x, design_y = self.design.gradient(points[0], points[1])
+            missing = self.design.height(points[0], points[1]) - points[2]
+            missing += self.correction(points[0], points[1])
+            step = missing / (directions[2] - design_x * directions[0] - design_y * directions[1])
+            points += step * directions
+            if not np.nanmax(np.abs(missing), initial=0.0) > 1e-9:
+                break
+        return np.asarray(points)
+
+
+def polynomial(coefficients: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Evaluate a polynomial on the monomials of `heliogauge.slopes.map.monomials` by Horner's rule in both variables.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n_terms,)
+        Coefficients ordered by total degree, then by the power of v.
+    u, v : ndarray, shape (...)
+        The variables.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The value.
+    """
+    degree = int((np.sqrt(8 * coefficients.size + 1) - 3) / 2)
+    total = np.zeros(np.shape(u))
+    for power_u in range(degree, -1, -1):
+        inner = np.zeros(np.shape(u))
+        for power_v in range(degree - power_u, -1, -1):
+            order = power_u + power_v
+            inner *= v
+            inner += coefficients[order * (order + 1) // 2 + power_v]
+        total *= u
+        total += inner
+    return total
+
+
+def derivative_coefficients(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of the derivatives after u and after v (same length, the last order zero)."""
+    along_u, along_v = np.zeros_like(coefficients), np.zeros_like(coefficients)
+    degree = int((np.sqrt(8 * coefficients.size + 1) - 3) / 2)
+    for order in range(1, degree + 1):
+        first, below = order * (order + 1) // 2, order * (order - 1) // 2
+        for power_v in range(order + 1):
+            if power_v < order:
+                along_u[below + power_v] = (order - power_v) * coefficients[first + power_v]
+            if power_v > 0:
+                along_v[below + power_v - 1] = power_v * coefficients[first + power_v]
+    return along_u, along_v
+
+
+def slopes_at(points_m: FloatArray, camera_m: FloatArray, screen_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the slopes of the mirror that shows a screen point to the camera.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (3, n)
+        Points of the mirror [m].
+    camera_m : ndarray, shape (3,)
+        Projection centre [m].
+    screen_m : ndarray, shape (3, n)
+        Screen points seen there [m].
+
+    Returns
+    -------
+    slope_x, slope_y : ndarray, shape (n,)
+        dz/dx and dz/dy.
+
+    Notes
+    -----
+    The normal halves the angle: ``n ~ a / |a| + b / |b|``, a to the screen, b to the camera (spec 003 C-31).
+    """
+    to_screen, to_camera = screen_m - points_m, camera_m[:, None] - points_m
+    normal = to_screen * np.sqrt(np.einsum("ij,ij->j", to_camera, to_camera))
+    normal += to_camera * np.sqrt(np.einsum("ij,ij->j", to_screen, to_screen))
+    return -normal[0] / normal[2], -normal[1] / normal[2]
+
+
+def slope_sensitivity(
+    points_m: FloatArray, camera_m: FloatArray, screen_m: FloatArray, d_screen: FloatArray
+) -> FloatArray:
+    """Return how slopes follow a shift of the screen point along one direction.
+
+    Parameters
+    ----------
+    points_m, camera_m, screen_m : ndarray
+        As in `slopes_at`.
+    d_screen : ndarray, shape (3,)
+        Shift of the screen point [m].
+
+    Returns
+    -------
+    ndarray, shape (2, n)
+        Change of slope_x and slope_y for this shift.
+    """
+    to_screen, to_camera = screen_m - points_m, camera_m[:, None] - points_m
+    length_camera = np.sqrt(np.einsum("ij,ij->j", to_camera, to_camera))
+    length_screen = np.sqrt(np.einsum("ij,ij->j", to_screen, to_screen))
+    normal = to_screen * length_camera + to_camera * length_screen
+    d_normal = d_screen[:, None] * length_camera + to_camera * ((d_screen @ to_screen) / length_screen)
+    slope = -normal[:2] / normal[2]
+    return np.asarray(-(d_normal[:2] + slope * d_normal[2]) / normal[2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetSamples:
+    """Some pixels of one facet: enough to find its smooth shape.
+
+    Parameters
+    ----------
+    facet : Facet
+        The facet with its design.
+    rays_cam : ndarray, shape (3, n)
+        Lines of sight in the camera frame.
+    screen_cam_m : ndarray, shape (3, n)
+        Screen points seen there, in the camera frame [m].
+    """
+
+    facet: Facet
+    rays_cam: FloatArray
+    screen_cam_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundLimits:
+    """How long to look for the shape.
+
+    Parameters
+    ----------
+    outer : int
+        Rounds between shape and slopes.
+    reweighting : int
+        Rounds of reweighting in each fit; 1 is plain least squares. The biweight settles to round-off within 12 on
+        measured facets.
+    must_settle : bool
+        Raise when the last round still changes a slope.
+    """
+
+    outer: int = 30
+    reweighting: int = 12
+    must_settle: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeSolution:
+    """Pose and smooth shapes that agree with the slopes they give.
+
+    Parameters
+    ----------
+    cam_from_mirror : RigidTransform
+        Pose of the mirror (of the ensemble), aligned if that was asked for.
+    surfaces : tuple of FittedSurface
+        The smooth shape of each facet in its own frame.
+    tilt_rad : ndarray, shape (n_facets, 2)
+        Slope of each facet against its design at its reference point, in the aligned frame [rad].
+    iterations : int
+        Rounds until no slope changed by more than 1e-9 rad.
+    """
+
+    cam_from_mirror: RigidTransform
+    surfaces: tuple[FittedSurface, ...]
+    tilt_rad: FloatArray
+    iterations: int
+
+
+def start_surface(facet: Facet) -> FittedSurface:
+    """Return the design of a facet with no correction yet, scaled to the facet's size."""
+    half_size = 0.5 * float(np.ptp(facet.outline_m, axis=0).max())
+    terms = (SHAPE_DEGREE + 1) * (SHAPE_DEGREE + 2) // 2
+    return FittedSurface(facet.design, np.zeros(terms), np.asarray(facet.reference_point_m), half_size)
+
+
+def solve_shape(
+    samples: Sequence[FacetSamples],
+    cam_from_mirror: RigidTransform,
+    *,
+    align: bool,
+    start: ShapeSolution | None = None,
+    rounds: RoundLimits | None = None,
+) -> ShapeSolution:
+    """Find the smooth shape of each facet, and the tilt of the mirror, that the measured slopes themselves give.
+
+    Parameters
+    ----------
+    samples : sequence of FacetSamples
+        Pixels of each facet.
+    cam_from_mirror : RigidTransform
+        Pose of the mirror from its outline.
+    align : bool
+        Turn the mirror frame about its reference point until the mean tilt against the design is zero: an outline
+        fixes the tilt only to some 10 mrad, the slopes to microradians.
+    start : ShapeSolution, optional
+        Shapes of a neighbouring problem to begin with.
+    rounds : RoundLimits, optional
+        How many rounds, and whether the fits are robust.
+
+    Returns
+    -------
+    ShapeSolution
+        The consistent pose and shapes.
+
+    Raises
+    ------
+    EstimationError
+        The rounds do not settle.
+
+    Notes
+    -----
+    Each round: intersect the lines of sight with the current shapes, slopes there, least-squares polynomial of the
+    slope errors against the design (height zero at the reference point, which the pose fixes), new tilt. The tilt is
+    the slope at the reference point of the best-fit quadratic ``dz/dx = 2 A x + C + E y``,
+    ``dz/dy = 2 B y + D + E x`` (spec 003 C-32: C and D), robust so that the frame follows the bulk of the mirror and
+    not a turned-down edge. The design
+    normal at the reference point is compared with the measured one as directions, so facets away from the vertex of
+    their optic, whose design is itself tilted there, are left where they are.
+    """
+    surfaces = tuple(start_surface(sample.facet) for sample in samples) if start is None else start.surfaces
+    pose = cam_from_mirror
+    limits = rounds or RoundLimits()
+    before = [np.zeros((2, sample.rays_cam.shape[1])) for sample in samples]
+    for iteration in range(1, limits.outer + 1):
+        fits = [
+            _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet, limits.reweighting)
+            for sample, surface in zip(samples, surfaces, strict=True)
+        ]
+        surfaces = tuple(surface for surface, _, _ in fits)
+        errors = [error for _, error, _ in fits]
+        tilts = np.array([tilt for _, _, tilt in fits])
+        change = max(float(np.nanmax(np.abs(now - old))) for now, old in zip(errors, before, strict=True))
+        before = errors
+        if align:
+            pose, turned = _aligned(pose, samples, tilts)
+            change = max(change, turned)
+        if change < SLOPE_TOLERANCE_RAD:
+            return ShapeSolution(pose, surfaces, tilts, iteration)
+    if not limits.must_settle:
+        return ShapeSolution(pose, surfaces, tilts, limits.outer)
+    raise EstimationError(
+        f"slopes: after {limits.outer} rounds a slope still changes by {change:.2g} rad between shape and slopes; "
+        "check the screen's size and pose, the mirror's pose and distance, and the design's focal length (in metres)"
+    )
+
+
+def _fit_facet(
+    sample: FacetSamples, surface: FittedSurface, cam_from_facet: RigidTransform, reweighting: int
+) -> tuple[FittedSurface, FloatArray, FloatArray]:
+    """One round for one facet: its new shape, its slope errors and its tilt."""
+    facet_from_cam = cam_from_facet.inverse()
+    camera = facet_from_cam.translation_m
+    points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
+    screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
+    error = np.stack(slopes_at(points, camera, screen)) - np.stack(surface.design.gradient(points[0], points[1]))
+    shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting)
+    tilt = _fit_potential(surface, points, error, 2, reweighting)[:2] / surface.scale_m
+    # The height of the polynomial stays zero at the reference point.
+    return replace(surface, coefficients_m=np.concatenate([[0.0], shape])), error, tilt
+
+
+def _fit_potential(
+    surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray, degree: int, reweighting: int
+) -> FloatArray:
+    """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient)."""
+    usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
+    if np.count_nonzero(usable) < (degree + 1) * (degree + 2) // 2:
+        raise EstimationError(
+            f"slopes: only {np.count_nonzero(usable)} of {usable.size} lines of sight meet the mirror's surface; check "
+            "the camera (focal length and center in pixels), the mirror's pose and its design (all in metres)"
+        )
+    u, v = (points_m[:2, usable] - surface.center_m[:, None]) / surface.scale_m
+    matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
+    target = slope_error[:, usable]
+    coefficients: FloatArray = np.zeros(len(matrix))
+    weight = np.ones(2 * u.size)
+    for _ in range(reweighting):
+        weighted = matrix * weight
+        # Least squares, not solve: a facet seen on one line of pixels has no shape across it, and needs none.
+        solved = np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0]
+        before, coefficients = coefficients, np.asarray(solved, dtype=np.float64)
+        if np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
+            break
+        residual = target - (coefficients @ matrix).reshape(2, -1)
+        limit = 4.685 / 0.6745 * np.median(np.abs(residual), axis=1, keepdims=True)
+        ratio = residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)
+        weight = (np.maximum(1.0 - ratio * ratio, 0.0) ** 2).ravel()
+    return np.asarray(coefficients)
+
+
+def gradient_terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
+    """Return the derivatives of all monomials but the constant.
+
+    Parameters
+    ----------
+    u, v : ndarray, shape (n,)
+        The variables.
+    degree : int
+        Highest total degree.
+
+    Returns
+    -------
+    ndarray, shape (2, n_terms - 1, n)
+        Derivative after u and after v of each monomial of `heliogauge.slopes.map.monomials`.
+    """
+    inner = monomials(u, v, degree - 1)
+    terms = np.zeros((2, (degree + 1) * (degree + 2) // 2, u.size))
+    for order in range(1, degree + 1):
+        first, below = order * (order + 1) // 2, order * (order - 1) // 2
+        for power_v in range(order + 1):
+            if power_v < order:
+                terms[0, first + power_v] = (order - power_v) * inner[below + power_v]
+            if power_v > 0:
+                terms[1, first + power_v] = power_v * inner[below + power_v - 1]
+    return terms[:, 1:]
+
+
+def _aligned(
+    pose: RigidTransform, samples: Sequence[FacetSamples], tilts_rad: FloatArray
+) -> tuple[RigidTransform, float]:
+    """Turn the mirror frame about its reference point by the mean tilt against the design, weighted by area."""
+    facets = [sample.facet for sample in samples]
+    areas = np.array([facet.area_m2 for facet in facets])
+    pivots, before, after = [], [], []
+    for facet, tilt in zip(facets, tilts_rad, strict=True):
+        x_m, y_m = facet.reference_point_m
+        design = np.array([float(slope) for slope in facet.design.gradient(x_m, y_m)])
+        pivots.append(facet.ensemble_from_facet.apply([x_m, y_m, float(facet.design.height(x_m, y_m))]))
+        before.append(facet.ensemble_from_facet.rotate([*-design, 1.0]))
+        after.append(facet.ensemble_from_facet.rotate([*-(design + tilt), 1.0]))
+    pivot = areas @ np.array(pivots) / areas.sum()
+    rotation = rotation_between(areas @ np.array(before), areas @ np.array(after))
+    turned = float(np.linalg.norm(rotation - np.eye(3)))
+    return pose @ RigidTransform(rotation, pivot - rotation @ pivot), turned

@@ -1,0 +1,1 @@
+"""Least-squares adjustment with robust loss, constraints, covariance; its statistical tests."""

@@ -1,0 +1,234 @@
+"""The result of an adjustment and what can be asked of it: sigmas, tests, correlations, what is not determined."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from statistics import NormalDist
+from typing import Generic, Self
+
+import numpy as np
+
+from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_quantile
+from heliogauge.adjust.gauss_newton import StateT
+from heliogauge.errors import EstimationError
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+
+class CovarianceScale(StrEnum):
+    """Whether the sigmas of the observations are believed or only their ratios."""
+
+    PRIOR = "a priori: the stated sigmas are believed"
+    POSTERIOR = "a posteriori: scaled by the variance factor"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution(Generic[StateT]):
+    """Estimate with its covariance and the evidence for or against it.
+
+    Parameters
+    ----------
+    state : object
+        The estimate as the caller's own type.
+    parameters : ndarray, shape (n,)
+        The estimate as numbers, in the order of ``names``.
+    names : tuple of str, length n
+        Names of the parameters, with units.
+    covariance : ndarray, shape (n, n)
+        Covariance of the step from the truth to the estimate; 0 for held parameters, NaN for those not determined.
+    covariance_scale : CovarianceScale
+        How the covariance was scaled.
+    converged : bool
+        Whether the estimate is a minimum to the stated tolerance.
+    reason : str
+        Why the iteration ended.
+    iterations : int
+        Steps tried.
+    rank : int
+        Number of parameter combinations determined by observations, priors and constraints, on top of the datum.
+    null_space : ndarray, shape (n, defect)
+        Directions in which nothing holds the parameters, largest entry 1; no columns when all are determined.
+    residuals : ndarray, shape (m,)
+        Whitened residuals [sigma]: observations, then priors and constraints in their order.
+    weights : ndarray, shape (m,)
+        Weight that the robust loss left to each residual, 1 for plain least squares.
+    redundancy_numbers : ndarray, shape (m,)
+        Share of an error of each residual that shows in it; they add up to the redundancy. 0: not controlled.
+    redundancy : int
+        Residuals less rank.
+    variance_factor : float
+        Squared residuals over redundancy, 1 if the sigmas are right; NaN without redundancy. With a robust loss
+        the squared influences count, divided by their expectation for normal errors.
+    """
+
+    state: StateT
+    parameters: FloatArray
+    names: tuple[str, ...]
+    covariance: FloatArray
+    covariance_scale: CovarianceScale
+    converged: bool
+    reason: str
+    iterations: int
+    rank: int
+    null_space: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+    redundancy_numbers: FloatArray
+    redundancy: int
+    variance_factor: float
+
+    def __post_init__(self) -> None:
+        for array in (
+            self.parameters,
+            self.covariance,
+            self.null_space,
+            self.residuals,
+            self.weights,
+            self.redundancy_numbers,
+        ):
+            freeze(array)
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations of the parameters, shape (n, n); NaN with held or undetermined ones."""
+        sigmas = np.where(self.sigmas > 0, self.sigmas, np.nan)
+        return np.asarray(self.covariance / sigmas[:, None] / sigmas)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the parameters that nothing holds, those with the largest share in the null space first."""
+        share = np.abs(self.null_space).max(axis=1, initial=0.0)
+        order = np.argsort(-share, kind="stable")
+        lost = np.isnan(np.diag(self.covariance))
+        return tuple(self.names[i] for i in order if lost[i])
+
+    def sigma(self, name: str) -> float:
+        """Return the standard deviation of one parameter."""
+        return float(self.sigmas[self.names.index(name)])
+
+    def value(self, name: str) -> float:
+        """Return the estimate of one parameter."""
+        return float(self.parameters[self.names.index(name)])
+
+    def largest_correlations(self, at_least: float = 0.9) -> tuple[tuple[str, str, float], ...]:
+        """List pairs of parameters that the observations hardly separate.
+
+        Parameters
+        ----------
+        at_least : float, optional
+            Smallest absolute correlation listed.
+
+        Returns
+        -------
+        tuple of (str, str, float)
+            Names and correlation, strongest first.
+        """
+        correlation = self.correlation
+        rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(correlation)) >= at_least, 1))
+        pairs = [(self.names[i], self.names[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
+        return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+
+    def variance_factor_interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Return the interval in which the variance factor lies if the sigmas are right.
+
+        Parameters
+        ----------
+        confidence : float, optional
+            Probability of the interval.
+
+        Returns
+        -------
+        tuple of float
+            Chi-square quantiles over the redundancy; (nan, nan) without redundancy. Exact for normal errors and plain
+            least squares, a guide with a robust loss.
+        """
+        if self.redundancy <= 0:
+            return float("nan"), float("nan")
+        tail = 0.5 * (1 - confidence)
+        low, high = (chi_square_quantile(p, self.redundancy) / self.redundancy for p in (tail, 1 - tail))
+        return low, high
+
+    def variance_factor_probability(self) -> float:
+        """Return the probability that the variance factor is at least this far in its tail (two-sided) by chance."""
+        if self.redundancy <= 0:
+            return float("nan")
+        below = chi_square_cdf(self.variance_factor * self.redundancy, self.redundancy)
+        return 2 * min(below, 1 - below)
+
+    def baarda(self) -> FloatArray:
+        """Return the residuals over their own sigma (Baarda's w), shape (m,); NaN where nothing controls them.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Standard normal if the stated sigmas are right; 3.29 is exceeded by chance once in 1000.
+        """
+        controlled = np.where(self.redundancy_numbers > 1e-8, self.redundancy_numbers, np.nan)
+        return np.asarray(self.residuals / np.sqrt(controlled))
+
+    def pope(self) -> FloatArray:
+        """Return the residuals over their own estimated sigma (Pope's tau), shape (m,).
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            For sigmas known only up to a common factor.
+        """
+        return np.asarray(self.baarda() / np.sqrt(self.variance_factor))
+
+    def outliers(self, significance: float = 0.001) -> BoolArray:
+        """Mark residuals that are too large for their own sigma.
+
+        Parameters
+        ----------
+        significance : float, optional
+            Probability of marking one good residual.
+
+        Returns
+        -------
+        ndarray of bool, shape (m,)
+            Baarda's test with a priori scale, Pope's with a posteriori scale.
+        """
+        if self.covariance_scale is CovarianceScale.PRIOR:
+            return np.asarray(np.abs(np.nan_to_num(self.baarda())) > NormalDist().inv_cdf(1 - significance / 2))
+        from scipy.special import stdtrit
+
+        freedom = self.redundancy - 1
+        if freedom < 1:
+            return np.zeros(self.residuals.shape, dtype=np.bool_)
+        student = float(stdtrit(freedom, 1 - significance / 2))
+        critical = student * np.sqrt(self.redundancy / (freedom + student**2))
+        return np.asarray(np.abs(np.nan_to_num(self.pope())) > critical)
+
+    def require(self, what: str) -> Self:
+        """Return the solution if it is usable, refuse it otherwise.
+
+        Parameters
+        ----------
+        what : str
+            What was estimated, for the message ("mirror pose").
+
+        Returns
+        -------
+        Solution
+            The same solution.
+
+        Raises
+        ------
+        EstimationError
+            Not converged, or parameters not determined; the message names them.
+        """
+        if self.null_space.shape[1]:
+            names = self.undetermined
+            listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+            defect = self.null_space.shape[1]
+            raise EstimationError(
+                f"{what}: {defect} of {defect + self.rank} degrees of freedom are not determined by the observations; "
+                f"they involve {listed}. Add observations or a prior, or hold one of them"
+            )
+        if not self.converged:
+            raise EstimationError(f"{what}: {self.reason}")
+        return self

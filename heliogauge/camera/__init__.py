@@ -1,0 +1,1 @@
+"""The camera model: distortion in both directions, derivatives, covariance; parameters of other programs."""

@@ -1,0 +1,1 @@
+"""Rigid motions, rays, surfaces, places on Earth, the sun."""

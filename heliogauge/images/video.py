@@ -1,0 +1,146 @@
+"""Read single frames of a video as photographs: the only place that decodes video files.
+
+A frame is named by a path that no file has: ``pass.mp4#00012`` is the thirteenth frame that can be decoded of
+``pass.mp4``. `heliogauge.images.photos.read_image` takes such a path like that of a photograph. Frames are counted by
+decoding, not by the container's index and times: those are wrong where a recorder dropped frames, and a decoder that
+is sent to a time stops at a neighbour.
+"""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import InputError
+from heliogauge.images.video_names import FRAME
+
+#: Each thread reads on from where it was; it comes to its frames in ascending order.
+_OWN = threading.local()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoFrames:
+    """The frames of a video.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Path of each frame, to be read with `heliogauge.images.photos.read_image`.
+    doubts : tuple of str
+        What is wrong with the video and was got round.
+    """
+
+    files: tuple[Path, ...]
+    doubts: tuple[str, ...]
+
+
+@dataclass(slots=True, eq=False)
+class _Reader:
+    """An open video and its latest frame."""
+
+    video: Path
+    capture: Any
+    following: int = 0
+    latest: npt.NDArray[np.uint8] | None = None
+
+
+def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
+    """Decode a whole video once and name its frames.
+
+    Parameters
+    ----------
+    video : Path
+        The video.
+    every_nth : int, optional
+        Take only every nth frame, the first one included.
+
+    Returns
+    -------
+    VideoFrames
+        Its frames; exact copies of the frame taken before are left out, because they measure nothing new.
+
+    Raises
+    ------
+    InputError
+        No such file, or no frame can be decoded.
+    """
+    capture = _open(video)
+    files, copies, number = [], 0, 0
+    before: npt.NDArray[Any] | None = None
+    while capture.grab():
+        if number % every_nth == 0:
+            got, frame = capture.retrieve()
+            if not got:
+                break
+            if before is not None and np.array_equal(frame, before):
+                copies += 1
+            else:
+                files.append(video.with_name(f"{video.name}#{number:05d}"))
+            before = frame
+        number += 1
+    if not files:
+        raise InputError(f"{video}: no frame can be decoded; is it a whole video? Otherwise give photos")
+    doubts = []
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    if number < stated:
+        doubts.append(
+            f"{video.name}: {number} of the {stated} frames that it claims to have could be decoded; the rest of the "
+            "file is missing or damaged: was it copied completely?"
+        )
+    if copies:
+        doubts.append(f"{video.name}: {copies} frames are exact copies of the ones before and were left out")
+    return VideoFrames(tuple(files), tuple(doubts))
+
+
+def read_frame(path: Path) -> npt.NDArray[np.uint8]:
+    """Decode one frame.
+
+    Parameters
+    ----------
+    path : Path
+        As named by `list_frames`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 3)
+        Blue, green, red [DN], in the raster of the sensor: the container's note that the picture was turned is ignored.
+
+    Raises
+    ------
+    InputError
+        No such file or frame.
+    """
+    found = FRAME.fullmatch(path.name)
+    if found is None:
+        raise InputError(f"{path}: a frame is named like pass.mp4#00012")
+    video, number = path.with_name(found["video"]), int(found["number"])
+    reader: _Reader | None = getattr(_OWN, "reader", None)
+    if reader is None or reader.video != video or number < reader.following - 1:
+        reader = _OWN.reader = _Reader(video, _open(video))
+    while reader.following < number and reader.capture.grab():
+        reader.following += 1
+    if reader.following == number:
+        got, frame = reader.capture.read()
+        reader.latest = np.asarray(frame, dtype=np.uint8) if got else None
+        reader.following += 1
+    if reader.following != number + 1 or reader.latest is None:
+        _OWN.reader = None
+        raise InputError(f"{video}: frame {number} cannot be decoded; has the file changed?")
+    return reader.latest
+
+
+def _open(video: Path) -> Any:
+    if not video.is_file():
+        raise InputError(f"{video}: there is no such video")
+    capture = cv2.VideoCapture(str(video))
+    if not capture.isOpened():
+        raise InputError(
+            f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); an undamaged MP4, MOV or AVI is "
+            "needed, or photos"
+        )
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    return capture

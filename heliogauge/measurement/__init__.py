@@ -1,0 +1,1 @@
+"""measurement.toml: found by kind, checked, written."""

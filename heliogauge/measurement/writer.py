@@ -1,0 +1,160 @@
+"""Write measurement.toml: the little of TOML that a measurement needs, checked before it is written."""
+
+import datetime
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from heliogauge.errors import InputError
+from heliogauge.measurement.load import MEASUREMENT_FILE, Model, parse_measurement
+
+
+def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comment: str = "") -> Path:
+    """Write a measurement.toml that `heliogauge.measurement.load.load_measurement` accepts.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder; made if absent. An existing measurement.toml is replaced.
+    content : model or mapping
+        What the file shall say; arrays and numbers of numpy are taken, None leaves a key out.
+    comment : str, optional
+        Lines to put at the top.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The content is not a measurement.
+
+    Notes
+    -----
+    The file is written beside and moved into place: it is whole or not there.
+    """
+    file = folder / MEASUREMENT_FILE
+    given = content.model_dump(exclude_none=True, exclude_defaults=True) if isinstance(content, Model) else content
+    tables = _plain(given)
+    parse_measurement(tables, file)
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    folder.mkdir(parents=True, exist_ok=True)
+    return write_text(file, (head + "\n" if head else "") + dump_toml(tables))
+
+
+def write_text(file: Path, text: str) -> Path:
+    """Write a text file so that it is whole or not there.
+
+    Parameters
+    ----------
+    file : Path
+        The file; replaced if it exists.
+    text : str
+        Its content.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written to.
+    """
+    beside = file.with_name(f".{file.name}.{os.getpid()}")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(file)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"{file}: cannot be written ({error.strerror}); check permissions and space") from error
+    return file
+
+
+def dump_toml(content: Mapping[str, Any]) -> str:
+    """Format tables as TOML: values first, then sub-tables, then lists of tables.
+
+    Parameters
+    ----------
+    content : mapping
+        Text, numbers, dates, lists and tables of them.
+
+    Returns
+    -------
+    str
+        TOML that `tomllib` reads back to the same values.
+
+    Raises
+    ------
+    InputError
+        A number is not finite, or a value is of a type TOML does not know.
+
+    Examples
+    --------
+    >>> print(dump_toml({"name": "A", "camera": {"focal_px": 1e3}}))
+    name = "A"
+    <BLANKLINE>
+    [camera]
+    focal_px = 1000.0
+    <BLANKLINE>
+    """
+    return "\n".join(_table_lines(content, "")).strip("\n") + "\n"
+
+
+def _table_lines(table: Mapping[str, Any], path: str) -> list[str]:
+    lines = [f"{key} = {_value_text(value)}" for key, value in table.items() if not _is_tables(value)]
+    for key, value in table.items():
+        name = f"{path}.{key}" if path else key
+        if isinstance(value, Mapping):
+            lines += ["", f"[{name}]", *_table_lines(value, name)]
+        elif _is_tables(value):
+            for item in value:
+                lines += ["", f"[[{name}]]", *_table_lines(item, name)]
+    return lines
+
+
+def _is_tables(value: object) -> bool:
+    if isinstance(value, Mapping):
+        return True
+    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
+
+
+def _value_text(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise InputError(f"a measurement file cannot hold the number {value}")
+        return repr(value)
+    if isinstance(value, str):
+        # A basic string of TOML is a JSON string, but for DEL, which TOML wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    if isinstance(value, list):
+        return "[" + ", ".join(_value_text(item) for item in value) + "]"
+    raise InputError(f"a measurement file cannot hold a value of type {type(value).__name__}: {value!r:.60}")
+
+
+def _plain(value: Any) -> Any:
+    """Turn tuples, paths and numpy's types into what TOML has; leave out what is None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, os.PathLike):
+        return Path(value).as_posix()
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(item) for item in value]
+    if isinstance(value, str):
+        # An enumeration's member is a text too: keep the text.
+        return str(value)
+    return value

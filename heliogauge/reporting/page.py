@@ -1,0 +1,348 @@
+"""What the report notebooks call: each function returns a piece of HTML that the cell shows."""
+
+import html
+from typing import Protocol
+
+import numpy as np
+
+from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
+from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.results import Results, open_results
+from heliogauge.reporting.sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
+from heliogauge.results.folder import Summary, unit_of
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.statistics import Removal, statistics
+
+__all__ = [
+    "HasSummary",
+    "Html",
+    "Results",
+    "duration_table",
+    "facet_table",
+    "flag_table",
+    "head",
+    "headline_table",
+    "image_figures",
+    "input_table",
+    "join",
+    "name_and_line",
+    "number_text",
+    "open_results",
+    "pose_table",
+    "setup_figures",
+    "show",
+    "spot_figures",
+    "spots",
+    "statistics_table",
+    "table",
+    "text_table",
+    "title",
+    "uncertainty_shares",
+    "warnings_box",
+]
+
+#: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
+LABELS: dict[str, str] = {
+    "sdx": "SDx, RMS slope error in x",
+    "sdy": "SDy, RMS slope error in y",
+    "sd": "SD, RMS angle between measured and design normal",
+    "sdx_best_focus": "SDx with tilt and focus removed",
+    "sdy_best_focus": "SDy with tilt and focus removed",
+    "sd_best_focus": "SD with tilt and focus removed",
+    "mean_x": "Mean slope error in x",
+    "mean_y": "Mean slope error in y",
+    "focal_length_x": "Best-fit focal length in x",
+    "focal_length_y": "Best-fit focal length in y",
+    "canting_x": "Canting in x",
+    "canting_y": "Canting in y",
+    "measured_share": "Share of the mirror measured",
+    "pose_residual": "RMS residual of the mirror's outline",
+    "curl_rms": "RMS curl of the slopes (self-check)",
+    "curl_expected_rms": "RMS curl expected from the noise",
+    "target_distance": "Distance of the target",
+}
+
+
+class HasSummary(Protocol):
+    """Results of any kind: what title, warnings, times and inputs are shown of."""
+
+    @property
+    def summary(self) -> Summary:
+        """The summary of the folder."""
+
+
+def name_and_line(name: str, line: str) -> Html:
+    """Return a name as heading of the report with a line below it.
+
+    Parameters
+    ----------
+    name, line : str
+        Both as text.
+
+    Returns
+    -------
+    Html
+        The heading.
+    """
+    return Html(f'<h1>{html.escape(name)}</h1><p class="subtitle">{html.escape(line)}</p>')
+
+
+def head(results: HasSummary, line: str) -> Html:
+    """Return heading and warnings of a report.
+
+    Parameters
+    ----------
+    results : HasSummary
+        The results.
+    line : str
+        What they are; the version is added.
+
+    Returns
+    -------
+    Html
+        Name, line and the box of warnings.
+    """
+    summary = results.summary
+    return join(name_and_line(summary.name, f"{line}; heliogauge {summary.version}"), warnings_box(results))
+
+
+def title(results: Results) -> Html:
+    """Return the head of the report.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        Name, kind, design, version.
+    """
+    summary = results.summary
+    line = f"{summary.kind}; design: {results.slope_map.design}; heliogauge {summary.version}"
+    return name_and_line(summary.name, line)
+
+
+def warnings_box(results: HasSummary) -> Html:
+    """Return the warnings, or the statement that there are none.
+
+    Parameters
+    ----------
+    results : HasSummary
+        The results.
+
+    Returns
+    -------
+    Html
+        A coloured box.
+    """
+    warnings = results.summary.warnings
+    if not warnings:
+        return Html('<div class="fine">No warnings: every check of the measurement passed.</div>')
+    items = "".join(f"<li>{html.escape(warning)}</li>" for warning in warnings)
+    word = "warning" if len(warnings) == 1 else "warnings"
+    return Html(f'<div class="warnings"><strong>{len(warnings)} {word}</strong><ul>{items}</ul></div>')
+
+
+def headline_table(results: Results) -> Html:
+    """Return the headline numbers with their standard deviations and units.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        A table, in the order of the summary.
+    """
+    numbers, reasons = results.summary.numbers, results.summary.not_determined
+    headline, others = [], []
+    for key, value in numbers.items():
+        name, unit = unit_of(key)
+        if key.removeprefix("sigma_") in numbers and key.startswith("sigma_"):
+            continue
+        sigma = numbers.get(f"sigma_{key}")
+        shown = f"not determined: {reasons.get(key, '')}" if value is None else number_text(value, sigma, unit, name)
+        if name in LABELS:
+            headline.append((LABELS[name], shown))
+        else:
+            others.append((_plain_label(name), shown))
+    values = table(("", "value \u00b1 1 sigma"), headline, numbers=(1,))
+    more = table(("", "value \u00b1 1 sigma"), others, numbers=(1,))
+    folded = f"<details><summary>{len(others)} more numbers</summary>{more.text}</details>" if others else ""
+    return Html(f'<div class="headline">{values.text}</div>{folded}')
+
+
+def _plain_label(name: str) -> str:
+    text = name.replace("_", " ")
+    for short, proper in (("sdx", "SDx"), ("sdy", "SDy"), ("sd ", "SD "), ("rms", "RMS")):
+        text = text.replace(short, proper)
+    return text[:1].upper() + text[1:]
+
+
+def statistics_table(slope_map: SlopeMap) -> Html:
+    """Return SDx, SDy and SD of a map, as measured and with more and more removed.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+
+    Returns
+    -------
+    Html
+        A table [mrad].
+    """
+    rows = []
+    for removal in Removal:
+        result = statistics(slope_map, removed=removal)
+        pairs = ((result.sdx_rad, result.sigma_sdx_rad), (result.sdy_rad, result.sigma_sdy_rad))
+        cells = [number_text(value, sigma, "rad") for value, sigma in (*pairs, (result.sd_rad, result.sigma_sd_rad))]
+        more = result.removed.removeprefix(slope_map.removed).strip("; ").removeprefix("then ")
+        rows.append((more or "nothing", result.reference, *cells))
+    before = "" if slope_map.removed == "nothing" else f"Removed in every row: {slope_map.removed}."
+    values = table(("removed", "deviation from", "SDx", "SDy", "SD"), rows, numbers=(2, 3, 4))
+    return join(values, Html(f'<p class="caption">{html.escape(before)}</p>' if before else ""))
+
+
+def flag_table(slope_map: SlopeMap) -> Html:
+    """Return how many nodes of the mirror carry each flag.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+
+    Returns
+    -------
+    Html
+        A table.
+    """
+    total = max(int(np.count_nonzero(slope_map.aperture)), 1)
+    counts = count_flags(slope_map.flags, slope_map.aperture)
+    rows = [("measured", "", f"{int(np.count_nonzero(slope_map.valid))}", f"{slope_map.measured_share:.2%}")]
+    for flag, count in sorted(counts.items(), key=lambda item: -item[1]):
+        effect = "no value" if flag & REJECTED else "kept"
+        rows.append((FLAG_TEXTS[SampleFlag(flag)], effect, f"{count}", f"{count / total:.2%}"))
+    return table(("nodes of the mirror", "effect", "count", "share"), rows, numbers=(2, 3))
+
+
+def facet_table(results: Results) -> Html:
+    """Return the numbers of each facet.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        A table with one line for each facet; empty for a single facet.
+    """
+    facets = results.summary.facets
+    if not facets:
+        return Html("")
+    keys = [key for key in next(iter(facets.values())) if not key.startswith("sigma_")]
+    names = [unit_of(key) for key in keys]
+    head = ("facet", *(LABELS.get(name, name.replace("_", " ")) for name, _ in names))
+    rows = []
+    for facet, numbers in facets.items():
+        cells = [
+            "-" if (value := numbers.get(key)) is None else number_text(value, numbers.get(f"sigma_{key}"), unit, name)
+            for key, (name, unit) in zip(keys, names, strict=True)
+        ]
+        rows.append((facet, *cells))
+    return table(head, rows, numbers=range(1, len(head)))
+
+
+def text_table(results: Results) -> Html:
+    """Return what is said in words: design, frame, what was removed, and what the pipeline adds.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        A table.
+    """
+    slope_map = results.slope_map
+    own = {"design": slope_map.design, "frame": slope_map.frame, "removed": slope_map.removed}
+    rows = [(name.replace("_", " "), text) for name, text in (own | dict(results.summary.texts)).items()]
+    rows.append(("share measured", f"{slope_map.measured_share:.2%}"))
+    rows.append(("software", f"heliogauge {results.summary.version}"))
+    return table(("", ""), rows)
+
+
+def pose_table(results: Results) -> Html:
+    """Return the pose of the mirror in the camera's frame with its uncertainty.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+
+    Returns
+    -------
+    Html
+        A table with one line for each pose.
+    """
+    rows = []
+    for name, pose in results.poses.items():
+        sigma = np.sqrt(np.diag(pose.covariance))
+        position = pose.cam_from_world.translation_m
+        residual = "-" if pose.residual_rms_px is None else f"{pose.residual_rms_px:.3f} px"
+        place = ", ".join(f"{value:.4f}" for value in position)
+        spread = ", ".join(f"{1e3 * value:.2f}" for value in sigma[3:])
+        turn = ", ".join(f"{1e3 * value:.3f}" for value in sigma[:3])
+        rows.append((name, f"({place}) m", f"({spread}) mm", f"({turn}) mrad", residual))
+    head = ("pose", "origin in the camera frame", "sigma of position", "sigma of rotation", "RMS residual")
+    return table(head, rows, numbers=(4,)) if rows else Html("")
+
+
+def duration_table(results: HasSummary) -> Html:
+    """Return how long each stage took.
+
+    Parameters
+    ----------
+    results : HasSummary
+        The results.
+
+    Returns
+    -------
+    Html
+        A table.
+    """
+    durations = results.summary.durations_s
+    rows = [(stage, f"{seconds:.2f} s") for stage, seconds in durations.items()]
+    return table(("stage", "wall time"), [*rows, ("together", f"{sum(durations.values()):.2f} s")], numbers=(1,))
+
+
+def input_table(results: HasSummary) -> Html:
+    """Return the files that were read, with their hashes, folded away.
+
+    Parameters
+    ----------
+    results : HasSummary
+        The results.
+
+    Returns
+    -------
+    Html
+        A table that opens on a click.
+    """
+    hashes = results.summary.input_sha256
+    rows = "".join(
+        f'<tr><td>{html.escape(name)}</td><td class="hash">{html.escape(digest)}</td></tr>'
+        for name, digest in hashes.items()
+    )
+    head = "<thead><tr><th>file</th><th>SHA-256</th></tr></thead>"
+    body = f'<div class="table"><table>{head}<tbody>{rows}</tbody></table></div>'
+    return Html(f"<details><summary>{len(hashes)} input files with their SHA-256</summary>{body}</details>")

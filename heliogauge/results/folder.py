@@ -1,0 +1,309 @@
+"""Results on disk: the folder that appears whole or not at all, the summary, hashes of the inputs."""
+
+import hashlib
+import math
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from heliogauge import __version__
+from heliogauge.errors import InputError
+from heliogauge.results.json_file import read_json, write_json
+from heliogauge.results.slope_map_file import (
+    ASSEMBLED,
+    facet_names,
+    read_pixels,
+    read_slope_map,
+    read_slope_map_attributes,
+    write_pixels,
+    write_slope_map,
+)
+from heliogauge.results.tables import (
+    PhotoPose,
+    PointTable,
+    read_camera_json,
+    read_cameras_json,
+    read_points_csv,
+    read_table_csv,
+    write_camera_json,
+    write_cameras_json,
+    write_points_csv,
+    write_table_csv,
+)
+from heliogauge.results.whole_folder import FolderKind, WholeFolder
+
+__all__ = [
+    "ASSEMBLED",
+    "SUMMARY_FILE",
+    "PhotoPose",
+    "PointTable",
+    "ResultFolder",
+    "Summary",
+    "facet_names",
+    "hash_files",
+    "read_camera_json",
+    "read_cameras_json",
+    "read_json",
+    "read_pixels",
+    "read_points_csv",
+    "read_slope_map",
+    "read_slope_map_attributes",
+    "read_summary",
+    "read_table_csv",
+    "unit_of",
+    "write_camera_json",
+    "write_cameras_json",
+    "write_json",
+    "write_pixels",
+    "write_points_csv",
+    "write_slope_map",
+    "write_summary",
+    "write_table_csv",
+]
+
+SUMMARY_FILE = "summary.json"
+SUMMARY_SCHEMA = 1
+RESULTS = FolderKind(
+    content="results", mark=SUMMARY_FILE, strangers=frozenset({"measurement.toml"}), remedy="choose another with --out"
+)
+
+#: A key of a number ends with one of these: the unit it is in.
+UNITS: dict[str, str] = {
+    "_per_m": "1/m", "_mrad": "mrad", "_urad": "µrad", "_rad": "rad", "_deg": "deg", "_um": "µm", "_mm": "mm",
+    "_m2": "m²", "_m": "m", "_px": "px", "_dn": "DN", "_s": "s", "_mib": "MiB", "_share": "", "_ratio": "",
+    "_count": "", "_factor": "", "_probability": "",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """What ``summary.json`` holds.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of measurement ("deflectometry", ...): names the package whose report is run.
+    name : str
+        Name of the measured thing.
+    numbers : mapping of str to float, int or None
+        Headline numbers in the order of their importance; the key ends with the unit (`UNITS`), and the standard
+        deviation of ``sdx_rad`` is ``sigma_sdx_rad``. None: not determined, see `not_determined`.
+    texts : mapping of str to str
+        What must be said beside the numbers: design, removed, reference, frame, mounting orientation, setup, pattern.
+    warnings : sequence of str
+        What makes the result doubtful.
+    durations_s : mapping of str to float
+        Wall time of each stage [s].
+    input_sha256 : mapping of str to str
+        Hash of each file that was read.
+    not_determined : mapping of str to str
+        Why a number is None.
+    facets : mapping of str to mapping
+        For several facets: numbers of each by the name of the facet.
+    geometry_m : mapping of str to nested lists
+        Points for the sketch of the setup, in the frame of the map [m]: ``camera`` (3,), ``camera_axis`` (3,),
+        ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline.
+    version : str
+        Version of the software that measured.
+    """
+
+    kind: str
+    name: str
+    numbers: Mapping[str, float | int | None]
+    texts: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    durations_s: Mapping[str, float] = field(default_factory=dict)
+    input_sha256: Mapping[str, str] = field(default_factory=dict)
+    not_determined: Mapping[str, str] = field(default_factory=dict)
+    facets: Mapping[str, Mapping[str, float | int | None]] = field(default_factory=dict)
+    geometry_m: Mapping[str, Any] = field(default_factory=dict)
+    version: str = __version__
+
+
+def unit_of(key: str) -> tuple[str, str]:
+    """Split the key of a number into its name and its unit.
+
+    Parameters
+    ----------
+    key : str
+        A key of `Summary.numbers`.
+
+    Returns
+    -------
+    tuple of str
+        Name without the unit, unit as it is printed.
+
+    Raises
+    ------
+    InputError
+        The key does not end with a unit of `UNITS`.
+
+    Examples
+    --------
+    >>> unit_of("sdx_rad")
+    ('sdx', 'rad')
+    """
+    for suffix, unit in UNITS.items():
+        if key.endswith(suffix):
+            return key.removesuffix(suffix) if unit else key, unit
+    raise InputError(f"{key}: the name of a number must end with its unit, one of {', '.join(UNITS)}")
+
+
+def write_summary(path: Path, summary: Summary) -> None:
+    """Write ``summary.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    summary : Summary
+        What to write.
+
+    Raises
+    ------
+    InputError
+        A key without a unit; a number that is missing or not finite without a reason; the file cannot be written.
+    """
+    numbers = {key: _finite_or_reason(key, value, summary) for key, value in summary.numbers.items()}
+    facets = {
+        name: {key: _finite_or_reason(key, value, summary, name) for key, value in facet.items()}
+        for name, facet in summary.facets.items()
+    }
+    content = {
+        "schema_version": SUMMARY_SCHEMA,
+        "kind": summary.kind,
+        "name": summary.name,
+        "software": "heliogauge",
+        "software_version": summary.version,
+        "numbers": numbers,
+        "not_determined": dict(summary.not_determined),
+        "warnings": list(summary.warnings),
+        "texts": dict(summary.texts),
+        "facets": facets,
+        "geometry_m": dict(summary.geometry_m),
+        "durations_s": {stage: round(float(seconds), 4) for stage, seconds in summary.durations_s.items()},
+        "input_sha256": dict(summary.input_sha256),
+    }
+    write_json(path, content)
+
+
+def read_summary(path: Path) -> Summary:
+    """Read ``summary.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the folder of results that holds it.
+
+    Returns
+    -------
+    Summary
+        Its content.
+
+    Raises
+    ------
+    InputError
+        No such file, no JSON, or not written by this software.
+    """
+    path = path / SUMMARY_FILE if path.is_dir() else path
+    content = read_json(path)
+    schema = content.get("schema_version")
+    if content.get("software") != "heliogauge" or schema not in range(1, SUMMARY_SCHEMA + 1):
+        raise InputError(f"{path}: schema_version {schema} is not one this version reads (1 to {SUMMARY_SCHEMA})")
+    renamed = {"version": "software_version"}
+    keys = {item.name: renamed.get(item.name, item.name) for item in fields(Summary)}
+    missing = [key for key in keys.values() if key not in content]
+    if missing:
+        raise InputError(f"{path}: the keys {', '.join(missing)} are missing")
+    values = {name: content[key] for name, key in keys.items()}
+    return Summary(**{**values, "warnings": tuple(values["warnings"])})
+
+
+def _finite_or_reason(
+    key: str, value: float | int | None, summary: Summary, facet: str | None = None
+) -> float | int | None:
+    unit_of(key)
+    if value is not None and math.isfinite(value):
+        return value if isinstance(value, int) else float(value)
+    if key not in summary.not_determined:
+        where = f" of facet {facet}" if facet else ""
+        raise InputError(f"summary: {key}{where} is {value}; a finite number or a reason in not_determined is needed")
+    return None
+
+
+def hash_files(paths: Iterable[Path], relative_to: Path | None = None) -> dict[str, str]:
+    """Hash files, several at a time.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        The files.
+    relative_to : Path, optional
+        Folder the names are given from; the bare file name for files elsewhere and without it.
+
+    Returns
+    -------
+    dict of str to str
+        Name with forward slashes, SHA-256 in hexadecimal digits, in the order given.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
+    files = list(dict.fromkeys(paths))
+    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+        digests = list(pool.map(_hash_file, files))
+    root = relative_to.resolve() if relative_to is not None else None
+    names = [_relative_name(path, root) for path in files]
+    return dict(zip(names, digests, strict=True))
+
+
+def _relative_name(path: Path, root: Path | None) -> str:
+    resolved = path.resolve()
+    return resolved.relative_to(root).as_posix() if root and resolved.is_relative_to(root) else path.name
+
+
+def _hash_file(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+class ResultFolder(WholeFolder):
+    """A folder of results that appears whole or not at all.
+
+    Parameters
+    ----------
+    target : Path
+        Where the results shall stand.
+    force : bool, optional
+        Replace earlier results. Only a folder that is empty or holds a ``summary.json`` is ever replaced.
+
+    Raises
+    ------
+    InputError
+        On entering: results are there already, the place is not one for results, or it cannot be written to.
+
+    Notes
+    -----
+    ``with ResultFolder(out) as folder:`` gives a temporary folder beside the target. On success it is moved into
+    place (one rename); after an error or Ctrl-C it is removed and earlier results stay as they were.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> out = Path(tempfile.mkdtemp()) / "result"
+    >>> with ResultFolder(out) as folder:
+    ...     _ = (folder / "points.csv").write_text("id")
+    >>> [path.name for path in out.iterdir()]
+    ['points.csv']
+    """
+
+    def __init__(self, target: Path, *, force: bool = False) -> None:
+        super().__init__(target, RESULTS, force=force)

@@ -1,0 +1,418 @@
+"""Points, cameras and poses on disk: ``points.csv``, ``camera.json``, ``cameras.json`` and other small tables."""
+
+import csv
+import operator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.results.json_file import read_json, write_json
+from heliogauge.validate import FloatArray, covariance_matrix, float_array
+
+CAMERA_SCHEMA = 1
+
+_OWN = ("focal_x_px", "focal_y_px", "center_x_px", "center_y_px")
+_LENS = ("k1", "k2", "k3", "p1", "p2")
+_OPTIONAL = ("skew", *_LENS, "distortion_direction", "covariance", "schema_version", "parameter_order", "sigma")
+_POINT_COLUMNS = ("id", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "n_rays", "flag")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointTable:
+    """Measured points, as ``points.csv`` holds them.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        Names.
+    xyz_m : array_like, shape (n, 3)
+        Coordinates [m]; NaN where not determined.
+    sigma_m : array_like, shape (n, 3)
+        Standard deviations [m].
+    n_rays : array_like of int, shape (n,)
+        Rays that determine each point.
+    flags : array_like of int, shape (n,)
+        Bits of `heliogauge.flags.SampleFlag`.
+
+    Raises
+    ------
+    InputError
+        Lengths differ.
+    """
+
+    ids: tuple[str, ...]
+    xyz_m: FloatArray
+    sigma_m: FloatArray
+    n_rays: np.ndarray[Any, np.dtype[np.int64]]
+    flags: np.ndarray[Any, np.dtype[np.uint32]]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", tuple(self.ids))
+        count = len(self.ids)
+        for name in ("xyz_m", "sigma_m"):
+            object.__setattr__(self, name, float_array(name, getattr(self, name), (count, 3), finite=False))
+        for name, dtype in (("n_rays", np.int64), ("flags", np.uint32)):
+            array = np.array(getattr(self, name), dtype=dtype)
+            if array.shape != (count,):
+                raise InputError(f"{name}: shape ({count},) is needed, not {array.shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoPose:
+    """Where a camera stood for one photo.
+
+    Parameters
+    ----------
+    camera : str
+        Name of the camera.
+    cam_from_world : RigidTransform
+        World (mirror, object) frame to camera frame.
+    covariance : array_like, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved`: rotation [rad], translation [m].
+    residual_rms_px : float or None
+        RMS of the image residuals; None where there are none [px].
+    """
+
+    camera: str
+    cam_from_world: RigidTransform
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    residual_rms_px: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", covariance_matrix("pose covariance", self.covariance, 6))
+
+
+def write_points_csv(path: Path, points: PointTable) -> None:
+    """Write ``points.csv``; floats so that reading returns them bit for bit.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    points : PointTable
+        What to write.
+    """
+    columns: dict[str, Sequence[Any]] = {"id": points.ids}
+    for index, axis in enumerate("xyz"):
+        columns[f"{axis}_m"] = points.xyz_m[:, index].tolist()
+    for index, axis in enumerate("xyz"):
+        columns[f"sigma_{axis}_m"] = points.sigma_m[:, index].tolist()
+    columns |= {"n_rays": points.n_rays.tolist(), "flag": points.flags.tolist()}
+    write_table_csv(path, columns)
+
+
+def read_points_csv(path: Path) -> PointTable:
+    """Read ``points.csv``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    PointTable
+        Its content.
+
+    Raises
+    ------
+    InputError
+        No such file, a missing column, or a cell that is no number.
+    """
+    columns = read_table_csv(path, _POINT_COLUMNS)
+    values = {name: _numbers(path, name, columns[name]) for name in _POINT_COLUMNS[1:]}
+    return PointTable(
+        ids=tuple(columns["id"]),
+        xyz_m=np.column_stack([values["x_m"], values["y_m"], values["z_m"]]),
+        sigma_m=np.column_stack([values["sigma_x_m"], values["sigma_y_m"], values["sigma_z_m"]]),
+        n_rays=values["n_rays"].astype(np.int64),
+        flags=values["flag"].astype(np.uint32),
+    )
+
+
+def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
+    """Write columns of one length as CSV with a header line; NaN becomes an empty cell.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    columns : mapping of str to sequence or ndarray
+        Columns by name, units in the names.
+
+    Raises
+    ------
+    InputError
+        Lengths differ, or the file cannot be written.
+    """
+    lists = [np.asarray(column).tolist() for column in columns.values()]
+    if len({len(column) for column in lists}) > 1:
+        sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, lists, strict=True))
+        raise InputError(f"{path.name}: columns of one length are needed, not {sizes}")
+    # One format for whole rows: a third of the time that the csv module takes.
+    row = ",".join(["%s"] * len(lists)) + "\n"
+    header = row % tuple(_csv_cell(str(name)) for name in columns)
+    cells = [_csv_cells(column, alone=len(lists) == 1) for column in lists]
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            file.write(header)
+            file.writelines(map(row.__mod__, zip(*cells, strict=True)))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error})") from error
+
+
+def _csv_cells(column: list[Any], *, alone: bool) -> list[Any]:
+    """Return cells whose text is what CSV needs; a row is never empty."""
+    kinds = set(map(type, column))
+    if kinds <= {int}:
+        return column
+    if kinds == {float}:
+        # NaN is the one float that differs from itself; the text of the others is short enough to read them back.
+        has_gaps = any(map(operator.ne, column, column))
+        cells: list[Any] = ["" if cell != cell else cell for cell in column] if has_gaps else column
+    elif kinds == {str}:
+        # Names come many times.
+        known = {cell: _csv_cell(cell) for cell in set(column)}
+        cells = [known[cell] for cell in column]
+    else:
+        cells = [_csv_cell("" if cell is None or cell != cell else str(cell)) for cell in column]
+    return ['""' if cell == "" else cell for cell in cells] if alone else cells
+
+
+def _csv_cell(text: str) -> str:
+    """Return a text with the quotes that it needs in a cell."""
+    if any(mark in text for mark in ',"\r\n'):
+        return '"' + text.replace('"', '""') + '"'
+    return text
+
+
+def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str]]:
+    """Read a CSV file with a header line as columns of text.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    needed : sequence of str, optional
+        Columns that must be there.
+
+    Returns
+    -------
+    dict of str to list of str
+        Columns by name.
+
+    Raises
+    ------
+    InputError
+        No such file, a missing column, or a line with another number of cells.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); save it as UTF-8") from error
+    except (OSError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error})") from error
+    header = [name.strip() for name in rows[0]] if rows else []
+    missing = [name for name in needed if name not in header]
+    if missing:
+        other = next((sign for sign in (";", "\t") if len(header) == 1 and sign in header[0]), None)
+        raise InputError(
+            f"{path}: the columns {', '.join(missing)} are missing; there are: {', '.join(header) or 'none'}"
+            + ("" if other is None else f"; cells are parted by {other!r}: save it with commas and decimal points")
+        )
+    body = [(number, row) for number, row in enumerate(rows[1:], start=2) if row]
+    for number, row in body:
+        if len(row) != len(header):
+            raise InputError(f"{path}, line {number}: {len(header)} cells are needed, not {len(row)}")
+    return {name: [row[index].strip() for _, row in body] for index, name in enumerate(header)}
+
+
+def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError as error:
+        raise InputError(f"{path}: column {name} must hold numbers ({error})") from error
+
+
+def write_camera_json(path: Path, camera: Camera) -> None:
+    """Write one camera, to be used as ``camera.json`` of a measurement.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    camera : Camera
+        The camera.
+    """
+    write_json(path, {"schema_version": CAMERA_SCHEMA, **_camera_content(camera)})
+
+
+def write_cameras_json(path: Path, cameras: Mapping[str, Camera], poses: Mapping[str, PhotoPose]) -> None:
+    """Write cameras and the pose of each photo (``cameras.json``).
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced where it exists.
+    cameras : mapping of str to Camera
+        Cameras by name.
+    poses : mapping of str to PhotoPose
+        Poses by the name of the photo (or of the facet whose pose was measured).
+
+    Raises
+    ------
+    InputError
+        A pose of a camera that is not given.
+    """
+    strangers = sorted({pose.camera for pose in poses.values()} - set(cameras))
+    if strangers:
+        raise InputError(f"{path.name}: poses of the cameras {', '.join(strangers)}, which are not given")
+    content = {
+        "schema_version": CAMERA_SCHEMA,
+        "cameras": {name: _camera_content(camera) for name, camera in cameras.items()},
+        "poses": {name: _pose_content(pose) for name, pose in poses.items()},
+    }
+    write_json(path, content)
+
+
+def read_camera_json(path: Path, name: str | None = None) -> Camera:
+    """Read a camera from ``camera.json`` or from a ``cameras.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str, optional
+        Name of the camera; not needed where the file holds one only.
+
+    Returns
+    -------
+    Camera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        No such file or camera, a missing or unknown key, or an impossible value.
+    """
+    content = read_json(path)
+    if "cameras" not in content:
+        return _read_camera(path, content)
+    cameras = content["cameras"]
+    if name is None and len(cameras) != 1:
+        raise InputError(f"{path}: holds {len(cameras)} cameras ({', '.join(cameras)}); one must be named")
+    chosen = next(iter(cameras)) if name is None else name
+    if chosen not in cameras:
+        raise InputError(f"{path}: no camera {chosen!r}; there are: {', '.join(cameras)}")
+    return _read_camera(path, cameras[chosen])
+
+
+def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPose]]:
+    """Read ``cameras.json``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    tuple of dict
+        Cameras by name, poses by photo.
+
+    Raises
+    ------
+    InputError
+        No such file, a missing or unknown key, or an impossible value.
+    """
+    content = read_json(path)
+    for key in ("cameras", "poses"):
+        if key not in content:
+            raise InputError(f"{path}: the key {key} is missing; a cameras.json written by heliogauge is needed")
+    cameras = {name: _read_camera(path, camera) for name, camera in content["cameras"].items()}
+    return cameras, {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
+
+
+def _camera_content(camera: Camera) -> dict[str, Any]:
+    lens = camera.distortion
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        **{name: getattr(camera, name) for name in (*_OWN, "skew")},
+        **{name: float(getattr(lens, name)) for name in _LENS},
+        "distortion_direction": str(lens.direction),
+        "parameter_order": list(PARAMETER_NAMES),
+        "sigma": dict(zip(PARAMETER_NAMES, camera.sigma_parameters.tolist(), strict=True)),
+        "covariance": camera.covariance.tolist(),
+    }
+
+
+def _read_camera(path: Path, content: Mapping[str, Any]) -> Camera:
+    needed = ("width_px", "height_px", *_OWN)
+    missing = [key for key in needed if key not in content]
+    unknown = [key for key in content if key not in (*needed, *_OPTIONAL)]
+    if missing or unknown:
+        faults = [f"the keys {', '.join(missing)} are missing"] * bool(missing)
+        faults += [f"the keys {', '.join(unknown)} are unknown"] * bool(unknown)
+        raise InputError(f"{path}: {'; '.join(faults)}; a camera has {', '.join((*needed, *_OPTIONAL[:8]))}")
+    if content.get("parameter_order", list(PARAMETER_NAMES)) != list(PARAMETER_NAMES):
+        raise InputError(f"{path}: parameter_order must be {', '.join(PARAMETER_NAMES)} (the order of the covariance)")
+    direction = content.get("distortion_direction", "ideal_to_measured")
+    if direction not in list(DistortionDirection):
+        raise InputError(
+            f"{path}: distortion_direction {direction!r}: one of {', '.join(DistortionDirection)} is needed"
+        )
+    try:
+        lens = {name: float(content.get(name, 0.0)) for name in _LENS}
+        own = (
+            float(content["focal_x_px"]),
+            float(content["focal_y_px"]),
+            float(content["center_x_px"]),
+            float(content["center_y_px"]),
+        )
+        sizes = (int(content["width_px"]), int(content["height_px"]))
+        skew = float(content.get("skew", 0.0))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: a camera's values must be numbers ({error})") from error
+    distortion = BrownDistortion(**lens, direction=DistortionDirection(direction))
+    covariance = content.get("covariance", np.zeros((10, 10)))
+    return Camera(*sizes, *own, skew, distortion, covariance)
+
+
+def _pose_content(pose: PhotoPose) -> dict[str, Any]:
+    sigma = np.sqrt(np.diag(pose.covariance)).tolist()
+    transform = pose.cam_from_world
+    return {
+        "camera": pose.camera,
+        "cam_from_world": {
+            "rotation_vector_rad": transform.rotation_vector_rad.tolist(),
+            "translation_m": transform.translation_m.tolist(),
+        },
+        "sigma_rotation_rad": sigma[:3],
+        "sigma_translation_m": sigma[3:],
+        "covariance_rad_m": pose.covariance.tolist(),
+        "residual_rms_px": pose.residual_rms_px,
+    }
+
+
+def _read_pose(path: Path, content: Mapping[str, Any]) -> PhotoPose:
+    try:
+        transform = content["cam_from_world"]
+        cam_from_world = RigidTransform.from_rotation_vector(
+            transform["rotation_vector_rad"], transform["translation_m"]
+        )
+        residual = content["residual_rms_px"]
+        return PhotoPose(str(content["camera"]), cam_from_world, content["covariance_rad_m"], residual)
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path}: a pose lacks {error}; a cameras.json written by heliogauge is needed") from error

@@ -1,0 +1,1 @@
+"""Terminal, progress, work side by side, command line, demonstration."""

@@ -1,0 +1,1 @@
+"""The slope map: the common product of all instruments, its statistics, removals and heights."""

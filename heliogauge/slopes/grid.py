@@ -1,0 +1,285 @@
+"""Slope maps as fields on a grid: curl and curvature, resampling, differences."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import InputError
+from heliogauge.slopes.map import CommonModes, SlopeMap
+from heliogauge.slopes.removal import fit_modes
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Derivative:
+    """A derivative of the slopes on the map's grid.
+
+    Parameters
+    ----------
+    value_per_m : ndarray, shape (ny, nx)
+        Central differences between nodes that share no pixel; NaN where one of them is missing [1/m].
+    sigma_per_m : ndarray, shape (ny, nx)
+        Standard deviation, random and common [1/m].
+    """
+
+    value_per_m: FloatArray
+    sigma_per_m: FloatArray
+
+
+def curl(slope_map: SlopeMap) -> Derivative:
+    """Return ``d slope_x / dy - d slope_y / dx``: zero for the slopes of any real surface, so a check of the map.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The measured map.
+
+    Returns
+    -------
+    Derivative
+        Curl and its sigma [1/m]; NaN at nodes with a missing neighbour.
+    """
+    valid, reach = slope_map.valid, _reach(slope_map)
+    x_by_y = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.y_m, 0, reach)
+    y_by_x = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.x_m, 1, reach)
+    variance = _central_variance(slope_map.sigma_random_x, slope_map.y_m, 0, reach)
+    variance += _central_variance(slope_map.sigma_random_y, slope_map.x_m, 1, reach)
+    for mode_x, mode_y in _modes_on_grid(slope_map):
+        turn = _central(mode_x, slope_map.y_m, 0, reach) - _central(mode_y, slope_map.x_m, 1, reach)
+        variance += turn**2
+    return _derivative(x_by_y - y_by_x, variance)
+
+
+def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
+    """Return ``d slope_x / dx`` and ``d slope_y / dy``, the curvatures in x and y (1 / (2 f) on a paraboloid).
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The measured map.
+
+    Returns
+    -------
+    tuple of Derivative
+        Curvature in x and in y with sigma [1/m]; NaN at nodes with a missing neighbour.
+    """
+    valid, reach = slope_map.valid, _reach(slope_map)
+    variance_x = _central_variance(slope_map.sigma_random_x, slope_map.x_m, 1, reach)
+    variance_y = _central_variance(slope_map.sigma_random_y, slope_map.y_m, 0, reach)
+    for mode_x, mode_y in _modes_on_grid(slope_map):
+        variance_x += _central(mode_x, slope_map.x_m, 1, reach) ** 2
+        variance_y += _central(mode_y, slope_map.y_m, 0, reach) ** 2
+    along_x = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.x_m, 1, reach)
+    along_y = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.y_m, 0, reach)
+    return _derivative(along_x, variance_x), _derivative(along_y, variance_y)
+
+
+def _reach(slope_map: SlopeMap) -> int:
+    """Return how many nodes away the neighbours of a difference lie: so far that they share no pixel."""
+    return max(1, int(np.ceil(np.sqrt(slope_map.noise_correlation) - 1e-9)))
+
+
+def _modes_on_grid(slope_map: SlopeMap) -> FloatArray:
+    return slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))
+
+
+def _derivative(value: FloatArray, variance: FloatArray) -> Derivative:
+    return Derivative(value, np.where(np.isfinite(value), np.sqrt(variance), np.nan))
+
+
+def _central(values: FloatArray, positions_m: FloatArray, axis: int, reach: int) -> FloatArray:
+    along = np.moveaxis(values, axis, -1)
+    result = np.full(along.shape, np.nan)
+    # Over the positions themselves also on an uneven grid: exact for linear slopes everywhere.
+    ahead, behind = slice(2 * reach, None), slice(None, -2 * reach)
+    if positions_m.size > 2 * reach:
+        steps = positions_m[ahead] - positions_m[behind]
+        result[..., reach:-reach] = (along[..., ahead] - along[..., behind]) / steps
+    return np.moveaxis(result, -1, axis)
+
+
+def _central_variance(sigma: FloatArray, positions_m: FloatArray, axis: int, reach: int) -> FloatArray:
+    along = np.moveaxis(sigma, axis, -1) ** 2
+    result = np.full(along.shape, np.nan)
+    ahead, behind = slice(2 * reach, None), slice(None, -2 * reach)
+    if positions_m.size > 2 * reach:
+        steps = positions_m[ahead] - positions_m[behind]
+        result[..., reach:-reach] = (along[..., ahead] + along[..., behind]) / steps**2
+    return np.moveaxis(result, -1, axis)
+
+
+def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> SlopeMap:
+    """Interpolate a map to another grid (bilinear).
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+    x_m : array_like, shape (nx,)
+        New columns, ascending, in the same frame [m].
+    y_m : array_like, shape (ny,)
+        New rows, ascending [m].
+
+    Returns
+    -------
+    SlopeMap
+        The map on the new grid. A node has a value only where all nodes it draws on have one; otherwise it carries
+        their flags. Nodes beyond the old grid are outside the aperture.
+
+    Raises
+    ------
+    InputError
+        The new grid is not finite or not ascending.
+
+    Notes
+    -----
+    The random sigma is that of the weighted mean of up to four nodes. Neighbours on a finer grid share their noise;
+    the noise correlation is raised so that the mean over an area keeps its sigma.
+    """
+    new_x, new_y = float_array("x_m", x_m, (None,)), float_array("y_m", y_m, (None,))
+    for name, grid in (("x_m", new_x), ("y_m", new_y)):
+        if grid.size == 0 or (np.diff(grid) <= 0).any():
+            raise InputError(f"{name}: a grid that ascends is needed")
+    column, right = _locate(slope_map.x_m, new_x)
+    row, upper = _locate(slope_map.y_m, new_y)
+    corners = [
+        (np.ix_(row + i, column + j), np.outer(upper if i else 1 - upper, right if j else 1 - right))
+        for i in range(2 if slope_map.y_m.size > 1 else 1)
+        for j in range(2 if slope_map.x_m.size > 1 else 1)
+    ]
+
+    def blend(values: FloatArray) -> FloatArray:
+        # A corner of weight zero must not spread its NaN.
+        parts = [np.where(weight > 0, weight * values[corner], 0.0) for corner, weight in corners]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def spread(sigma: FloatArray) -> FloatArray:
+        parts = [np.where(weight > 0, weight * sigma[corner], 0.0) ** 2 for corner, weight in corners]
+        return np.asarray(np.sqrt(np.sum(parts, axis=0)))
+
+    flags: FlagArray = np.zeros((new_y.size, new_x.size), dtype=np.uint32)
+    for corner, weight in corners:
+        flags |= np.where(weight > 0, slope_map.flags[corner], np.uint32(0))
+    valid = slope_map.valid.astype(np.float64)
+    complete = blend(valid) > 1 - 1e-9
+    reached = np.outer(_within(slope_map.y_m, new_y), _within(slope_map.x_m, new_x))
+
+    def measured(values: FloatArray) -> FloatArray:
+        return np.where(complete & reached, values, np.nan)
+
+    sigma_x, sigma_y = (measured(spread(s)) for s in (slope_map.sigma_random_x, slope_map.sigma_random_y))
+    return replace(
+        slope_map,
+        x_m=new_x,
+        y_m=new_y,
+        slope_x=measured(blend(slope_map.slope_x)),
+        slope_y=measured(blend(slope_map.slope_y)),
+        design_slope_x=np.where(reached, blend(slope_map.design_slope_x), np.nan),
+        design_slope_y=np.where(reached, blend(slope_map.design_slope_y), np.nan),
+        sigma_random_x=sigma_x,
+        sigma_random_y=sigma_y,
+        noise_correlation=_resampled_correlation(slope_map, new_x, new_y, np.stack([sigma_x, sigma_y])),
+        height_m=np.where(reached, blend(slope_map.height_m), np.nan),
+        flags=flags,
+        aperture=reached & (blend(slope_map.aperture.astype(np.float64)) >= 0.5),
+    )
+
+
+def _resampled_correlation(slope_map: SlopeMap, x_m: FloatArray, y_m: FloatArray, sigma: FloatArray) -> float:
+    """Return the noise correlation with which a mean over an area keeps its variance on the new grid."""
+    old = np.stack([slope_map.sigma_random_x, slope_map.sigma_random_y])[:, slope_map.valid]
+    new = sigma[:, np.isfinite(sigma).all(axis=0)]
+    if old.size == 0 or new.size == 0 or not new.any():
+        return slope_map.noise_correlation
+    cells = _cell_area(slope_map.x_m, slope_map.y_m) / _cell_area(x_m, y_m)
+    # On a coarser grid nodes share nothing any more: never below 1.
+    return max(1.0, slope_map.noise_correlation * cells * float(np.mean(old**2) / np.mean(new**2)))
+
+
+def _cell_area(x_m: FloatArray, y_m: FloatArray) -> float:
+    # A single row or column has no spacing; 1 m keeps the ratio of two such grids at that of the other axis.
+    return float(np.prod([np.ptp(grid) / (grid.size - 1) if grid.size > 1 else 1.0 for grid in (x_m, y_m)]))
+
+
+def _locate(grid_m: FloatArray, positions_m: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """Return the cell of each position and the fraction within it."""
+    if grid_m.size == 1:
+        return np.zeros(positions_m.size, dtype=np.intp), np.zeros(positions_m.size)
+    cell = np.clip(np.searchsorted(grid_m, positions_m, side="right") - 1, 0, grid_m.size - 2)
+    fraction = (positions_m - grid_m[cell]) / (grid_m[cell + 1] - grid_m[cell])
+    # Round-off in a grid written in decimals must not draw on a neighbour that is missing.
+    fraction = np.where(np.abs(fraction - np.round(fraction)) < 1e-9, np.round(fraction), fraction)
+    return cell, np.clip(fraction, 0.0, 1.0)
+
+
+def _within(grid_m: FloatArray, positions_m: FloatArray) -> BoolArray:
+    slack = 1e-9 * max(float(np.ptp(grid_m)), 1e-3)
+    return np.asarray((positions_m >= grid_m[0] - slack) & (positions_m <= grid_m[-1] + slack))
+
+
+def difference(map_a: SlopeMap, map_b: SlopeMap) -> SlopeMap:
+    """Subtract one map from another on the same grid.
+
+    Parameters
+    ----------
+    map_a, map_b : SlopeMap
+        Maps in the same frame, on the same grid (see `resample`).
+
+    Returns
+    -------
+    SlopeMap
+        Slopes and heights a - b with a design of zero, so that its slope errors are the difference; the aperture is
+        what both share; sigmas add in squares, as for independent measurements (an upper bound where the two share
+        an instrument).
+
+    Raises
+    ------
+    InputError
+        The grids differ.
+    """
+    same = map_a.shape == map_b.shape and all(
+        np.allclose(a, b, rtol=0, atol=1e-9) for a, b in ((map_a.x_m, map_b.x_m), (map_a.y_m, map_b.y_m))
+    )
+    if not same:
+        raise InputError(
+            f"map_a, map_b: the grids differ ({map_a.shape} nodes from x = {map_a.x_m[0]:.6g} m and {map_b.shape} "
+            f"nodes from x = {map_b.x_m[0]:.6g} m); bring one onto the other's grid with resample first"
+        )
+    both = map_a.valid & map_b.valid
+    return replace(
+        map_a,
+        slope_x=np.where(both, map_a.slope_x - map_b.slope_x, np.nan),
+        slope_y=np.where(both, map_a.slope_y - map_b.slope_y, np.nan),
+        design_slope_x=np.zeros(map_a.shape),
+        design_slope_y=np.zeros(map_a.shape),
+        sigma_random_x=np.hypot(map_a.sigma_random_x, map_b.sigma_random_x),
+        sigma_random_y=np.hypot(map_a.sigma_random_y, map_b.sigma_random_y),
+        noise_correlation=_joint_correlation(map_a, map_b, both),
+        height_m=map_a.height_m - map_b.height_m,
+        common=_joint_modes(map_a.common, map_b.common),
+        flags=map_a.flags | map_b.flags,
+        aperture=map_a.aperture & map_b.aperture,
+        design=f"zero (difference of two maps; first: {map_a.design}; second: {map_b.design})",
+        removed=f"first map: {map_a.removed}; second map: {map_b.removed}",
+    )
+
+
+def _joint_correlation(map_a: SlopeMap, map_b: SlopeMap, both: BoolArray) -> float:
+    a, b = (float(np.sum(m.sigma_random_x[both] ** 2 + m.sigma_random_y[both] ** 2)) for m in (map_a, map_b))
+    total = a + b
+    return (map_a.noise_correlation * a + map_b.noise_correlation * b) / total if total > 0 else 1.0
+
+
+def _joint_modes(first: CommonModes, second: CommonModes) -> CommonModes:
+    if not second.sources:
+        return first
+    if not first.sources:
+        return second
+    degree = max(first.degree, second.degree)
+    # A polynomial is known from its values on a (degree + 1)^2 lattice: the change of variables is then exact.
+    steps = np.linspace(-1, 1, degree + 1)
+    x, y = (grid.reshape(-1) for grid in np.meshgrid(steps, steps))
+    x, y = first.center_m[0] + first.scale_m * x, first.center_m[1] + first.scale_m * y
+    values = np.concatenate([first.evaluate(x, y), second.evaluate(x, y)])
+    return replace(fit_modes(first, values, x, y, degree), sources=first.sources + second.sources)

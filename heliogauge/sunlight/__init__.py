@@ -1,0 +1,1 @@
+"""What a slope map does to sunlight."""

@@ -1,0 +1,1 @@
+"""The absorber itself: its bearings in the photos, its place and shape."""

@@ -1,0 +1,219 @@
+"""What is handed on of the absorber: table, numbers, warnings."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from heliogauge.flags import SampleFlag
+from heliogauge.validate import BoolArray
+from observer.absorber.bearings import beside_support
+from observer.absorber.position import STATION_TEXTS, AbsorberSolution, StationFate
+from observer.absorber.shape import Span, alignment, spans, supports_of
+from observer.doubts.forgotten_glass import glass_doubt
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+#: A tube that looks thicker or thinner by this share is not the one of the collector's data.
+_DIAMETER_SHARE = 0.03
+#: ... and by so many pixels: blur, and the background through the glass, change the width of tubes 5 to 7 px wide by up
+#: to 0.21 px either way in ray-traced photos.
+_DIAMETER_PX = 0.3
+#: A place that is less certain than this is said to be so: it puts 0.5 mrad into the slopes of an LS-2 [m].
+_WARN_SIGMA_M = 1.5e-3
+#: With less than this share of the stations measured it is said which part is missing.
+_WARN_SHARE = 0.7
+
+_SUPPORT_TEXT = "hidden by a receiver support"
+
+
+def measured_stations(path: AbsorberPath, solution: AbsorberSolution | None) -> BoolArray:
+    """Return which stations of the tube were measured, or given.
+
+    Parameters
+    ----------
+    path : AbsorberPath
+        The axis.
+    solution : AbsorberSolution or None
+        Its measurement; None where the axis was given.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        Stations with a value.
+    """
+    return np.ones(path.n, dtype=bool) if solution is None else solution.fate == StationFate.MEASURED
+
+
+def absorber_columns(path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector) -> dict[str, Any]:
+    """Return the columns of ``absorber.csv``.
+
+    Parameters
+    ----------
+    path : AbsorberPath
+        The axis.
+    solution : AbsorberSolution or None
+        Its measurement; None where the axis was given.
+    collector : Collector
+        Its supports.
+
+    Returns
+    -------
+    dict
+        Columns; stations that were not measured have no value but a flag and a reason.
+    """
+    sigma_x, sigma_z = path.sigma_at(path.y_m)
+    without = ~measured_stations(path, solution)
+    reasons = np.full(path.n, "", dtype=object)
+    photos = np.zeros(path.n, dtype=np.intp)
+    if solution is not None:
+        photos = solution.n_photos
+        reasons = np.array([STATION_TEXTS[StationFate(fate)] for fate in solution.fate], dtype=object)
+        behind = beside_support(path.y_m, collector.support_y_m, collector.support_width_m)
+        reasons[behind & (solution.fate == StationFate.HIDDEN)] = _SUPPORT_TEXT
+    columns = {"x_a_m": path.x_m, "z_a_m": path.z_m, "sigma_x_a_m": sigma_x, "sigma_z_a_m": sigma_z}
+    return {
+        "y_m": path.y_m,
+        **{name: np.where(without, np.nan, values) for name, values in columns.items()},
+        "n_photos": photos,
+        "flag": np.where(without, int(SampleFlag.NOT_SEEN), 0),
+        "reason": reasons.tolist(),
+    }
+
+
+def tube_spans(
+    path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, orientation_rad: float
+) -> tuple[Span, ...]:
+    """Return the sag between the supports.
+
+    Parameters
+    ----------
+    path : AbsorberPath
+        The axis.
+    solution : AbsorberSolution or None
+        Its measurement; None where the axis was given.
+    collector : Collector
+        Its supports.
+    orientation_rad : float
+        Turn of the collector from zenith, by the right hand about +y [rad].
+
+    Returns
+    -------
+    tuple of Span
+        One for each span.
+    """
+    measured = measured_stations(path, solution)
+    return spans(path, measured, supports_of(path, measured, collector), orientation_rad)
+
+
+def span_columns(found: tuple[Span, ...]) -> dict[str, Any]:
+    """Return the columns of ``absorber_spans.csv``.
+
+    Parameters
+    ----------
+    found : tuple of Span
+        From `tube_spans`.
+
+    Returns
+    -------
+    dict
+        Columns.
+    """
+    rows = [asdict(span) for span in found]
+    return {name: [row[name] for row in rows] for name in Span.__slots__}
+
+
+def shape_numbers(
+    path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, orientation_rad: float
+) -> dict[str, float | int | None]:
+    """Return the numbers of the tube's tilt and sag.
+
+    Parameters
+    ----------
+    path : AbsorberPath
+        The axis.
+    solution : AbsorberSolution or None
+        Its measurement; None where the axis was given.
+    collector : Collector
+        The design.
+    orientation_rad : float
+        Turn of the collector from zenith, by the right hand about +y [rad].
+
+    Returns
+    -------
+    dict
+        Numbers with units in their names; the sag is that of the span where it is largest.
+    """
+    measured = measured_stations(path, solution)
+    line = alignment(path, measured, collector.focal_length_m)
+    numbers: dict[str, float | int | None] = {
+        "absorber_tilt_x_rad": line.tilt_x_rad,
+        "sigma_absorber_tilt_x_rad": line.sigma_tilt_x_rad,
+        "absorber_tilt_z_rad": line.tilt_z_rad,
+        "sigma_absorber_tilt_z_rad": line.sigma_tilt_z_rad,
+        "absorber_stations_measured_count": int(np.count_nonzero(measured)),
+        "absorber_stations_count": path.n,
+    }
+    seen = [span for span in tube_spans(path, solution, collector, orientation_rad) if np.isfinite(span.sag_down_m)]
+    if seen:
+        worst = max(seen, key=lambda span: abs(span.sag_down_m))
+        numbers |= {"absorber_sag_down_m": worst.sag_down_m, "sigma_absorber_sag_down_m": worst.sigma_sag_down_m}
+    if solution is not None:
+        numbers["absorber_diameter_seen_m"] = solution.diameter_m
+    return {name: value for name, value in numbers.items() if value is not None and np.isfinite(value)}
+
+
+def absorber_warnings(
+    path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, *, is_design: bool
+) -> tuple[str, ...]:
+    """Say what is doubtful of the absorber's place.
+
+    Parameters
+    ----------
+    path : AbsorberPath
+        The axis.
+    solution : AbsorberSolution or None
+        Its measurement; None where the axis was given.
+    collector : Collector
+        The design.
+    is_design : bool
+        Whether the design's place was taken for want of a measured one.
+
+    Returns
+    -------
+    tuple of str
+        Sentences.
+    """
+    if is_design:
+        per_mm = 1e3 * 1e-3 / (2 * collector.focal_length_m)
+        return (
+            "absorber: its place was not measured, it is taken where the design has it; each millimetre of "
+            f"misalignment across stands in theta_r as {per_mm:.2f} mrad",
+        )
+    if solution is None:
+        return ()
+    said = []
+    glass = glass_doubt(solution.widening, collector)
+    if glass is not None:
+        said.append(glass)
+    off = abs(solution.diameter_m - collector.absorber_diameter_m)
+    if off > max(_DIAMETER_SHARE * collector.absorber_diameter_m, _DIAMETER_PX * solution.pixel_m):
+        said.append(
+            f"absorber: the tube looks {1e3 * solution.diameter_m:.1f} mm thick, absorber_diameter_mm says "
+            f"{1e3 * collector.absorber_diameter_m:.1f}; are the diameter, the targets and the camera right, and is "
+            "the tube much darker than what is seen behind it?"
+        )
+    measured = measured_stations(path, solution)
+    if measured.mean() < _WARN_SHARE:
+        seen = path.y_m[measured]
+        said.append(
+            f"absorber: measured at {measured.sum()} of {path.n} stations between y = {seen.min():.2f} and "
+            f"{seen.max():.2f} m; the rest is bridged, see absorber.csv"
+        )
+    sigma = float(np.median(np.maximum(*path.sigma_at(path.y_m))[measured]))
+    if sigma > _WARN_SIGMA_M:
+        said.append(
+            f"absorber: its place is uncertain by {1e3 * sigma:.1f} mm; photos from both sides at about 45 degrees, "
+            "or better known targets, make it certain"
+        )
+    return tuple(said)

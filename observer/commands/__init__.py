@@ -1,0 +1,1 @@
+"""What is done with finished measurements: absorber alone, alignment, comparison, overview, several modules."""

@@ -1,0 +1,254 @@
+"""Results of several modules side by side: one table and one page for a flight over a field (QFly)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.results.arrays import LabelledArray, read_arrays, write_arrays
+from heliogauge.results.folder import Summary, hash_files, read_summary, write_summary, write_table_csv
+from heliogauge.validate import FloatArray
+from observer.files import ANGLES
+from observer.report.figures_modules import ModuleMap
+
+#: Kind of the summary, which names its report.
+KIND = "observer-overview"
+TABLE = "overview.csv"
+#: Maps of all modules, coarse: for the report.
+MAPS = "overview.nc"
+#: A map of the overview has this many nodes along a side at most.
+_MOST_NODES = 160
+#: Numbers of each module in the summary.
+_FACET_KEYS = (
+    "rms_theta_r_rad", "sigma_rms_theta_r_rad", "rms_theta_ra_rad", "sigma_rms_theta_ra_rad",
+    "intercept_ratio", "sigma_intercept_ratio", "measured_share",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Summaries of modules.
+
+    Parameters
+    ----------
+    folders : tuple of Path
+        Results, in the order given.
+    labels : tuple of str
+        What each is called: its folder, as given or relative to the overview's.
+    modules : tuple of Summary
+        What each says.
+    warnings : tuple of str
+        Which modules are doubtful.
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    name : str, optional
+        Name of the flight.
+    failed : mapping of str to str, optional
+        Modules that could not be measured, with the reason.
+    places_m : mapping of str to ndarray, optional
+        Where modules are in the common frame, by label, shape (3,) [m].
+    durations_s : mapping of str to float, optional
+        Wall time of each stage [s].
+    """
+
+    folders: tuple[Path, ...]
+    labels: tuple[str, ...]
+    modules: tuple[Summary, ...]
+    warnings: tuple[str, ...]
+    input_sha256: dict[str, str]
+    name: str = "overview"
+    failed: Mapping[str, str] = field(default_factory=dict)
+    places_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    durations_s: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def all_warnings(self) -> tuple[str, ...]:
+        """What failed first, then what is doubtful."""
+        return (*(f"{name}: not measured: {reason}" for name, reason in self.failed.items()), *self.warnings)
+
+
+def run(
+    folders: Sequence[Path], *, base: Path | None = None, places_m: Mapping[str, FloatArray] | None = None
+) -> Result:
+    """Collect results of ``heliogauge observer``.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Results of the modules.
+    base : Path, optional
+        Folder that their names are given from.
+    places_m : mapping of str to ndarray, optional
+        Where modules are in a common frame, by their names from there [m].
+
+    Returns
+    -------
+    Result
+        Their summaries.
+
+    Raises
+    ------
+    InputError
+        A folder that holds no result of the Observer, or the same folder twice.
+    """
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise InputError("overview: the same result is given twice")
+    modules = tuple(read_summary(folder) for folder in folders)
+    for folder, module in zip(folders, modules, strict=True):
+        if module.kind != "observer":
+            raise InputError(f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer` are needed')
+    labels = tuple(str(folder if base is None else folder.relative_to(base)) for folder in folders)
+    doubts = tuple(
+        f"{label}: {f'{len(module.warnings)} warnings, the first: ' if len(module.warnings) > 1 else ''}"
+        f"{module.warnings[0]}"
+        for label, module in zip(labels, modules, strict=True)
+        if module.warnings
+    )
+    # All files are called summary.json: the folder tells them apart.
+    hashes = {
+        str(folder / name): digest
+        for folder in folders
+        for name, digest in hash_files([folder / "summary.json"]).items()
+    }
+    return Result(tuple(folders), labels, modules, doubts, hashes, places_m=places_m or {})
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write overview.csv, overview.nc and summary.json into an existing folder.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_table_csv(folder / TABLE, _table(result))
+    maps = [_read_map(one, label) for one, label in zip(result.folders, result.labels, strict=True)]
+    write_maps(folder / MAPS, [one for one in maps if one is not None])
+    facets = {
+        label: {key: value for key in _FACET_KEYS if (value := module.numbers.get(key)) is not None}
+        for label, module in zip(result.labels, result.modules, strict=True)
+    }
+    write_summary(folder / "summary.json", Summary(
+        kind=KIND, name=result.name, numbers={"modules_count": len(result.modules), "failed_count": len(result.failed)},
+        texts={"sign": "theta_ra and theta_r positive where the mirror's normal is turned towards +x"},
+        warnings=result.all_warnings, durations_s=result.durations_s, input_sha256=result.input_sha256, facets=facets,
+    ))  # fmt: skip
+
+
+def _table(result: Result) -> dict[str, list[Any]]:
+    """Return a row for each module, those that failed at the end."""
+    keys = list(dict.fromkeys(key for module in result.modules for key in module.numbers))
+    none = [""] * len(result.failed)
+    columns: dict[str, list[Any]] = {
+        "result": [*result.labels, *result.failed],
+        "name": [*(module.name for module in result.modules), *result.failed],
+        "failed": [*([""] * len(result.modules)), *result.failed.values()],
+        "warnings": [*(len(module.warnings) for module in result.modules), *none],
+    }
+    if result.places_m:
+        for k, axis in enumerate("xyz"):
+            own = [result.places_m.get(label) for label in result.labels]
+            columns[f"place_{axis}_m"] = [*("" if one is None else float(one[k]) for one in own), *none]
+    for key in keys:
+        values = [module.numbers.get(key) for module in result.modules]
+        columns[key] = [*("" if value is None else value for value in values), *none]
+    return columns
+
+
+def _read_map(folder: Path, label: str) -> ModuleMap | None:
+    """Return a module's angles, coarse; None where there are none."""
+    if not (folder / ANGLES).is_file():
+        return None
+    found, _ = read_arrays(folder / ANGLES, ("x", "y", "theta_ra", "theta_r"))
+    steps = tuple(max(-(-found[axis].size // _MOST_NODES), 1) for axis in "yx")
+    angles = [found[name][:: steps[0], :: steps[1]] for name in ("theta_ra", "theta_r")]
+    return ModuleMap(label, found["x"][:: steps[1]], found["y"][:: steps[0]], *angles)
+
+
+def write_maps(path: Path, maps: Sequence[ModuleMap]) -> None:
+    """Write the maps of all modules into one file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    maps : sequence of ModuleMap
+        The modules, each with nodes of its own.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    arrays: list[LabelledArray] = []
+    for k, one in enumerate(maps):
+        axes = (f"y_{k}", f"x_{k}")
+        arrays += [
+            LabelledArray(axes[0], axes[:1], one.y_m, "m", "along the trough"),
+            LabelledArray(axes[1], axes[1:], one.x_m, "m", "across the aperture"),
+            LabelledArray(f"theta_ra_{k}", axes, one.theta_ra_rad.astype(np.float32), "rad", f"{one.name}: theta_ra"),
+            LabelledArray(f"theta_r_{k}", axes, one.theta_r_rad.astype(np.float32), "rad", f"{one.name}: theta_r"),
+        ]
+    write_arrays(path, arrays, {"modules": [one.name for one in maps]})
+
+
+def read_maps(path: Path) -> list[ModuleMap]:
+    """Read the maps of all modules.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of ModuleMap
+        The modules.
+
+    Raises
+    ------
+    InputError
+        No such file.
+    """
+    found, attributes = read_arrays(path)
+    return [
+        ModuleMap(str(name), *(found[f"{key}_{k}"].astype(np.float64) for key in ("x", "y", "theta_ra", "theta_r")))
+        for k, name in enumerate(attributes["modules"])
+    ]
+
+
+def headline_text(result: Result) -> str:
+    """Say each module's most important numbers in a line.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+
+    Returns
+    -------
+    str
+        Lines for the terminal.
+    """
+    lines = []
+    for label, module in zip(result.labels, result.modules, strict=True):
+        slope, aimed, kept = (
+            module.numbers.get(key) for key in ("rms_theta_r_rad", "rms_theta_ra_rad", "intercept_ratio")
+        )
+        said = [f"theta_r {1e3 * slope:.2f} mrad RMS" if slope is not None else "no slopes"]
+        said += [f"theta_ra {1e3 * aimed:.2f} mrad RMS"] if aimed is not None else []
+        said += [f"intercept factor {kept:.4f}"] if kept is not None else []
+        said += [f"{len(module.warnings)} warning{'s' if len(module.warnings) > 1 else ''}"] if module.warnings else []
+        lines.append(f"{label}: {', '.join(said)}" if label == module.name else
+                     f"{label} ({module.name}): {', '.join(said)}")  # fmt: skip
+    return "\n".join([*lines, *(f"{name}: not measured" for name in result.failed)])

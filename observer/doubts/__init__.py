@@ -1,0 +1,1 @@
+"""Contradictions between photos, collector and statements, named before they spoil the result."""

@@ -1,0 +1,374 @@
+"""What the measurement itself says of the collector's dimensions: where they differ, a number was stated wrongly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.photo_edges.outline import Span
+from observer.selection.select_and_solve import Reflector
+from observer.slopes.row_spline import Roughness
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+#: Slopes of a parabola whose focal length is wrong by this share are 4 mrad off at the rim of an LS-2: no mirror that
+#: anybody would measure has its panels all tilted like that.
+_FOCAL_SHARE = 5e-3
+#: With the absorber found at the focal length that the slopes have, less suffices.
+_FOCAL_SHARE_WITH_ABSORBER = 3e-3
+#: ... or where both are off the same way, this much on average: panels that were mounted with care leave up to 0.4 % in
+#: the mirror alone, and tubes hang up to 6 mm, 0.4 %, beside the focal line.
+_FOCAL_SHARE_TOGETHER = 4.5e-3
+#: Rows of the mirror tell the focal length where they are measured out to this share of both halves of the aperture.
+_REACH_SHARE = 0.7
+#: ... and on this share of their nodes.
+_ROW_SHARE = 0.4
+#: What the diameter may be wrong by before the measurement, as a standard deviation.
+_DIAMETER_PRIOR_SHARE = 0.03
+#: A number of the design contradicts the photos from so many sigmas on.
+_TIMES_SIGMA = 5.0
+#: The tube's diameter: more than this share of it and than so many sigmas; its sigma holds what all edges may have
+#: in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
+_DIAMETER_SHARE, _DIAMETER_TIMES_SIGMA = 5e-3, 3.0
+#: What is said of width and length: more than this share, and more than so many sigmas.
+_SPAN_SHARE = 4e-3
+#: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
+_CLIPPED_SHARE = 0.1
+#: What a pass with photos near enough to each other measures of what can show the tube, and how near that is [m].
+_SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
+#: Image points that fit so much worse than they were measured are not bad photos any more.
+_MISFIT_FACTOR = 3.0
+#: Slopes that vary along a row as much as this jump at panel edges: mirrors of one piece have 1e-4 to 3e-3, a mirror of
+#: four panels that was stated to be one 0.15 [rad^2 / m^3].
+_JUMPING = 0.02
+#: Heights of panels whose sigma is less than this share of the prior's were told by the reflection; from so many on
+#: their mean square over what is expected says something.
+_TOLD_SHARE, _FEWEST_HEIGHTS, _HEIGHTS_EXCESS = 0.95, 4, 4.0
+#: No camera that sees a collector is further away than this many times its largest dimension.
+_FARTHEST_TIMES = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A dimension as the measurement has it.
+
+    Parameters
+    ----------
+    value_m, sigma_m : float
+        The dimension and its standard deviation [m].
+    """
+
+    value_m: float
+    sigma_m: float
+
+
+def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
+    """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
+
+    Parameters
+    ----------
+    eyes_m : ndarray, shape (n, 3)
+        The cameras in the trough's frame [m].
+    collector : Collector
+        The design.
+
+    Raises
+    ------
+    InputError
+        Most cameras are behind the mirror, or extremely far away.
+    """
+    height = float(np.median(eyes_m[:, 2]))
+    if height < collector.rim_height_m:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are behind the mirror (median z = {height:.2f} m): the "
+            "list is mirrored. x must go across the aperture, y along the trough and z to the absorber, right-handed: "
+            "change the sign of x_m or of y_m for all targets"
+        )
+    largest = max(collector.aperture_width_m, collector.length_m, collector.focal_length_m)
+    distance = float(np.median(np.linalg.norm(eyes_m, axis=1)))
+    if distance > _FARTHEST_TIMES * largest:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are {distance:.0f} m away from a collector of "
+            f"{largest:g} m; are the coordinates in metres?"
+        )
+
+
+def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
+    """Return the focal length of the parabola whose slopes across the trough are nearest to the measured ones.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    Found
+        The focal length; its sigma takes each of the mirror's rows for one sample.
+    """
+    x = np.broadcast_to(slope_map.x_m, slope_map.shape)
+    used = slope_map.valid & np.isfinite(slope_map.slope_x)
+    # From a part of the aperture a panel's own curvature or tilt looks like another focal length.
+    far = _REACH_SHARE * collector.aperture_width_m / 2
+    enough = used.sum(axis=1) > _ROW_SHARE * slope_map.aperture.sum(axis=1)
+    rows = np.nonzero((used & (x < -far)).any(axis=1) & (used & (x > far)).any(axis=1) & enough)[0]
+    # Slopes of z = x^2 / (4 f) are x / (2 f).
+    fits = np.array([np.polyfit(x[row, used[row]], slope_map.slope_x[row, used[row]], 1)[0] for row in rows])
+    if fits.size == 0 or np.median(fits) <= 0:
+        return Found(collector.focal_length_m, np.inf)
+    value = 1 / (2 * float(np.median(fits)))
+    scatter = float(np.std(1 / (2 * fits))) if fits.size > 1 else np.inf
+    return Found(value, scatter / np.sqrt(max(fits.size, 1)))
+
+
+def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collector) -> str | None:
+    """Say whether the stated focal length contradicts mirror and absorber.
+
+    Parameters
+    ----------
+    mirror : Found
+        From `focal_length_of_mirror`.
+    absorber : AbsorberPath
+        The tube as it was found.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it does not.
+    """
+    stated = collector.focal_length_m
+    off = mirror.value_m - stated
+    if abs(off) < _TIMES_SIGMA * mirror.sigma_m:
+        return None
+    height = float(np.mean(absorber.z_m))
+    agrees = abs(height - mirror.value_m) < 0.4 * abs(off)
+    together = min(0.5 * (off + height - stated) * np.sign(off), 2 * abs(off))
+    least = _FOCAL_SHARE_WITH_ABSORBER if agrees else _FOCAL_SHARE
+    if abs(off) < least * stated and together < _FOCAL_SHARE_TOGETHER * stated:
+        return None
+    where = "the absorber is at that height too" if agrees else f"the absorber is at a height of {height:.4f} m"
+    return (
+        f"collector.focal_length_m = {stated:g} m does not fit: the mirror has the slopes of a parabola of "
+        f"{mirror.value_m:.4f} m ({100 * off / stated:+.2f} %), and {where}; check the number, and that the targets' "
+        "coordinates are from the vertex"
+    )
+
+
+def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
+    """Estimate the tube's diameter from the width of its reflection, together with slopes and camera positions.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution with the stated diameter.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    Found
+        The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection, in photos
+        that are some ten apart.
+    """
+    unknowns, errors = reflector.unknowns, reflector.errors
+    number, radius, unit = unknowns.radius, collector.absorber_diameter_m / 2, float(unknowns.units[0])
+    prior = (_DIAMETER_PRIOR_SHARE * radius / unit) ** 2
+    # The solution knows the radius beforehand, apart from all else: with a wider prior its information is less.
+    stated, found = float(unknowns.covariance[number, number]), float(errors.covariance_common[number, number])
+    wider = 1 / (1 + found * (1 / prior - 1 / stated))
+    variance, value = wider * found, wider * float(errors.common[number])
+    # Undo the pull of the prior: the value by the photos alone.
+    own = max(1 - variance / prior, 1e-3)
+    return Found(2 * (radius + unit * value / own), 2 * unit * np.sqrt(variance / own))
+
+
+def diameter_doubt(found: Found, collector: Collector) -> str | None:
+    """Say whether the stated diameter of the tube contradicts the width of its reflection.
+
+    Parameters
+    ----------
+    found : Found
+        From `diameter_of_absorber`.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it does not.
+    """
+    stated = collector.absorber_diameter_m
+    off = found.value_m - stated
+    if abs(off) < max(_DIAMETER_TIMES_SIGMA * found.sigma_m, _DIAMETER_SHARE * stated):
+        return None
+    return (
+        f"collector.absorber_diameter_mm = {1e3 * stated:g} mm does not fit: the reflection has the width of a tube of "
+        f"{1e3 * found.value_m:.2f} +- {1e3 * found.sigma_m:.2f} mm ({100 * off / stated:+.1f} %); it is the diameter "
+        "of the metal tube, without the glass"
+    )
+
+
+def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str, ...]:
+    """Say whether the stated width or length contradicts the rims in the photos.
+
+    Parameters
+    ----------
+    across, along : Span
+        From `observer.photo_edges.outline.spans_of`.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each number that does not fit.
+    """
+    said = []
+    for span, key, axis in ((across, "aperture_width_m", "x"), (along, "length_m", "y")):
+        if not np.isfinite(span.value_m):
+            continue
+        stated = float(getattr(collector, key))
+        least = max(_TIMES_SIGMA * span.sigma_m, _SPAN_SHARE * stated)
+        off = span.value_m - stated
+        if abs(off) > least:
+            said.append(
+                f"collector.{key} = {stated:g} m does not fit: in the photos the mirror ends at {axis} = "
+                f"{span.middle_m - span.value_m / 2:.3f} and {span.middle_m + span.value_m / 2:.3f} m, which makes "
+                f"{span.value_m:.3f} m ({100 * off / stated:+.1f} %)"
+            )
+        elif abs(span.middle_m) > least:
+            said.append(
+                f"the mirror's middle is at {axis} = {span.middle_m:.3f} m of the targets' coordinates instead of 0; "
+                "the origin belongs at the vertex, in the middle of the length"
+            )
+    return tuple(said)
+
+
+def overexposure_doubt(clipped_share: float) -> str | None:
+    """Say whether too much of the mirror is overexposed.
+
+    Parameters
+    ----------
+    clipped_share : float
+        Share of the mirror at full scale in a usual photo.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where little is.
+    """
+    if not clipped_share > _CLIPPED_SHARE:
+        return None
+    return (
+        f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
+        "move and the tube looks thinner than it is; expose so that the sky stays below full scale"
+    )
+
+
+def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
+    """Say whether the mirror looks like several panels where none were stated.
+
+    Parameters
+    ----------
+    roughness : Roughness
+        Of the slopes along the rows, as found.
+    collector : Collector
+        The design.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where panels are stated, or slopes do not jump.
+    """
+    if collector.panel_edges_x_m.size > 2 or roughness.order > 2 or roughness.across < _JUMPING:
+        return None
+    return (
+        "slopes jump along x as at edges of panels, but the mirror is stated to be one piece across: without "
+        "collector.panel_edges_x_m slopes are smeared over the edges, and sigma is large everywhere"
+    )
+
+
+def heights_doubt(reflector: Reflector) -> str | None:
+    """Say whether panels are higher or lower than their stated accuracy lets expect.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution, of which their heights are unknowns.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where they fit, or are held.
+    """
+    height, sigma = reflector.unknowns.panel_heights_m(reflector.errors.common, reflector.errors.covariance_common)
+    unit = reflector.unknowns.height_unit_m
+    told = sigma < _TOLD_SHARE * unit if unit else np.zeros(height.size, dtype=bool)
+    if np.count_nonzero(told) < _FEWEST_HEIGHTS:
+        return None
+    # Before the measurement an estimate is expected to have the variance that it took from the prior.
+    excess = float(np.mean(height[told] ** 2 / (unit**2 - sigma[told] ** 2)))
+    if excess < _HEIGHTS_EXCESS:
+        return None
+    return (
+        f"collector.panel_height_sigma_mm = {1e3 * unit:g} does not fit: the reflection's width says that panels are "
+        f"{np.sqrt(excess):.1f} times as far from the design's height; state {1e3 * unit * np.sqrt(excess):.1g} mm, "
+        "until then slopes are less certain than their sigma says"
+    )
+
+
+def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
+    """Say whether the photos are too far apart to measure the mirror.
+
+    Parameters
+    ----------
+    measured_share : float
+        Share of the mirror with a value, of what can show the tube to these cameras.
+    eyes_m : ndarray, shape (n, 3)
+        The cameras [m].
+
+    Returns
+    -------
+    str or None
+        A sentence; None where enough is measured.
+    """
+    if measured_share > _SPARSE_SHARE:
+        return None
+    steps = np.diff(np.sort(eyes_m[:, 0]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    remedy = (
+        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough" if usual > _GOOD_STEP_M
+        else "look at reflection_edges.csv for why edges were refused"
+    )  # fmt: skip
+    return (
+        f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "
+        f"some {usual:.2f} m apart: an edge of the reflection tells the slope only where it lies; {remedy}"
+    )
+
+
+def camera_doubt(image_sigma_factor: float) -> str | None:
+    """Say whether camera and target list contradict each other.
+
+    Parameters
+    ----------
+    image_sigma_factor : float
+        How much worse image points fit than they were measured.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where they fit.
+    """
+    if image_sigma_factor < _MISFIT_FACTOR:
+        return None
+    return (
+        f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
+        "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. Let the "
+        'photos tell: under [camera] free = ["focal_px"], or calibrate the camera'
+    )

@@ -1,0 +1,185 @@
+"""Whether the stated camera fits the targets in the photos: where it does not, a few photos tell a better one."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.errors import EstimationError, MetrologyError
+from heliogauge.measurement.load import PhotogrammetryMeasurement
+from heliogauge.measurement.models import Intrinsic
+from heliogauge.running.progress import SilentProgress
+from observer.doubts.design_checks import camera_doubt
+from observer.pipeline.photos import FirstLook
+from photogrammetry.pipeline import measure as photogrammetry_pipeline
+from photogrammetry.pipeline.photos import gathered
+from photogrammetry.start_values.network import StartValues
+
+#: Image points that fit so much worse than they were measured make one ask; cameras that are right leave 0.8 to 1.0.
+_ASK_FACTOR = 1.3
+#: The camera is wrong where they fit so much better with another one ...
+_BETTER_SHARE = 0.75
+#: ... that differs in one of its numbers by so many sigmas.
+_TIMES_SIGMA = 5.0
+#: Targets in one plane fit a wrong focal length nearly as well, at other distances: there its own sigma says, freed
+#: alone, that it is wrong, from so many sigmas and this share of it on (0.05 mrad in the slopes of an LS-2).
+_FOCAL_TIMES_SIGMA, _FOCAL_SHARE = 3.0, 5e-4
+#: Photos that tell the camera, and those that tell its focal length.
+_PHOTOS, _FOCAL_PHOTOS = 24, 100
+_FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", "k2")
+
+
+def stated_camera_doubt(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+) -> str | None:
+    """Say whether the stated camera contradicts the targets, and what some photos say that it is.
+
+    Parameters
+    ----------
+    network : photogrammetry.pipeline.measure.Result
+        Adjusted with the camera as stated.
+    survey : PhotogrammetryMeasurement
+        Its measurement.
+    first : FirstLook
+        What was found in the photos.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it fits.
+    """
+    factor = network.solved.image_sigma_factor
+    stated = survey.model.camera
+    if not first.targets or len(stated) > 1 or stated[0].free is not None:
+        return camera_doubt(factor)
+    said = _doubt_by_fit(network, survey, first) if factor >= _ASK_FACTOR else None
+    return said or camera_doubt(factor) or _doubt_of_focal_length(network, survey, first)
+
+
+def _doubt_by_fit(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+) -> str | None:
+    """Say with which camera the targets fit much better; None where there is no such camera."""
+    factor = network.solved.image_sigma_factor
+    found = _with_free(survey, first, _FREE, _PHOTOS)
+    if found is None:
+        return None
+    better = found.solved.image_sigma_factor
+    said = _differences(network.camera, found.camera)
+    if better > _BETTER_SHARE * factor or not said:
+        return None
+    return (
+        f"camera: with the stated one the targets' image points fit {factor:.1f} times worse than they were measured, "
+        f"with {', '.join(said)} {better:.1f} times; slopes and absorber are wrong with it. Let the photos tell: under "
+        f"[camera] free = {list(_FREE)}, or calibrate the camera".replace("'", '"').replace('targets"', "targets'")
+    )
+
+
+def _doubt_of_focal_length(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+) -> str | None:
+    """Say whether targets and list tell another focal length, however well they fit the stated one."""
+    found = _with_free(survey, first, ("focal_px",), _FOCAL_PHOTOS)
+    if found is None:
+        return None
+    was, now = network.camera.focal_x_px, found.camera.focal_x_px
+    sigma = float(found.camera.sigma_parameters[0])
+    apart = float(np.hypot(sigma, network.camera.sigma_parameters[0]))
+    if not sigma > 0 or abs(now - was) < max(_FOCAL_TIMES_SIGMA * apart, _FOCAL_SHARE * was):
+        return None
+    return (
+        f"camera: focal_px = {was:.6g} does not fit: targets and their list say {now:.6g} +- {sigma:.1g} "
+        f"({100 * (now / was - 1):+.2f} %), which image points in one plane hardly show; slopes and absorber are wrong "
+        'with it. Let the photos tell: under [camera] free = ["focal_px"], or calibrate the camera; else look whether '
+        "the coordinates are as good as their sigmas"
+    )
+
+
+def _with_free(
+    survey: PhotogrammetryMeasurement, first: FirstLook, free: tuple[Intrinsic, ...], most: int
+) -> photogrammetry_pipeline.Result | None:
+    """Adjust at most so many of the photos with a camera that they tell; None where they cannot."""
+    section = survey.model.camera[0].model_copy(update={"free": free, "prior": False, "sigma": {}})
+    every = max(1, -(-len(first.targets) // most))
+    some = first.targets[::every]
+    names = {one.detections.photo for one in some}
+    poses = {name: pose for name, pose in first.poses.items() if name in names}
+    files = tuple(file for file in survey.photo_files if file.name in names)
+    freed = replace(survey, model=survey.model.model_copy(update={"camera": (section,)}), photo_files=files)
+    try:
+        return photogrammetry_pipeline.run(
+            freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=gathered(some),
+            start=StartValues(poses) if len(poses) > 1 else None,
+        )  # fmt: skip
+    except MetrologyError:
+        return None
+
+
+def _differences(stated: Camera, found: Camera) -> list[str]:
+    """Return the numbers of a camera that contradict the stated ones, as text."""
+    apart = np.abs(found.parameters - stated.parameters)
+    said = []
+    for name, was, now, sigma, off in zip(
+        PARAMETER_NAMES, stated.parameters, found.parameters, found.sigma_parameters, apart, strict=True
+    ):
+        key = {"focal_x_px": "focal_px"}.get(name, name)
+        if key in _FREE and off > _TIMES_SIGMA * sigma > 0:
+            said.append(f"{key} = {now:.5g} +- {sigma:.1g} instead of {was:.5g}")
+    return said
+
+
+@contextmanager
+def explained() -> Iterator[None]:
+    """Say what is usually wrong where photos and list of targets cannot be adjusted.
+
+    Yields
+    ------
+    None
+        While they are adjusted.
+
+    Raises
+    ------
+    EstimationError
+        What was raised, with the usual causes.
+    """
+    try:
+        yield
+    except EstimationError as error:
+        if "not converged" not in str(error):
+            raise
+        raise EstimationError(
+            f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
+            "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "
+            'trough move between photos? Or let photos tell the camera: under [camera] free = ["focal_px", "aspect"]'
+        ) from error
+
+
+@contextmanager
+def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
+    """Say with an error what the adjustment of cameras and targets had to say, which is often its cause.
+
+    Parameters
+    ----------
+    network : photogrammetry.pipeline.measure.Result
+        The adjusted network.
+
+    Yields
+    ------
+    None
+        While what rests on the network is computed.
+
+    Raises
+    ------
+    EstimationError
+        What was raised, with the first doubt.
+    """
+    try:
+        yield
+    except EstimationError as error:
+        doubt = camera_doubt(network.solved.image_sigma_factor)
+        said = [text for text in (doubt, *network.warnings) if text is not None]
+        if not said:
+            raise
+        raise EstimationError(f"{error}; before that: {said[0]}") from error

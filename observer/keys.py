@@ -1,0 +1,229 @@
+"""What measurement.toml of ``kind = "observer"`` may say."""
+
+import datetime
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from heliogauge.images.video_names import video_of
+from heliogauge.measurement.models import ImageFiles, Number, Positive, Section, Sigma, Text
+from photogrammetry.keys.cameras import CameraSections, NetworkCameraSection
+from photogrammetry.keys.measurement import CoordinateSection, DistanceSection, ScaleBarSection
+from photogrammetry.keys.targets import TargetsSection
+
+#: Largest distance of the nodes of a map [mm]; 20 mm is usual.
+_LARGEST_STEP_MM = 500.0
+
+
+class TroughSection(Section):
+    """The collector module: lengths of mirror, absorber and glass; edges of the panels; receiver supports."""
+
+    aperture_width_m: Positive
+    length_m: Positive
+    focal_length_m: Positive
+    absorber_diameter_mm: Positive
+    glass_outer_diameter_mm: Positive | None = None
+    glass_inner_diameter_mm: Positive | None = None
+    glass_index: Annotated[float, Field(strict=True, ge=1, lt=3)] = 1.47
+    panel_edges_x_m: tuple[Number, ...] = ()
+    panel_edges_y_m: tuple[Number, ...] = ()
+    panel_gap_mm: Sigma = 0.0
+    panel_height_sigma_mm: Sigma = 0.2
+    support_y_m: tuple[Number, ...] = ()
+    support_width_m: Positive = 0.3
+    orientation_deg: Number = 0.0
+
+    @model_validator(mode="after")
+    def _whole_glass(self) -> Self:
+        if (self.glass_outer_diameter_mm is None) != (self.glass_inner_diameter_mm is None):
+            raise ValueError("glass_outer_diameter_mm and glass_inner_diameter_mm belong together")
+        return self
+
+
+class ModuleSection(Section):
+    """One of several collectors in the same photos: where it is, what targets it has, how it differs from the others.
+
+    ``place_m`` is its origin in the frame of the common list of targets, ``turn_deg`` its turn there by the right hand
+    about +y; with a list of its own, which is in its own frame, they are for pictures only.
+    """
+
+    name: Text
+    place_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    turn_deg: Number = 0.0
+    targets_file: Text | None = None
+    collector: TroughSection | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _folder_name(cls, name: str) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name):
+            raise ValueError("letters, digits, - and _ are needed: the module's results get a folder of this name")
+        return name
+
+
+class PassSection(Section):
+    """Photos of one or several passes, or a video; a text with ``*`` stands for all files that match.
+
+    ``encoding`` says whether their numbers are proportional to light (linear) or drawn apart for the eye (srgb); by
+    default the edges of the reflection tell.
+    """
+
+    photos: ImageFiles | None = None
+    video: Text | None = None
+    encoding: Literal["auto", "linear", "srgb"] = "auto"
+    every_nth: Annotated[int, Field(strict=True, ge=1)] = 1
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.photos is None) == (self.video is None):
+            raise ValueError("give photos or a video, one of both")
+        if self.video is None and self.every_nth != 1:
+            raise ValueError("every_nth belongs to a video")
+        return self
+
+
+class KnownTargetsSection(TargetsSection):
+    """Targets in the photos, and the table of their coordinates on the collector.
+
+    Columns of the file: target, x_m, y_m, z_m, and sigma_x_mm, sigma_y_mm, sigma_z_mm (one column sigma_mm for all
+    three will do; an empty cell means that the coordinate is not known).
+    """
+
+    file: Text = "targets.csv"
+
+
+class AbsorberSection(Section):
+    """How the absorber's position is found: from the same photos, from photos of its own, from a table, or assumed."""
+
+    source: Literal["photos", "file", "design"] = "photos"
+    photos: ImageFiles | None = None
+    file: Text | None = None
+    station_step_m: Positive = 0.25
+
+    @model_validator(mode="after")
+    def _fitting_source(self) -> Self:
+        if (self.file is not None) != (self.source == "file"):
+            raise ValueError('file belongs to source = "file" (columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m)')
+        if self.photos is not None and self.source != "photos":
+            raise ValueError('photos belongs to source = "photos"')
+        return self
+
+
+class SunSection(Section):
+    """Sun shape for the intercept factor."""
+
+    shape: Literal["gaussian", "pillbox", "buie", "table"] = "gaussian"
+    sigma_mrad: Positive = 2.73
+    half_angle_mrad: Positive = 4.65
+    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.7)] = 0.05
+    file: Text | None = None
+
+    @model_validator(mode="after")
+    def _table_has_file(self) -> Self:
+        if (self.file is not None) != (self.shape == "table"):
+            raise ValueError('file belongs to shape = "table" (columns angle_mrad, radiance)')
+        return self
+
+
+class OpticsSection(Section):
+    """What else spreads the beam: specularity and tracking error, standard deviations of the reflected beam."""
+
+    specularity_mrad: Sigma = 0.0
+    tracking_error_mrad: Sigma = 0.0
+
+
+class ObserverEvaluationSection(Section):
+    """How the map is made.
+
+    ``shape_from_slopes`` integrates the slopes to the mirror's shape and looks again at the lines of sight with it, as
+    is right for real mirrors; false is for images of mirrors whose normals are turned on the design's surface. Without
+    it the reflection itself tells.
+    """
+
+    row_step_mm: Positive = 20.0
+    column_step_mm: Positive = 20.0
+    largest_slope_error_mrad: Positive = 12.0
+    longitudinal_slope_mrad: Positive = 2.0
+    shape_from_slopes: bool | None = None
+
+    @field_validator("row_step_mm", "column_step_mm")
+    @classmethod
+    def _fine_enough(cls, step: float) -> float:
+        # An edge is believed where it goes on in neighbouring rows, and places of the absorber need several of them.
+        if step > _LARGEST_STEP_MM:
+            raise ValueError(f"{step:g} mm between nodes of the map is too coarse: at most {_LARGEST_STEP_MM:g} mm")
+        return step
+
+
+class ObserverModel(Section):
+    """The whole measurement.toml of ``kind = "observer"``."""
+
+    kind: Literal["observer"]
+    name: Text
+    date: datetime.date | datetime.datetime | None = None
+    notes: str = ""
+    collector: TroughSection
+    camera: CameraSections = (NetworkCameraSection(),)
+    images: PassSection
+    targets: KnownTargetsSection
+    scale_bar: tuple[ScaleBarSection, ...] = ()
+    distance: tuple[DistanceSection, ...] = ()
+    absorber: AbsorberSection = AbsorberSection()
+    sun: SunSection = SunSection()
+    optics: OpticsSection = OpticsSection()
+    evaluation: ObserverEvaluationSection = ObserverEvaluationSection()
+    module: tuple[ModuleSection, ...] = ()
+
+    @model_validator(mode="after")
+    def _several_modules(self) -> Self:
+        names = [one.name.lower() for one in self.module]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"module: the name {twice[0]} occurs twice; each module gets a folder of its name")
+        if self.module and (self.targets.dictionary is None or self.targets.tracked_from is not None):
+            raise ValueError("module: several modules are told apart by coded targets; give targets a dictionary")
+        if self.module and (self.absorber.file is not None or self.absorber.photos is not None):
+            raise ValueError("module: the absorbers of several modules are found in the common photos, or as designed")
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverMeasurement:
+    """Checked photos of a trough: what the file says, and where its files are.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : ObserverModel
+        What measurement.toml says.
+    photo_files : tuple of Path
+        The photos of the pass, or the frames of its video (`heliogauge.images.video`).
+    absorber_files : tuple of Path
+        Photos that are taken for the absorber's position alone.
+    doubts : tuple of str, optional
+        What is wrong with a video and was got round.
+    coordinates : tuple of CoordinateSection or None, optional
+        Known coordinates of targets in the trough's frame; None: as the list has them.
+    """
+
+    folder: Path
+    model: ObserverModel
+    photo_files: tuple[Path, ...]
+    absorber_files: tuple[Path, ...]
+    doubts: tuple[str, ...] = ()
+    coordinates: tuple[CoordinateSection, ...] | None = None
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        model = self.model
+        named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
+        named += [one.targets_file for one in model.module]
+        if model.module and all(one.targets_file for one in model.module):
+            named.remove(model.targets.file)
+        own = (self.folder / "measurement.toml", *(self.folder / name for name in named if name))
+        return (*own, *dict.fromkeys(video_of(file) for file in (*self.photo_files, *self.absorber_files)))

@@ -1,0 +1,1 @@
+"""What the measured mirror does to sunlight: intercept factor with sigma."""

@@ -1,0 +1,103 @@
+"""Targets of a collector: which of a list belong to it, where they are in its frame, whether they tell a pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.geometry.rigid import rotation_from_vector
+from heliogauge.validate import FloatArray
+from observer.trough.collector import Collector
+
+#: A target belongs to a collector up to this far beside its outline: on its rims, at its ends, on a neighbour's end
+#: that is next to it [m].
+MARGIN_M = 0.6
+#: Targets of one rim lie within a thousandth of their distance on a line; square markers there within a twentieth.
+_LEAST_SPREAD = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ListedPlaces:
+    """Targets as a list has them.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The targets.
+    places_m, sigma_m : ndarray, shape (n, 3)
+        Coordinates with standard deviations; NaN: unknown [m].
+    """
+
+    names: tuple[str, ...]
+    places_m: FloatArray
+    sigma_m: FloatArray
+
+
+def spans_an_area(places_m: FloatArray) -> bool:
+    """Say whether targets tell the pose of a photo that shows them.
+
+    Parameters
+    ----------
+    places_m : ndarray, shape (n, 3)
+        Their coordinates [m].
+
+    Returns
+    -------
+    bool
+        Whether they spread across the line that they lie along: those of one rim leave the camera's turn about that
+        rim open.
+    """
+    if len(places_m) < 3:
+        return False
+    spread = np.linalg.svd(places_m - places_m.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > _LEAST_SPREAD * spread[0])
+
+
+def in_frame(listed: ListedPlaces, place_m: FloatArray, turn_rad: float) -> ListedPlaces:
+    """Return targets in a collector's own frame.
+
+    Parameters
+    ----------
+    listed : ListedPlaces
+        In the common frame.
+    place_m : ndarray, shape (3,)
+        The collector's origin there [m].
+    turn_rad : float
+        Its turn there, by the right hand about +y [rad].
+
+    Returns
+    -------
+    ListedPlaces
+        The same targets. Where the collector is turned, x and z of a target are known together or not at all, and
+        what their errors have in common is left out.
+    """
+    if turn_rad == 0.0:
+        return ListedPlaces(listed.names, listed.places_m - place_m, listed.sigma_m)
+    turned = rotation_from_vector(np.array([0.0, -turn_rad, 0.0]))
+    whole = np.isfinite(listed.sigma_m)
+    both = whole[:, 0] & whole[:, 2]
+    variance = np.where(whole, listed.sigma_m, 0.0) ** 2 @ (turned**2).T
+    known = np.stack([both, whole[:, 1], both], axis=1)
+    return ListedPlaces(
+        listed.names, (listed.places_m - place_m) @ turned.T, np.where(known, np.sqrt(variance), np.nan)
+    )
+
+
+def beside(listed: ListedPlaces, collector: Collector) -> list[int]:
+    """Return numbers of the targets that belong to a collector, those of unknown places among them.
+
+    Parameters
+    ----------
+    listed : ListedPlaces
+        In the collector's frame.
+    collector : Collector
+        Its outline.
+
+    Returns
+    -------
+    list of int
+        Ascending.
+    """
+    reach = np.array([collector.aperture_width_m, collector.length_m]) / 2 + MARGIN_M
+    known = np.isfinite(listed.sigma_m).all(axis=1)
+    near = (np.abs(listed.places_m[:, :2]) <= reach).all(axis=1)
+    return np.flatnonzero(near | ~known).tolist()

@@ -1,0 +1,1 @@
+"""The stages of the Observer, in a row in `measure`."""

@@ -1,0 +1,273 @@
+"""The numbers of a trough measurement: for summary.json and for the terminal."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from heliogauge.reporting.notation import number_text
+from heliogauge.results.folder import Summary
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import statistics
+from heliogauge.validate import FloatArray
+from observer.absorber.position import AbsorberSolution
+from observer.commands.panel_alignment import panel_tilts
+from observer.product.panel_shapes import panel_shapes
+from observer.product.slope_map import AngleMaps
+from observer.selection.edge_fates import EdgeFate
+from observer.selection.select_and_solve import Reflector
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+from observer.trough.visibility import Visibility, shares
+
+Numbers = dict[str, float | int | None]
+
+
+def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -> Numbers:
+    """Return the numbers of the mirror.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    angles : AngleMaps
+        The same as angles.
+    visible : Visibility
+        Which nodes can show the tube.
+
+    Returns
+    -------
+    dict
+        Numbers with units in their names.
+    """
+    across = _across_only(slope_map)
+    whole = statistics(across)
+    untilted = statistics(across, removed=Removal.TILT)
+    sigma = slope_map.sigma_slope()[0][slope_map.valid]
+    seeable, measured = shares(visible, slope_map.aperture, slope_map.valid)
+    theta_ra, theta_r = (part[slope_map.valid] for part in (angles.theta_ra_rad, angles.theta_r_rad))
+    turn = 1 / (1 + slope_map.slope_x[slope_map.valid] ** 2)
+    return {
+        "sdx_rad": whole.sdx_rad,
+        "sigma_sdx_rad": whole.sigma_sdx_rad,
+        "sdx_tilt_removed_rad": untilted.sdx_rad,
+        "sigma_sdx_tilt_removed_rad": untilted.sigma_sdx_rad,
+        "mean_theta_r_rad": float(theta_r.mean()),
+        "rms_theta_r_rad": float(np.sqrt((theta_r**2).mean())),
+        "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
+        "sigma_rms_theta_r_rad": _sigma_rms(angles.theta_r_rad, slope_map),
+        "sigma_rms_theta_ra_rad": _sigma_rms(angles.theta_ra_rad, angles.to_tube),
+        "median_sigma_slope_x_rad": float(np.median(sigma)),
+        "median_sigma_theta_r_rad": float(np.median(turn * sigma)),
+        "median_sigma_theta_ra_rad": float(np.median(angles.sigma_theta_ra_rad[slope_map.valid])),
+        "measured_share": slope_map.measured_share,
+        "seeable_share": seeable,
+        "seeable_measured_share": measured,
+    }
+
+
+def _sigma_rms(angle_rad: FloatArray, slope_map: SlopeMap) -> float:
+    """Return the sigma of the RMS of an angle by the noise and the common modes of a map [rad].
+
+    First order, as `heliogauge.slopes.statistics` has it.
+    """
+    valid = slope_map.valid
+    angle, turn = angle_rad[valid], 1 / (1 + slope_map.slope_x[valid] ** 2)
+    pull = angle * turn / max(float(np.linalg.norm(angle)) * np.sqrt(angle.size), 1e-12)
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    modes = slope_map.common.evaluate(x[valid], y[valid])[:, 0]
+    noise = slope_map.noise_correlation * float(np.sum((pull * slope_map.sigma_random_x[valid]) ** 2))
+    return float(np.sqrt(noise + np.sum((modes @ pull) ** 2)))
+
+
+def _across_only(slope_map: SlopeMap) -> SlopeMap:
+    """Return the map with the design's slope along the trough, for statistics of the one across it."""
+    zero = np.zeros(slope_map.shape)
+    return replace(slope_map, slope_y=slope_map.design_slope_y, sigma_random_y=zero)
+
+
+def absorber_numbers(absorber: AbsorberPath, collector: Collector, solution: AbsorberSolution | None) -> Numbers:
+    """Return the numbers of the absorber.
+
+    Parameters
+    ----------
+    absorber : AbsorberPath
+        Its axis.
+    collector : Collector
+        The design.
+    solution : AbsorberSolution or None
+        Its measurement.
+
+    Returns
+    -------
+    dict
+        Numbers with units in their names.
+    """
+    seen = np.ones(absorber.n, dtype=bool) if solution is None else solution.n_photos >= 2
+    n = absorber.n
+    mean_x, sigma_x = _mean(absorber.x_m, absorber.covariance_m2[:n, :n], seen)
+    mean_z, sigma_z = _mean(absorber.z_m - collector.focal_length_m, absorber.covariance_m2[n:, n:], seen)
+    return {
+        "absorber_mean_x_m": mean_x,
+        "sigma_absorber_mean_x_m": sigma_x,
+        "absorber_mean_z_offset_m": mean_z,
+        "sigma_absorber_mean_z_offset_m": sigma_z,
+        "absorber_range_x_m": float(np.ptp(absorber.x_m[seen])),
+        "absorber_range_z_m": float(np.ptp(absorber.z_m[seen])),
+    }
+
+
+def _mean(values: FloatArray, covariance: FloatArray, seen: np.ndarray) -> tuple[float, float]:
+    weights = seen / seen.sum()
+    return float(weights @ values), float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+
+
+def edge_numbers(reflector: Reflector) -> Numbers:
+    """Return how many edges were used.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    dict
+        Counts.
+    """
+    used = reflector.fate == EdgeFate.USED
+    return {
+        "edges_used_count": int(used.sum()),
+        "edges_rejected_count": int((~used).sum()),
+        "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
+        "edge_noise_factor": reflector.noise_factor,
+    }
+
+
+def surface_numbers(reflector: Reflector) -> Numbers:
+    """Return what the reflection says of the mirror's heights and of its slopes along the trough.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    dict
+        Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large slopes along
+        the trough were taken to be.
+    """
+    shape = reflector.shape
+    known = np.isfinite(shape.sigma)
+    return {
+        "height_factor_ratio": shape.share if known else None,
+        "sigma_height_factor_ratio": shape.sigma if known else None,
+        "height_effect_rms_rad": shape.effect_rad,
+        "slope_along_assumed_rad": reflector.roughness.along_rad,
+    }
+
+
+def surface_text(reflector: Reflector) -> str:
+    """Say which surface the lines of sight met.
+
+    Parameters
+    ----------
+    reflector : Reflector
+        The solution.
+
+    Returns
+    -------
+    str
+        A few words for summary.json.
+    """
+    return "heights from the slopes found" if reflector.height_m.any() else "the design's, with normals as found"
+
+
+def panel_columns(
+    slope_map: SlopeMap, angles: AngleMaps, collector: Collector, reflector: Reflector | None = None
+) -> dict[str, Any]:
+    """Return what ``panels.csv`` holds.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    angles : AngleMaps
+        The same as angles.
+    collector : Collector
+        The panels.
+    reflector : Reflector, optional
+        The solution, of which the panels' heights are unknowns.
+
+    Returns
+    -------
+    dict
+        Columns: mean angles, focal length and, with the solution, height of each panel with their sigma.
+    """
+    tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
+    to_tube = panel_tilts(angles.theta_ra_rad, angles.to_tube, collector)
+    shapes = panel_shapes(slope_map, collector)
+    return {
+        "panel": np.arange(1, tilts.tilt_rad.size + 1),
+        "centre_x_m": tilts.centre_x_m,
+        "centre_y_m": tilts.centre_y_m,
+        "mean_theta_r_rad": tilts.tilt_rad,
+        "sigma_mean_theta_r_rad": tilts.sigma_rad,
+        "mean_theta_ra_rad": to_tube.tilt_rad,
+        "sigma_mean_theta_ra_rad": to_tube.sigma_rad,
+        "focal_length_m": shapes.focal_length_m,
+        "sigma_focal_length_m": shapes.sigma_focal_length_m,
+        "rest_slope_rad": shapes.rest_rad,
+        **({} if reflector is None else _height_columns(reflector, tilts.tilt_rad.size)),
+        "measured_share": tilts.measured_share,
+    }
+
+
+def _height_columns(reflector: Reflector, n_panels: int) -> dict[str, Any]:
+    """Return how high each panel sits over its design; NaN where heights are held."""
+    errors = reflector.errors
+    height, sigma = reflector.unknowns.panel_heights_m(errors.common, errors.covariance_common)
+    held = np.full(n_panels, np.nan)
+    return {"height_m": height if height.size else held, "sigma_height_m": sigma if sigma.size else held}
+
+
+def headline_text(summary: Summary) -> str:
+    """Say the most important numbers in a few lines for the terminal.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        Lines with values and what they refer to.
+    """
+    numbers = summary.numbers
+
+    def said(key: str) -> str:
+        value = numbers[key]
+        if value is None:
+            return summary.not_determined[key]
+        sigma = numbers.get(f"sigma_{key}")
+        unit = "rad" if key.endswith("_rad") else "m" if key.endswith("_m") else ""
+        return number_text(value, None if sigma is None else float(sigma), unit, key)
+
+    return "\n".join([
+        f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
+        f"  slope error SDx  {said('sdx_rad')} of dz/dx; without mean tilt {said('sdx_tilt_removed_rad')}",
+        f"  as an angle      theta_r {said('rms_theta_r_rad')} RMS; with the absorber, theta_ra "
+        f"{said('rms_theta_ra_rad')}",
+        f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
+        "theta_ra (median)",
+        f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
+        f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
+        f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
+        f"{said('intercept_gain_mirror_perfect_ratio')}",
+        f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
+        "show the tube",
+        f"  design           {summary.texts['design']}",
+    ])  # fmt: skip

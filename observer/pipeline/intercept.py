@@ -1,0 +1,351 @@
+"""What a measured trough collects: numbers, curves over tracking offset and incidence, and where to align to."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.results.folder import write_table_csv
+from heliogauge.results.tables import read_table_csv
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
+from heliogauge.validate import FloatArray
+from observer.keys import OpticsSection, SunSection
+from observer.light.beam_profile import BeamProfile, beam_profile, sun_profile
+from observer.light.best import Best, best_absorber, best_offset
+from observer.light.cases import (
+    Case,
+    Intercept,
+    MeasuredTrough,
+    SumCovariance,
+    intercept_at_offsets,
+    intercept_gain,
+    measured_trough,
+    optics_of,
+)
+from observer.light.intercept import TroughOptics
+from observer.light.spread import BeamSpread, beam_spread, gaussian_short_form
+from observer.light.trace import Sunlight, TracedIntercept, trace_intercept
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+#: Tracking offsets of the curve [rad]: beyond 12 mrad every trough loses most of the light at its rims.
+OFFSETS_RAD = 1e-3 * np.arange(-12.0, 13.0)
+#: Incidence angles along the trough of the table [rad].
+INCIDENCES_RAD = np.radians(np.arange(0.0, 61.0, 15.0))
+#: Rays that check the integral: 0.0003 of sampling error at an intercept factor of 0.9.
+_RAYS = 1_000_000
+#: Every so many points of the beam spread are written: 0.1 mrad apart on an LS-2.
+_SPREAD_STEP = 8
+
+Numbers = dict[str, float | int | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InterceptResult:
+    """What the trough collects.
+
+    Parameters
+    ----------
+    cases : dict of Case to Intercept
+        Intercept factor with and without each contribution, the sun on the optical axis.
+    gains : dict of Case to (float, float)
+        What taking a contribution away gains, with its sigma.
+    curve : Intercept
+        As measured, at `OFFSETS_RAD`.
+    other_curves : dict of Case to ndarray
+        The same for the other cases, ratios only.
+    incidence : Intercept
+        As measured, at `INCIDENCES_RAD`.
+    offset : Best or None
+        The best tracking offset; None where there is none within the curve.
+    shift : Best or None
+        The best way of the absorber; None where it is longer than 50 mm.
+    short_form : float
+        Intercept factor of Gaussians with the same RMS.
+    spread : BeamSpread
+        Light about the direction to the absorber, pooled over the aperture.
+    traced : TracedIntercept
+        Intercept factor by counting rays.
+    measured_share : float
+        Share of the mirror that was measured.
+    measured_ratio : float
+        Intercept factor of that share alone.
+    light : str
+        Sun and scatter in words.
+    warnings : tuple of str
+        What makes it doubtful.
+    """
+
+    cases: dict[Case, Intercept]
+    gains: dict[Case, tuple[float, float]]
+    curve: Intercept
+    other_curves: dict[Case, FloatArray]
+    incidence: Intercept
+    offset: Best | None
+    shift: Best | None
+    short_form: float
+    spread: BeamSpread
+    traced: TracedIntercept
+    measured_share: float
+    measured_ratio: float
+    light: str
+    warnings: tuple[str, ...]
+
+    @property
+    def assumption(self) -> str:
+        """What the intercept factor stands on, in words."""
+        return (
+            f"{100 * (1 - self.measured_share):.1f} % of the mirror was not measured and is taken to be as the rest at "
+            "the same distance from the vertex; reflectance, absorptance, the tube's shadow and light beyond its ends "
+            "are not counted"
+        )
+
+
+def build_sun(section: SunSection, folder: Path) -> SunShape:
+    """Return the sun shape that measurement.toml describes.
+
+    Parameters
+    ----------
+    section : SunSection
+        Its ``[sun]``.
+    folder : Path
+        Folder of the measurement.
+
+    Returns
+    -------
+    SunShape
+        The sun.
+
+    Raises
+    ------
+    InputError
+        A table that cannot be read as radiance over angle.
+    """
+    if section.shape == "pillbox":
+        return PillboxSun(1e-3 * section.half_angle_mrad)
+    if section.shape == "buie":
+        return BuieSun.of_share(section.circumsolar_ratio)
+    if section.shape == "gaussian" or section.file is None:
+        return GaussianSun(1e-3 * section.sigma_mrad)
+    path = folder / section.file
+    table = read_table_csv(path, ("angle_mrad", "radiance"))
+    try:
+        angle, radiance = (np.array(table[name], dtype=np.float64) for name in ("angle_mrad", "radiance"))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; is the decimal sign a point?") from None
+    try:
+        return TabulatedSun(1e-3 * angle, radiance, Path(section.file).name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def evaluate_intercept(
+    sun_shape: SunShape,
+    section: OpticsSection,
+    slope_map: SlopeMap,
+    absorber: AbsorberPath,
+    collector: Collector,
+    slope_covariance: SumCovariance | None = None,
+) -> InterceptResult:
+    """Compute what the measured trough collects in the light that measurement.toml describes.
+
+    Parameters
+    ----------
+    sun_shape : SunShape
+        From `build_sun`.
+    section : OpticsSection
+        ``[optics]`` of measurement.toml.
+    slope_map : SlopeMap
+        The mirror.
+    absorber : AbsorberPath
+        The tube.
+    collector : Collector
+        The design.
+    slope_covariance : callable, optional
+        Covariance of weighted sums of slopes; by default what the map states.
+
+    Returns
+    -------
+    InterceptResult
+        Intercept factors by three ways, with contributions, curves and prescriptions.
+
+    Raises
+    ------
+    EstimationError
+        No node of the mirror was measured.
+    """
+    scatter = {
+        "specularity_rad": 1e-3 * section.specularity_mrad,
+        "tracking_error_rad": 1e-3 * section.tracking_error_mrad,
+    }
+    sun = sun_profile(sun_shape)
+    profile = beam_profile(sun, **scatter)
+    trough = measured_trough(slope_map, absorber, collector, slope_covariance=slope_covariance)
+    optics = {case: optics_of(trough, case, profile) for case in Case}
+    own = optics[Case.AS_MEASURED]
+    warnings: list[str] = []
+    traced = trace_intercept(
+        slope_map, absorber, collector.absorber_diameter_m, Sunlight(sun_shape, **scatter),
+        rays=_RAYS, rng=np.random.Generator(np.random.SFC64(0)),
+    )  # fmt: skip
+    if abs(traced.ratio - own.ratio()) > 5 * traced.sampling_sigma + 3e-4:
+        warnings.append(
+            f"intercept factor: {own.ratio():.4f} by integration but {traced.ratio:.4f} by {traced.rays} rays; "
+            "either the absorber is far from where the mirror throws the light, or the map's nodes are too far apart"
+        )
+    offset, shift = _best(trough, own, profile, warnings)
+    inside = np.full(trough.nodes.node.size, 1.0 / trough.nodes.node.size)
+    return InterceptResult(
+        cases={case: intercept_at_offsets(trough, case, optics[case]) for case in Case},
+        gains={case: intercept_gain(trough, optics, case) for case in Case if case is not Case.AS_MEASURED},
+        curve=intercept_at_offsets(trough, Case.AS_MEASURED, own, OFFSETS_RAD),
+        other_curves={
+            case: np.array([optics[case].ratio(one) for one in OFFSETS_RAD])
+            for case in Case if case is not Case.AS_MEASURED
+        },
+        incidence=_over_incidence(trough, sun, scatter),
+        offset=offset,
+        shift=shift,
+        short_form=_short_form(trough, optics, sun, scatter),
+        spread=beam_spread(own),
+        traced=traced,
+        measured_share=trough.nodes.measured_share,
+        measured_ratio=float(inside @ own.of_nodes()),
+        light=profile.words,
+        warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _best(
+    trough: MeasuredTrough, own: TroughOptics, profile: BeamProfile, warnings: list[str]
+) -> tuple[Best | None, Best | None]:
+    """Return the best tracking offset and the best way of the absorber; a warning where one lies too far away."""
+    offset, shift = None, None
+    try:
+        offset = best_offset(trough, Case.AS_MEASURED, own)
+    except EstimationError as error:
+        warnings.append(str(error))
+    try:
+        shift = best_absorber(trough, own, profile)
+    except EstimationError as error:
+        warnings.append(str(error))
+    return offset, shift
+
+
+def _over_incidence(trough: MeasuredTrough, sun: BeamProfile, scatter: dict[str, float]) -> Intercept:
+    parts = []
+    for incidence in INCIDENCES_RAD:
+        profile = beam_profile(sun, **scatter, incidence_rad=float(incidence))
+        optics = optics_of(trough, Case.AS_MEASURED, profile, float(incidence))
+        parts.append(intercept_at_offsets(trough, Case.AS_MEASURED, optics))
+    return Intercept(np.concatenate([one.ratio for one in parts]), np.concatenate([one.sigma_ratio for one in parts]))
+
+
+def _short_form(
+    trough: MeasuredTrough, optics: dict[Case, TroughOptics], sun: BeamProfile, scatter: dict[str, float]
+) -> float:
+    """Return the Gaussian short form with the RMS of theta_r and of theta_a."""
+    sigmas = []
+    for case in (Case.ABSORBER_ALIGNED, Case.MIRROR_PERFECT):
+        windows = optics[case].windows
+        twice = 0.5 * (windows.lower_rad + windows.upper_rad)
+        sigmas.append(0.5 * float(np.sqrt(trough.nodes.share @ twice**2)))
+    return gaussian_short_form(trough.collector, sun, sigma_r_rad=sigmas[0], sigma_a_rad=sigmas[1], **scatter)
+
+
+def intercept_numbers(result: InterceptResult) -> tuple[Numbers, dict[str, str]]:
+    """Return the numbers for summary.json.
+
+    Parameters
+    ----------
+    result : InterceptResult
+        What was computed.
+
+    Returns
+    -------
+    numbers : dict
+        Numbers with units in their names.
+    not_determined : dict of str to str
+        Why a number is missing.
+    """
+    numbers: Numbers = {}
+
+    def put(key: str, value: float, sigma: float) -> None:
+        numbers[key], numbers[f"sigma_{key}"] = value, sigma
+
+    for case, key in (
+        (Case.AS_MEASURED, "intercept_ratio"),
+        (Case.ABSORBER_ALIGNED, "intercept_absorber_aligned_ratio"),
+        (Case.MIRROR_PERFECT, "intercept_mirror_perfect_ratio"),
+    ):
+        put(key, float(result.cases[case].ratio[0]), float(result.cases[case].sigma_ratio[0]))
+    put("intercept_gain_absorber_aligned_ratio", *result.gains[Case.ABSORBER_ALIGNED])
+    put("intercept_gain_mirror_perfect_ratio", *result.gains[Case.MIRROR_PERFECT])
+    put("intercept_traced_ratio", result.traced.ratio, result.traced.sampling_sigma)
+    numbers["intercept_pooled_ratio"] = result.spread.ratio
+    numbers["intercept_short_form_ratio"] = result.short_form
+    share = result.measured_share
+    numbers["intercept_rest_lost_ratio"] = share * result.measured_ratio
+    numbers["intercept_rest_caught_ratio"] = share * result.measured_ratio + 1 - share
+    why: dict[str, str] = {}
+    _put_best(numbers, why, result.offset, ("best_tracking_offset_rad",), "intercept_best_tracking_ratio")
+    _put_best(
+        numbers, why, result.shift, ("best_absorber_shift_x_m", "best_absorber_shift_z_m"),
+        "intercept_best_absorber_ratio",
+    )  # fmt: skip
+    return numbers, why
+
+
+def _put_best(numbers: Numbers, why: dict[str, str], best: Best | None, keys: tuple[str, ...], ratio_key: str) -> None:
+    if best is None:
+        for key in (*keys, ratio_key):
+            numbers[key], why[key] = None, "it lies too far away, see the warnings"
+        return
+    if not np.isfinite(best.covariance).all():
+        # What it would be at a place that nobody can name helps nobody.
+        for key in (*keys, ratio_key):
+            numbers[key], why[key] = None, "the intercept factor hardly changes there: the maximum is flat"
+        return
+    numbers[ratio_key] = best.ratio
+    for i, key in enumerate(keys):
+        numbers[key], numbers[f"sigma_{key}"] = float(best.place[i]), float(np.sqrt(best.covariance[i, i]))
+
+
+def write_intercept(result: InterceptResult, folder: Path) -> None:
+    """Write the curves.
+
+    Parameters
+    ----------
+    result : InterceptResult
+        What was computed.
+    folder : Path
+        An existing folder; gets ``intercept.csv``, ``intercept_incidence.csv`` and ``beam_spread.csv``.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_table_csv(folder / "intercept.csv", {
+        "tracking_offset_rad": OFFSETS_RAD,
+        "intercept_ratio": result.curve.ratio,
+        "sigma_intercept_ratio": result.curve.sigma_ratio,
+        "intercept_absorber_aligned_ratio": result.other_curves[Case.ABSORBER_ALIGNED],
+        "intercept_mirror_perfect_ratio": result.other_curves[Case.MIRROR_PERFECT],
+    })  # fmt: skip
+    write_table_csv(folder / "intercept_incidence.csv", {
+        "incidence_rad": INCIDENCES_RAD,
+        "intercept_ratio": result.incidence.ratio,
+        "sigma_intercept_ratio": result.incidence.sigma_ratio,
+    })  # fmt: skip
+    thinned: dict[str, Any] = {
+        "angle_rad": result.spread.angle_rad,
+        "error_density_per_rad": result.spread.error_density,
+        "beam_density_per_rad": result.spread.beam_density,
+        "acceptance_ratio": result.spread.acceptance,
+    }
+    means = {name: values.reshape(-1, _SPREAD_STEP).mean(axis=1) for name, values in thinned.items()}
+    write_table_csv(folder / "beam_spread.csv", means)

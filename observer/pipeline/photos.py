@@ -1,0 +1,499 @@
+"""All photos of a measurement to targets, edges of the reflection and bearings of the tube, each photo read once.
+
+What a photo shows of the tube is looked for as soon as its targets give it a provisional pose, from the coordinates
+listed; the adjustment of all photos comes later, and what was found is carried to its poses (`observer.photo_edges.reprojection`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.images.photos import Image, read_luma
+from heliogauge.measurement.load import PhotogrammetryMeasurement
+from heliogauge.running.progress import Progress
+from heliogauge.running.threads import side_by_side
+from observer.absorber.bearings import Bearings, tube_bearings
+from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, Shot, joined, reflection_edges
+from observer.photo_edges.reprojection import View, carried_bearings, carried_edges
+from observer.photo_edges.tone import Tone, linear_light
+from observer.pipeline.slices import Slices, empty_slices
+from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
+from photogrammetry.detection.photo_targets import TargetSearch, measure_at
+from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.matching.target_following import (
+    KnownTargets,
+    Track,
+    agrees_with_list,
+    follow,
+    provisional_pose,
+    start_following,
+)
+from photogrammetry.pipeline.cameras import build_cameras
+from photogrammetry.pipeline.inputs import build_search
+from photogrammetry.pipeline.photos import OnePhoto, measure_photo
+from photogrammetry.start_values.network import StartValues
+from photogrammetry.start_values.resection import LEAST_TARGETS
+from photogrammetry.targets.mirrored_codes import refuse_mirrored_codes
+
+_Part = TypeVar("_Part", ReflectionEdges, Bearings)
+
+#: Most photos that are followed through: each run begins with a search of the whole photo and is one thread's work.
+_MOST_IN_RUN = 125
+#: Photos that are read and measured together, and what their images may take [bytes]: each step is one operation on
+#: many numbers, and a step that follows itself takes half the time.
+_TOGETHER, _TOGETHER_BYTES = 16, 64_000_000
+#: A photo in which fewer of the targets followed can be centred is searched as a whole.
+_LEAST_SHARE = 0.6
+#: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
+#: the photo is looked at again [m].
+_FAR_M = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenInPhotos:
+    """What the photos show of the absorber.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        Edges that may be those of its reflection.
+    bearings : Bearings
+        Directions of the tube itself.
+    slices : Slices
+        A few rows of the mirror in all photos, to look at.
+    tone : Tone
+        How the photos are encoded.
+    """
+
+    edges: ReflectionEdges
+    bearings: Bearings
+    slices: Slices
+    tone: Tone
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finder:
+    """What is looked for in each photo, and with what.
+
+    Parameters
+    ----------
+    section : TargetsSection
+        What targets there are.
+    search : TargetSearch
+        How circular ones are searched for.
+    known : KnownTargets
+        Those with listed coordinates.
+    camera_of : mapping of str to Camera
+        Camera of each photo to start with; empty where none is known.
+    expected : Expectation
+        Collector, absorber and rows.
+    tone : Tone or None, optional
+        How the photos are encoded; None: as their own edges tell.
+    """
+
+    section: TargetsSection
+    search: TargetSearch
+    known: KnownTargets
+    camera_of: Mapping[str, Camera]
+    expected: Expectation
+    tone: Tone | None = None
+
+    def read(self, file: Path) -> Image:
+        """Return a photo whose numbers are proportional to light."""
+        return linear_light(read_luma(file), self.tone or Tone.LINEAR)
+
+    @property
+    def measures_alone(self) -> bool:
+        """Whether the targets of a photo can be told without the other photos."""
+        return self.section.dictionary is not None and self.section.tracked_from is None
+
+    @property
+    def follows(self) -> bool:
+        """Whether targets can be followed: coded rings, with a camera that is known."""
+        return self.search.dictionary is not None and not self.search.with_uncoded and bool(self.camera_of)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstLook:
+    """What was found while the photos were read.
+
+    Parameters
+    ----------
+    photos : tuple of str
+        Names of all photos.
+    targets : tuple of OnePhoto
+        Targets of each photo; empty where they are not measured one by one.
+    poses : dict of str to RigidTransform
+        Provisional ``cam_from_frame`` of the photos whose listed targets tell it.
+    edges, bearings : dict of str to ReflectionEdges, dict of str to Bearings
+        What those photos show of the tube.
+    slices : Slices
+        A few rows of the mirror in all photos.
+    tone : Tone or None, optional
+        How the photos are encoded; None where that is not known yet.
+    """
+
+    photos: tuple[str, ...]
+    targets: tuple[OnePhoto, ...]
+    poses: dict[str, RigidTransform]
+    edges: dict[str, ReflectionEdges]
+    bearings: dict[str, Bearings]
+    slices: Slices
+    tone: Tone | None = None
+
+    @property
+    def start(self) -> StartValues | None:
+        """Start values for the adjustment; None where fewer than two photos have a pose."""
+        return StartValues(self.poses) if len(self.poses) >= 2 else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Photo:
+    """A photo in hand: its number, its name, and its camera if that is known."""
+
+    number: int
+    name: str
+    image: Image
+    camera: Camera | None
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """Consecutive photos in one thread's hands, and what was found so far."""
+
+    finder: Finder
+    slices: Slices
+    track: Track | None = None
+    #: Photos whose targets wait to be centred together, and where they are.
+    waiting: list[tuple[_Photo, Track]] = field(default_factory=list)
+    targets: dict[str, OnePhoto] = field(default_factory=dict)
+    poses: dict[str, RigidTransform] = field(default_factory=dict)
+    edges: dict[str, ReflectionEdges] = field(default_factory=dict)
+    bearings: dict[str, Bearings] = field(default_factory=dict)
+    #: Photos that were searched as a whole, for this trough or for another one in the same photos.
+    searched: dict[str, OnePhoto] = field(default_factory=dict)
+
+    def take(self, number: int, name: str, image: Image) -> None:
+        """Find what a photo shows, or leave that to `finish`."""
+        photo = _Photo(number, name, image, self.finder.camera_of.get(name))
+        if self.track is not None and photo.camera is not None:
+            self.track = follow(image, self.track, self.finder.known, photo.camera)
+            if self.track is not None:
+                self.waiting.append((photo, self.track))
+                return
+        self.finish()
+        self._look([(photo, self._searched(photo))])
+
+    def finish(self) -> None:
+        """Centre the targets of the photos that wait, and find what these show."""
+        if not self.waiting:
+            return
+        waiting, self.waiting = self.waiting, []
+        measured = measure_at(
+            [photo.image for photo, _ in waiting], [photo.name for photo, _ in waiting],
+            [track.ellipses for _, track in waiting], self.finder.search,
+        )  # fmt: skip
+        seen: list[tuple[_Photo, RigidTransform | None]] = []
+        for (photo, track), (found, shapes) in zip(waiting, measured, strict=True):
+            if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(track.ellipses)):
+                seen.append((photo, self._searched(photo)))
+                continue
+            seen.append((photo, track.pose))
+            none, (height, width) = found.chosen(np.zeros(0, dtype=np.intp)), photo.image.shape
+            size = int(width), int(height)
+            self.targets[photo.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
+        if self.track is not None and self.track is waiting[-1][1]:
+            # Ellipses as they look now: the perspective changes along the path.
+            found, shapes = measured[-1]
+            ellipses = self.track.ellipses.renewed(found.names, found.pixels_px, shapes)
+            self.track = replace(self.track, ellipses=ellipses)
+        self._look(seen)
+
+    def _look(self, photos: Sequence[tuple[_Photo, RigidTransform | None]]) -> None:
+        """Find what photos show, step by step: what works on all of them in turn stays in the processor's caches."""
+        expected = self.finder.expected
+        known = [(one, (one.camera, pose)) for one, pose in photos if one.camera is not None and pose is not None]
+        shots = [Shot(photo.image, photo.number, view) for photo, view in known]
+        self.slices.take(shots, expected.collector)
+        names = [photo.name for photo, _ in known]
+        self.poses.update(zip(names, [pose for _, (_, pose) in known], strict=True))
+        self.edges.update(zip(names, reflection_edges(shots, expected), strict=True))
+        self.bearings.update(zip(names, tube_bearings(shots, expected), strict=True))
+
+    def _searched(self, photo: _Photo) -> RigidTransform | None:
+        name, camera = photo.name, photo.camera
+        found = self.searched.get(name)
+        if found is None:
+            found = self.searched[name] = measure_photo(photo.image, name, self.finder.section, self.finder.search)
+        self.targets[name] = found
+        pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
+        if pose is None or camera is None:
+            return None
+        if self.finder.follows and agrees_with_list(found.detections, self.finder.known, camera, pose):
+            self.track = start_following(photo.image, found.detections, found.ellipses_px2, pose)
+        return pose
+
+
+def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation) -> Finder:
+    """Say what is looked for in each photo.
+
+    Parameters
+    ----------
+    network : PhotogrammetryMeasurement
+        The photo network.
+    known : KnownTargets
+        Those with listed coordinates.
+    expected : Expectation
+        Collector, absorber and rows.
+
+    Returns
+    -------
+    Finder
+        With the cameras, where measurement.toml or their files tell them.
+
+    Raises
+    ------
+    InputError
+        Cameras or dictionary that cannot be used, or no targets.
+    """
+    section = network.model.targets
+    if section is None:
+        raise InputError("targets: the table [targets] is needed; it says what targets the photos show")
+    cameras: dict[str, Camera] = {}
+    names = [file.name for file in network.photo_files]
+    stated = network.model.camera
+    if all(one.is_known for one in stated):
+        sizes = None
+        if not all(one.has_size for one in stated):
+            height, width = read_luma(network.photo_files[0]).shape
+            sizes = dict.fromkeys(names, (width, height))
+        built = build_cameras(network, names, sizes)
+        cameras = {name: built.cameras[place] for name, place in built.camera_of.items()}
+    return Finder(section, build_search(section, network.folder), known, cameras, expected)
+
+
+def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
+    """Read all photos once: measure their targets, find the absorber and its reflection.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos, in the order in which they were taken.
+    finder : Finder
+        What is looked for.
+    jobs : int or None
+        Photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    FirstLook
+        What was found, photos by their numbers among the files.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read.
+    """
+    return look_first_at_each(files, [finder], jobs=jobs, progress=progress)[0]
+
+
+def look_first_at_each(
+    files: Sequence[Path], finders: Sequence[Finder], *, jobs: int | None, progress: Progress
+) -> list[FirstLook]:
+    """Look for several troughs in the same photos, each of which is read, and searched as a whole, once.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos, in the order in which they were taken.
+    finders : sequence of Finder
+        What is looked for, for each trough; they differ in known targets and expectation only.
+    jobs : int or None
+        Photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    list of FirstLook
+        What was found for each trough, photos by their numbers among the files.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, or its codes are mirrored.
+    """
+    slices = [empty_slices(one.expected.collector, one.expected.y_m, len(files)) for one in finders]
+    names = tuple(file.name for file in files)
+    leader = finders[0]
+    if not leader.measures_alone:
+        return [FirstLook(names, (), {}, {}, {}, own, leader.tone) for own in slices]
+    searched: dict[str, OnePhoto] = {}
+    with progress.stage("look how photos are encoded"):
+        # One flight, one camera: the first trough that tells is believed.
+        tone = next((told for one in finders if (told := _tone_of_some(files, one, searched)) is not None), None)
+        finders = [replace(one, tone=tone) for one in finders]
+    if tone is Tone.SRGB:
+        searched.clear()  # They were searched as they are stored.
+    leader = finders[0]
+    parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
+    with progress.stage("measure photos", len(files)) as stage:
+
+        def one_run(k: int) -> list[_Run]:
+            own = [_Run(finder, part, searched=dict(searched)) for finder, part in zip(finders, slices, strict=True)]
+            images: list[tuple[int, Image]] = []
+            for number in parts[k]:
+                # Decoding drives all other code out of the processor's caches: several photos, then the rest.
+                images.append((number, leader.read(files[number])))
+                is_full = len(images) >= min(_TOGETHER, _TOGETHER_BYTES / images[-1][1].nbytes)
+                if is_full or number == parts[k][-1]:
+                    for run in own:
+                        for taken, image in images:
+                            run.take(taken, files[taken].name, image)
+                        run.finish()
+                    stage.advance(len(images))
+                    images.clear()
+            return own
+
+        found = side_by_side(one_run, range(len(parts)), jobs)
+    if leader.search.dictionary is not None:
+        read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
+        refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
+    return [_put_together(names, runs, own, tone) for runs, own in zip(zip(*found, strict=True), slices, strict=True)]
+
+
+def _runs_of(count: int) -> list[range]:
+    """Divide photos into runs that begin, after the first, with those searched to tell how all are encoded."""
+    ends = [*sorted({0, *some_of(count)}), count]
+    runs = []
+    for first, end in pairwise(ends):
+        length = -(-(end - first) // -(-(end - first) // _MOST_IN_RUN))
+        runs += [range(k, min(k + length, end)) for k in range(first, end, length)]
+    return runs
+
+
+def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, tone: Tone | None) -> FirstLook:
+    """Return what consecutive runs over the photos found."""
+    targets = tuple(one for run in runs for one in run.targets.values())
+    poses = {name: pose for run in runs for name, pose in run.poses.items()}
+    edges = {name: part for run in runs for name, part in run.edges.items()}
+    bearings = {name: part for run in runs for name, part in run.bearings.items()}
+    return FirstLook(names, targets, poses, edges, bearings, slices, tone)
+
+
+def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, OnePhoto]) -> Tone | None:
+    """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does.
+
+    What is found in them, as they are stored, is put down.
+    """
+    if finder.tone is not None or not finder.camera_of:
+        return finder.tone
+    samples, sizes, stated = [], [], finder.section.diameter_mm
+    for file in (files[number] for number in some_of(len(files))):
+        image, camera = read_luma(file), finder.camera_of[file.name]
+        found = searched.get(file.name)
+        if found is None:
+            found = searched[file.name] = measure_photo(image, file.name, finder.section, finder.search)
+        pose = provisional_pose(found.detections, finder.known, camera)
+        if pose is not None:
+            samples.append(Sample(image, (camera, pose)))
+            size_m = None if stated is None else 1e-3 * stated
+            sizes.append(sizes_of(samples[-1], found, finder.known, finder.search, size_m))
+    return tone_of(samples, finder.expected, sizes, usual_tone(files)) if samples else None
+
+
+def look_again(
+    files: Sequence[Path],
+    views: Sequence[View],
+    finder: Finder,
+    first: FirstLook,
+    *,
+    jobs: int | None,
+    progress: Progress,
+) -> SeenInPhotos:
+    """Carry what was found to the adjusted poses; read again only photos that had no pose yet, or a wrong one.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos of the network.
+    views : sequence of (Camera, RigidTransform)
+        Camera and ``cam_from_frame`` of each, adjusted.
+    finder : Finder
+        What is looked for.
+    first : FirstLook
+        What was found when the photos were read.
+    jobs : int or None
+        Photos side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    SeenInPhotos
+        Edges and bearings of all photos.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, or all cameras stand behind the mirror.
+    """
+    expected = finder.expected
+    tone = first.tone
+    if tone is None:
+        samples = [Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))]
+        tone = tone_of(samples, expected, usual=usual_tone(files))
+    finder = replace(finder, tone=tone)
+    if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
+        raise InputError(
+            "targets: with the coordinates listed all cameras stand behind the mirror (z below 0); is the list "
+            "mirrored? x goes across, y along, z from the vertex to the absorber, right-handed"
+        )
+    before, late = [], []
+    for number, (file, view) in enumerate(zip(files, views, strict=True)):
+        pose = first.poses.get(file.name)
+        if pose is not None and _distance_m(pose, view[1]) < _FAR_M:
+            before.append((finder.camera_of[file.name], pose))
+        else:
+            before.append(view)
+            late.append(number)
+    place = {name: k for k, name in enumerate(first.photos)}
+    order = [place[file.name] for file in files]
+    slices = replace(first.slices, brightness_dn=first.slices.brightness_dn[:, order])
+
+    def one(number: int) -> tuple[ReflectionEdges, Bearings]:
+        shot = Shot(finder.read(files[number]), number, views[number])
+        slices.take([shot], expected.collector)
+        stage.advance()
+        return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]
+
+    with progress.stage("find the reflection", len(late)) as stage:
+        found = dict(zip(late, side_by_side(one, late, jobs), strict=True))
+    edges = [found[k][0] if k in found else first.edges[file.name] for k, file in enumerate(files)]
+    bearings = [found[k][1] if k in found else first.bearings[file.name] for k, file in enumerate(files)]
+    everything = [_renumbered(part, k) for k, part in enumerate(edges)]
+    tubes = [_renumbered(part, k) for k, part in enumerate(bearings)]
+    together = Bearings(*(np.concatenate([getattr(one, name) for one in tubes]) for name in Bearings.__slots__))
+    return SeenInPhotos(
+        carried_edges(joined(everything), before, views, expected),
+        carried_bearings(together, before, views, expected),
+        slices,
+        tone,
+    )
+
+
+def _distance_m(first: RigidTransform, second: RigidTransform) -> float:
+    return float(np.linalg.norm(first.inverse().translation_m - second.inverse().translation_m))
+
+
+def _renumbered(part: _Part, number: int) -> _Part:
+    return replace(part, photo=np.full(part.photo.size, number, dtype=np.intp))

@@ -1,0 +1,1 @@
+"""What a flight will be worth before it is made."""

@@ -1,0 +1,454 @@
+"""From measurement.toml to what a pass over a trough will give: sigmas, what is missing, where to fly."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.flags import FLAG_TEXTS, SampleFlag
+from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_cameras_json, write_summary, write_table_csv
+from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.files import COLLECTOR, write_collector
+from observer.photo_edges.reflection_edges import Expectation
+from observer.pipeline.inputs import absorber_start, build_collector, read_absorber
+from observer.pipeline.photo_network import PlannedNetwork, believed_after, drawn_network, planned_network
+from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
+from observer.planning.monte_carlo import MonteCarlo, monte_carlo
+from observer.planning.planned_flight import Pass, advice, steps_too_wide
+from observer.planning.simulated_edges import EdgeNoise, Scene
+from observer.planning.simulated_flight import Evaluation, Simulated, simulate
+from observer.product.figures_of_merit import FlightFigures, flight_figures
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+from observer.trough.typical_mirror import MeasuredMirror, Mirror, TypicalMirror
+from photogrammetry.bundle.adjustment import BundleResult
+
+#: Longitudinal incidence from which slope errors along the trough are felt (Owkes 2012, sec. 5.2) [rad].
+_LARGEST_INCIDENCE_RAD = np.radians(15.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanResult:
+    """What a plan promises, ready to be written.
+
+    Parameters
+    ----------
+    name : str
+        Name of what is planned.
+    collector : Collector
+        The design.
+    network : PlannedNetwork
+        Photos and targets.
+    bundle : BundleResult
+        What the photo network will know.
+    simulated : Simulated
+        One measurement as the plan would give it.
+    missing : dict of SampleFlag to float
+        Share of the mirror that will not be measured, by reason.
+    figures : FlightFigures
+        Figures of merit of the first pass.
+    spread : MonteCarlo or None
+        Scatter of many simulated measurements; None where not asked.
+    warnings : tuple of str
+        What is amiss, and where to fly.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    name: str
+    collector: Collector
+    network: PlannedNetwork
+    bundle: BundleResult
+    simulated: Simulated
+    missing: dict[SampleFlag, float]
+    figures: FlightFigures
+    spread: MonteCarlo | None
+    warnings: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) -> PlanResult:
+    """Simulate what is planned.
+
+    Parameters
+    ----------
+    measurement : ObserverPlanMeasurement
+        From `heliogauge.measurement.load.load_observer_plan`.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    PlanResult
+        Sigmas at every point, what is missing, advice.
+
+    Raises
+    ------
+    InputError
+        Targets, camera, passes or an earlier result that cannot be used.
+    EstimationError
+        The photos show too few targets, or too little of the reflection.
+    """
+    progress = progress or SilentProgress()
+    model = measurement.model
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    collector = build_collector(model.collector)
+    passes = planned_passes(model)
+    poses = tuple(pose for one in passes for pose in one.poses())
+    with progress.stage("photo network"):
+        network, left_out = planned_network(model, measurement.folder, poses)
+        bundle = drawn_network(network, None)
+    noise = EdgeNoise(model.noise.reflection_px, model.noise.absorber_px)
+    evaluation = planned_evaluation(model)
+    with progress.stage("simulate the measurement"):
+        rng = np.random.default_rng([model.mirror.seed, 1])
+        scene = planned_scene(measurement, collector, network, 1e-3 * model.evaluation.row_step_mm, rng)
+        simulated = simulate(scene, believed_after(drawn_network(network, rng)), noise, evaluation, rng)
+        missing = missing_shares(simulated.slope_map)
+    eyes = np.array([pose.inverse().translation_m for pose in network.poses])
+    spread = _spread(measurement, collector, network, progress)
+    pixel_rad = 1 / max(network.camera.focal_x_px, network.camera.focal_y_px)
+    figures = flight_figures(collector, pixel_rad, eyes[: passes[0].photos])
+    warnings = (*_warnings(model, collector, passes, missing, figures), *_of_spread(spread), *left_out)
+    return PlanResult(
+        model.name, collector, network, bundle, simulated, missing, figures, spread, warnings,
+        dict(progress.durations_s), hashes,
+    )  # fmt: skip
+
+
+def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
+    """Return the passes that measurement.toml plans.
+
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What it says.
+
+    Returns
+    -------
+    tuple of Pass
+        The passes.
+
+    Raises
+    ------
+    InputError
+        A pass that cannot be flown.
+    """
+    return tuple(Pass(one.height_m, one.reach_m, one.photos, one.y_m, one.look_y_m) for one in model.flight)
+
+
+def planned_evaluation(model: ObserverPlanModel) -> Evaluation:
+    """Return how the planned measurement will be evaluated.
+
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What measurement.toml says.
+
+    Returns
+    -------
+    Evaluation
+        Steps and priors.
+    """
+    return Evaluation(
+        1e-3 * model.evaluation.column_step_mm, model.absorber.station_step_m,
+        1e-3 * model.evaluation.longitudinal_slope_mrad, model.absorber.source == "photos",
+    )  # fmt: skip
+
+
+def planned_scene(
+    measurement: ObserverPlanMeasurement,
+    collector: Collector,
+    network: PlannedNetwork,
+    row_step_m: float,
+    rng: np.random.Generator,
+) -> Scene:
+    """Return what the planned photos look at.
+
+    Parameters
+    ----------
+    measurement : ObserverPlanMeasurement
+        The plan.
+    collector : Collector
+        The design.
+    network : PlannedNetwork
+        The photos.
+    row_step_m : float
+        Distance of the rows [m].
+    rng : numpy.random.Generator
+        Draws the mirror where no earlier result says it.
+
+    Returns
+    -------
+    Scene
+        The truth of a simulation.
+
+    Raises
+    ------
+    InputError
+        An earlier result that cannot be read.
+    """
+    model = measurement.model
+    rows = max(2, round(collector.length_m / row_step_m))
+    y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
+    mirror: Mirror = TypicalMirror.drawn(
+        collector, rng, 1e-3 * model.mirror.slope_error_mrad, 1e-3 * model.mirror.longitudinal_error_mrad
+    )
+    absorber = absorber_start(collector)
+    if measurement.earlier is not None:
+        mirror = MeasuredMirror.of(read_slope_map(measurement.earlier / "slope_map.nc"))
+        path = read_absorber(measurement.earlier / "absorber.csv")
+        absorber = AbsorberPath(path.y_m, path.x_m, path.z_m, np.zeros_like(path.covariance_m2))
+    truth = Expectation(collector, absorber, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
+    return Scene(truth, mirror, network.views)
+
+
+def missing_shares(slope_map: SlopeMap) -> dict[SampleFlag, float]:
+    """Return which share of a mirror is not measured for which reason.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The map.
+
+    Returns
+    -------
+    dict of SampleFlag to float
+        Shares of the nodes on panels; reasons that do not occur are left out.
+    """
+    lost = slope_map.aperture & ~slope_map.valid
+    count = max(int(slope_map.aperture.sum()), 1)
+    shares = {flag: int((lost & ((slope_map.flags & np.uint32(flag)) > 0)).sum()) / count for flag in SampleFlag}
+    return {flag: share for flag, share in shares.items() if share > 0}
+
+
+def _spread(
+    measurement: ObserverPlanMeasurement, collector: Collector, network: PlannedNetwork, progress: Progress
+) -> MonteCarlo | None:
+    """Repeat the simulated measurement with another mirror, network and noise each time, where that is asked."""
+    model = measurement.model
+    runs = model.monte_carlo.runs
+    if runs == 0:
+        return None
+    noise, evaluation = EdgeNoise(model.noise.reflection_px, model.noise.absorber_px), planned_evaluation(model)
+
+    def once(rng: np.random.Generator) -> Simulated:
+        scene = planned_scene(measurement, collector, network, 1e-3 * model.monte_carlo.row_step_mm, rng)
+        return simulate(scene, believed_after(drawn_network(network, rng)), noise, evaluation, rng)
+
+    with progress.stage("Monte Carlo", runs) as stage:
+        return monte_carlo(once, runs, model.monte_carlo.seed, stage.advance)
+
+
+def _warnings(
+    model: ObserverPlanModel,
+    collector: Collector,
+    passes: tuple[Pass, ...],
+    missing: dict[SampleFlag, float],
+    figures: FlightFigures,
+) -> tuple[str, ...]:
+    found = [*advice(collector, passes, missing, 1e-3 * model.mirror.slope_error_mrad), *steps_too_wide(passes)]
+    incidence = figures.longitudinal_incidence_rad
+    if len({one.y_m for one in passes}) == 1 and incidence > _LARGEST_INCIDENCE_RAD:
+        found.append(
+            f"longitudinal incidence up to {np.degrees(incidence):.1f} degrees: from 15 degrees on slope errors along "
+            "the trough are felt (0.5 mrad at two sigma of 5 mrad); fly higher, or two passes at different y"
+        )
+    return tuple(found)
+
+
+def _of_spread(spread: MonteCarlo | None) -> tuple[str, ...]:
+    if spread is None:
+        return ()
+    found = []
+    if not spread.has_settled:
+        found.append(f"Monte Carlo: the scatter has not settled within 5 % after {spread.runs} runs; ask for more")
+    if spread.failed:
+        found.append(f"Monte Carlo: {len(spread.failed)} simulations gave no result, the first: {spread.failed[0]}")
+    return tuple(found)
+
+
+def write(result: PlanResult, folder: Path) -> None:
+    """Write the files of a plan into an existing folder.
+
+    Parameters
+    ----------
+    result : PlanResult
+        What `run` returned.
+    folder : Path
+        Where to.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    write_table_csv(folder / "stations.csv", _station_columns(result))
+    write_slope_map(folder / "slope_map.nc", {"": result.simulated.slope_map}, {"input_sha256": result.input_sha256})
+    write_table_csv(folder / "missing.csv", _missing_columns(result))
+    write_collector(folder / COLLECTOR, result.collector)
+    path = result.simulated.absorber
+    sigma_x, sigma_z = path.sigma_at(path.y_m)
+    write_table_csv(
+        folder / "absorber.csv",
+        {"y_m": path.y_m, "x_a_m": path.x_m, "z_a_m": path.z_m, "sigma_x_a_m": sigma_x, "sigma_z_a_m": sigma_z},
+    )
+    photos = result.bundle.problem.observations.photos
+    poses = {
+        name: PhotoPose("camera", pose, 0.5 * (matrix + matrix.T))
+        for name, pose, matrix in zip(photos, result.network.poses, result.bundle.covariance.poses, strict=True)
+    }
+    write_cameras_json(folder / "cameras.json", {"camera": result.bundle.cameras[0]}, poses)
+    if result.spread is not None:
+        write_table_csv(folder / "monte_carlo.csv", _spread_columns(result, result.spread))
+        write_table_csv(
+            folder / "monte_carlo_settling.csv",
+            {
+                "runs_count": [count for count, _ in result.spread.settling],
+                "rms_slope_x_rad": [value for _, value in result.spread.settling],
+            },
+        )
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def _place_variances(result: PlanResult) -> FloatArray:
+    """Return the mean variance of the three coordinates of each camera's place, shape (n,) [m^2]."""
+    both = zip(result.network.poses, result.bundle.covariance.poses, strict=True)
+    return np.array([np.trace(pose.origin_covariance(one)) / 3 for pose, one in both])
+
+
+def _station_columns(result: PlanResult) -> dict[str, Any]:
+    table = result.bundle.problem.observations
+    inverse = [pose.inverse() for pose in result.network.poses]
+    eyes, looks = (np.array([getattr(one, name) for one in inverse]) for name in ("translation_m", "rotation"))
+    sigma = np.sqrt(_place_variances(result))
+    columns: dict[str, Any] = {"name": list(table.photos)}
+    columns |= {f"{axis}_m": eyes[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"direction_{axis}": looks[:, i, 2] for i, axis in enumerate("xyz")}
+    return columns | {"targets_count": table.n_targets_in_photo, "sigma_position_m": sigma}
+
+
+def _missing_columns(result: PlanResult) -> dict[str, Any]:
+    return {
+        "reason": [FLAG_TEXTS[flag] for flag in result.missing],
+        "share": [result.missing[flag] for flag in result.missing],
+    }
+
+
+def _spread_columns(result: PlanResult, spread: MonteCarlo) -> dict[str, Any]:
+    """Return the map of the scatter, a row for each node that is measured."""
+    rows, columns = spread.rms_slope_x.shape
+    x = result.simulated.slope_map.x_m
+    length = result.collector.length_m
+    y = (np.arange(rows) + 0.5) * (length / rows) - length / 2
+    grid_x, grid_y = np.meshgrid(x, y)
+    known = np.isfinite(spread.rms_slope_x)
+    if x.size != columns:
+        raise InputError("Monte Carlo: its map has other columns than the plan's")
+    return {
+        "x_m": grid_x[known],
+        "y_m": grid_y[known],
+        "rms_error_slope_x_rad": spread.rms_slope_x[known],
+        "sigma_slope_x_rad": spread.stated_slope_x[known],
+    }
+
+
+def summarise(result: PlanResult) -> Summary:
+    """Collect the headline numbers of a plan.
+
+    Parameters
+    ----------
+    result : PlanResult
+        The plan.
+
+    Returns
+    -------
+    Summary
+        What ``summary.json`` holds.
+    """
+    slope_map, path = result.simulated.slope_map, result.simulated.absorber
+    valid = slope_map.valid
+    sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
+    sigma_x, sigma_z = path.sigma_at(path.y_m)
+    eyes = _place_variances(result)
+    figures, spread = result.figures, result.spread
+    numbers: dict[str, float | int | None] = {
+        "photos_count": len(result.network.poses),
+        "sigma_slope_x_median_rad": float(np.median(sigma)),
+        "sigma_slope_x_95_percent_rad": float(np.percentile(sigma, 95)),
+        "sigma_random_slope_x_median_rad": float(np.median(own)),
+        "measured_share": slope_map.measured_share,
+        "sigma_absorber_x_rms_m": float(np.sqrt(np.mean(sigma_x**2))),
+        "sigma_absorber_z_rms_m": float(np.sqrt(np.mean(sigma_z**2))),
+        "sigma_camera_position_rms_m": float(np.sqrt(eyes.mean())),
+        "pixel_on_aperture_m": figures.pixel_on_aperture_m,
+        "pixel_on_absorber_m": figures.pixel_on_absorber_m,
+        "camera_angle_step_rad": figures.camera_angle_step_rad,
+        "camera_target_angle_deg": float(np.degrees(figures.camera_target_angle_rad)),
+        "longitudinal_incidence_deg": float(np.degrees(figures.longitudinal_incidence_rad)),
+    }
+    if spread is not None:
+        numbers |= {
+            "monte_carlo_runs_count": spread.runs,
+            "monte_carlo_rms_slope_x_rad": spread.rms_rad,
+            "monte_carlo_95_percent_rad": spread.percentile_95_rad,
+            "monte_carlo_over_sigma_ratio": spread.ratio,
+        }
+    texts = {
+        "design": slope_map.design,
+        "datum": result.bundle.datum,
+        "sigma": "of dz/dx at a node before any removal: noise, what lies between photos, slopes along the trough as "
+        "far as their prior, cameras and absorber, which all nodes share",
+        "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
+    }
+    return Summary(
+        kind="observer-plan", name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
+        durations_s=result.durations_s, input_sha256=result.input_sha256,
+    )  # fmt: skip
+
+
+def headline_text(summary: Summary) -> str:
+    """Say the plan in a few lines for the terminal.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        The lines.
+    """
+    numbers = summary.numbers
+
+    def value(key: str, factor: float = 1e3) -> str:
+        return f"{factor * float(numbers[key] or 0.0):.3g}"
+
+    lines = [
+        f"{summary.name}: {numbers['photos_count']} photos",
+        f"  sigma of theta_r  {value('sigma_slope_x_median_rad')} mrad median, 95 % of the points below "
+        f"{value('sigma_slope_x_95_percent_rad')} mrad",
+        f"  measured          {value('measured_share', 100)} % of the mirror, see missing.csv",
+        f"  absorber          sigma x {value('sigma_absorber_x_rms_m')} mm, z {value('sigma_absorber_z_rms_m')} mm",
+        f"  cameras           sigma {value('sigma_camera_position_rms_m')} mm from the targets alone",
+        f"  pass              pixel {value('pixel_on_aperture_m')} mm on the mirror, photos "
+        f"{value('camera_angle_step_rad')} mrad apart, longitudinal incidence up to "
+        f"{value('longitudinal_incidence_deg', 1)} degrees",
+    ]
+    if "monte_carlo_runs_count" in numbers:
+        lines.append(
+            f"  Monte Carlo       {numbers['monte_carlo_runs_count']} runs: "
+            f"{value('monte_carlo_rms_slope_x_rad')} mrad RMS, 95 % within {value('monte_carlo_95_percent_rad')} mrad; "
+            f"over stated sigma {value('monte_carlo_over_sigma_ratio', 1)}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,151 @@
+"""Where a planned pass takes its photos, and what of the mirror it cannot show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import FloatArray
+from observer.product.figures_of_merit import reach_needed_m
+from observer.trough.collector import Collector
+
+#: Where cameras look: between vertex and rim of a usual trough [m].
+_LOOK_AT_Z_M = 0.6
+#: What is missing is worth a sentence from this share of the mirror on.
+_WORTH_SAYING = 0.005
+#: Paths are flown to some centimetres [m].
+_CLOSE_M = 0.05
+#: Mirrors of a typical slope error have parts of three times that.
+_REACH_TIMES = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """Photos across the aperture.
+
+    Parameters
+    ----------
+    height_m : float
+        Height of the camera above the vertex [m].
+    reach_m : float
+        Photos from x = -reach to +reach [m].
+    photos : int
+        How many, evenly spaced.
+    y_m : float, optional
+        Where along the trough the camera is [m].
+    look_y_m : float, optional
+        Where along the trough it looks [m].
+
+    Raises
+    ------
+    InputError
+        Fewer than two photos, or a camera that is not above the collector.
+    """
+
+    height_m: float
+    reach_m: float
+    photos: int
+    y_m: float = 0.0
+    look_y_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.photos < 2 or self.height_m <= _LOOK_AT_Z_M or self.reach_m <= 0:
+            raise InputError(
+                f"pass: {self.photos} photos from {self.height_m:g} m with a reach of {self.reach_m:g} m; two photos, "
+                f"a height above {_LOOK_AT_Z_M:g} m and a reach above 0 are needed"
+            )
+
+    def poses(self) -> tuple[RigidTransform, ...]:
+        """Return ``cam_from_frame`` of all photos; the image's x axis lies along the trough."""
+        aim = np.array([0.0, self.look_y_m, _LOOK_AT_Z_M])
+        across = np.linspace(-self.reach_m, self.reach_m, self.photos)
+        return tuple(_looking(np.array([x, self.y_m, self.height_m]), aim) for x in across)
+
+
+def _looking(eye_m: FloatArray, aim_m: FloatArray) -> RigidTransform:
+    forward = (aim_m - eye_m) / np.linalg.norm(aim_m - eye_m)
+    down = np.cross(forward, [0.0, 1.0, 0.0])
+    if float(np.linalg.norm(down)) < 1e-3:
+        raise InputError("pass: a camera looks along the trough; move it or where it looks")
+    down /= np.linalg.norm(down)
+    rotation = np.stack([np.cross(down, forward), down, forward])
+    return RigidTransform(rotation, -rotation @ eye_m)
+
+
+def advice(
+    collector: Collector, passes: tuple[Pass, ...], shares: dict[SampleFlag, float], slope_error_rad: float
+) -> tuple[str, ...]:
+    """Say where to fly for what is missing.
+
+    Parameters
+    ----------
+    collector : Collector
+        The collector.
+    passes : tuple of Pass
+        As planned.
+    shares : dict of SampleFlag to float
+        Share of the mirror that is not measured, by reason.
+    slope_error_rad : float
+        RMS slope error of the mirror that is expected [rad].
+
+    Returns
+    -------
+    tuple of str
+        One sentence for each thing to do; empty where nothing is missing.
+    """
+    found: list[str] = []
+    for one in passes:
+        needed = reach_needed_m(collector, one.height_m, _REACH_TIMES * slope_error_rad)
+        if one.reach_m < needed - _CLOSE_M:
+            found.append(
+                f"pass at y = {one.y_m:g} m: photos from x = {-one.reach_m:g} to {one.reach_m:g} m; for both edges of "
+                f"the reflection on the whole aperture fly from {-needed:.2f} to {needed:.2f} m at this height"
+            )
+    share = shares.get(SampleFlag.BEYOND_TUBE, 0.0)
+    if share > _WORTH_SAYING:
+        half = collector.length_m / 2
+        found.append(
+            f"{100 * share:.1f} % of the mirror shows what lies beyond the tube's ends or receiver supports; passes at "
+            f"y = {-half:.2f} and {half:.2f} m show the ends, and two passes "
+            f"{_beside_supports_m(collector, passes):.1f} m apart see beside the supports"
+        )
+    share = shares.get(SampleFlag.BEHIND_TUBE, 0.0)
+    if share > _WORTH_SAYING:
+        found.append(
+            f"{100 * share:.1f} % of the mirror lies behind the receiver whenever it would show the tube; no pass of a "
+            "small camera changes that"
+        )
+    return tuple(found)
+
+
+def _beside_supports_m(collector: Collector, passes: tuple[Pass, ...]) -> float:
+    """Return how far a pass must move for a support's reflection to move by its width and a half."""
+    height = min(one.height_m for one in passes)
+    return 1.5 * collector.support_width_m * height / collector.focal_length_m
+
+
+def steps_too_wide(passes: tuple[Pass, ...]) -> tuple[str, ...]:
+    """Warn of photos so far apart that a part of the mirror lies between their samples.
+
+    Parameters
+    ----------
+    passes : tuple of Pass
+        As planned.
+
+    Returns
+    -------
+    tuple of str
+        Warnings.
+    """
+    found = []
+    for one in passes:
+        step = 2 * one.reach_m / (one.photos - 1)
+        if step > 0.2:
+            wanted = int(np.ceil(2 * one.reach_m / 0.06)) + 1
+            found.append(
+                f"pass at y = {one.y_m:g} m: photos {1e3 * step:.0f} mm apart sample the mirror as coarsely; {wanted} "
+                "photos would be 60 mm apart"
+            )
+    return tuple(found)

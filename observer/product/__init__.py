@@ -1,0 +1,1 @@
+"""Slopes of rows become the slope map, panels, sums with sigma."""

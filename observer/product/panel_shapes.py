@@ -1,0 +1,73 @@
+"""Each panel for itself: its mean angle, and the focal length of the parabola that its slopes follow."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.commands.panel_alignment import LEAST_SHARE
+from observer.trough.collector import Collector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanelShapes:
+    """Parabolas that fit the panels' slopes best.
+
+    Parameters
+    ----------
+    focal_length_m : ndarray, shape (p,)
+        Focal length of each panel, in the order of `Collector.panel_index`; NaN where too little was measured [m].
+    sigma_focal_length_m : ndarray, shape (p,)
+        Its standard deviation [m].
+    rest_rad : ndarray, shape (p,)
+        RMS of what of the slope dz/dx the parabola leaves [rad].
+    """
+
+    focal_length_m: FloatArray
+    sigma_focal_length_m: FloatArray
+    rest_rad: FloatArray
+
+
+def panel_shapes(slope_map: SlopeMap, collector: Collector) -> PanelShapes:
+    """Fit ``dz/dx = x / (2 f) + c`` to each panel.
+
+    Parameters
+    ----------
+    slope_map : SlopeMap
+        The mirror.
+    collector : Collector
+        The panels.
+
+    Returns
+    -------
+    PanelShapes
+        Focal lengths with sigma: noise of the nodes, and what the map has in common.
+
+    Notes
+    -----
+    The quadratic fit of Owkes (2012, appendix B.1) for one panel alone. Equal weights: the curvature is that of the
+    panel's area and not of its best measured part.
+    """
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    panel = collector.panel_index(x, y)
+    modes = slope_map.common.evaluate(x, y)[:, 0]
+    count = (len(collector.panel_edges_x_m) - 1) * (len(collector.panel_edges_y_m) - 1)
+    focal, sigma, rest = (np.full(count, np.nan) for _ in range(3))
+    for number in range(count):
+        own = (panel == number) & slope_map.valid
+        if int(own.sum()) < LEAST_SHARE * max(int((panel == number).sum()), 1):
+            continue
+        beside = x[own] - x[own].mean()
+        if not np.ptp(beside) > 0:
+            continue
+        # The curvature is this weighted sum of slopes.
+        weights = beside / (beside @ beside)
+        curvature = float(weights @ slope_map.slope_x[own])
+        noise = slope_map.noise_correlation * float(weights**2 @ slope_map.sigma_random_x[own] ** 2)
+        together = float(np.sum((modes[:, own] @ weights) ** 2))
+        focal[number] = 1 / (2 * curvature)
+        sigma[number] = np.sqrt(noise + together) / (2 * curvature**2)
+        left = slope_map.slope_x[own] - slope_map.slope_x[own].mean() - curvature * beside
+        rest[number] = np.sqrt(np.mean(left**2))
+    return PanelShapes(focal, sigma, rest)

@@ -1,0 +1,1 @@
+"""Which edges are the tube's, and why the others are refused."""

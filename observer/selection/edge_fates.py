@@ -1,0 +1,178 @@
+"""What becomes of edges: by brightness alone, and by how they go on from row to row."""
+
+from enum import IntEnum
+
+import numpy as np
+
+from heliogauge.validate import BoolArray, FloatArray
+from observer.photo_edges.reflection_edges import ReflectionEdges
+from observer.slopes.row_spline import IntArray
+
+#: An edge of the tube has at least this share of the usual contrast.
+_LEAST_CONTRAST = 0.5
+#: The tube's edge goes on from row to row; a curve of fewer edges is a cloud's, a glint or a seam.
+_LEAST_CURVE = 6
+#: Rows further apart do not show how an edge goes on [m].
+_CONTINUED_STEP_M = 0.05
+#: From one row to the next an edge moves by at most so many distances of the rows.
+_STEEPEST_CURVE = 4.0
+#: With more than this share of edges that step the wrong way and go on from row to row there are shadows in the
+#: reflection: below 0.1 % under a clear or cloudy sky, 0.5 % in a mirror of steep waves, 2 % with ground in a strip,
+#: 2.6 to 3.4 % with the collector's own shadow.
+_SHADOWS_SHARE = 0.008
+#: Beside an edge of the tube the brightness changes by less than this share of its step, or than so many times what it
+#: usually does: where a shadow or a thing on the ground ends beside it the edge is up to 4 mrad off.
+_MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
+
+
+#: With more edges than this that the other side does not bear out a word is said.
+_MOST_ONE_SIDED = 0.2
+
+
+class EdgeFate(IntEnum):
+    """What became of an edge."""
+
+    USED = 0
+    WRONG_STEP = 1
+    FAINT = 2
+    BESIDE = 3
+    ALONE = 4
+    UNEVEN = 5
+    ONE_SIDED = 6
+
+
+FATE_TEXTS = {
+    EdgeFate.USED: "used",
+    EdgeFate.WRONG_STEP: "brightness steps the other way than at the tube's edge",
+    EdgeFate.FAINT: "much less contrast than the tube's edges have",
+    EdgeFate.BESIDE: "does not agree with the edges around it",
+    EdgeFate.ALONE: "not continued in the neighbouring rows",
+    EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
+    EdgeFate.ONE_SIDED: "not borne out by the tube's other edge, where shadows are about",
+}
+
+
+def first_fate(edges: ReflectionEdges) -> IntArray:
+    """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        Candidates of all photos.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        `EdgeFate` of each.
+
+    Notes
+    -----
+    Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
+    """
+    darker = edges.contrast * edges.side < 0
+    size = np.abs(edges.contrast)
+    is_dark = float(size[darker].sum()) > float(size[~darker].sum())
+    right = darker == is_dark
+    usual = float(np.median(size[right])) if right.any() else 0.0
+    fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
+    fate[size < _LEAST_CONTRAST * usual] = int(EdgeFate.FAINT)
+    limit = _MOST_UNEVEN
+    if right.any():
+        limit = max(limit, _UNEVEN_TIMES_USUAL * float(np.median(edges.unevenness[right])))
+    fate[right & (edges.unevenness > limit)] = int(EdgeFate.UNEVEN)
+    return np.asarray(fate, dtype=np.intp)
+
+
+def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolArray:
+    """Tell which edges do not belong to a curve through several rows.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        Candidates of all photos.
+    which : ndarray of bool, shape (m,)
+        Those that are looked at.
+    y_m : ndarray, shape (r,)
+        Rows [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        Edges of short curves; none where rows are too far apart to tell.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    alone = np.zeros(which.size, dtype=bool)
+    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
+    if step > _CONTINUED_STEP_M:
+        return alone
+    chosen = np.nonzero(which)[0]
+    # One group for each photo, side and row; x is less than 40 m, so groups stay apart on one axis.
+    group = (2 * edges.photo[chosen] + (edges.side[chosen] > 0)) * (y_m.size + 1) + edges.row[chosen]
+    place = 100.0 * group + edges.points_m[chosen, 0]
+    order = np.argsort(place, kind="stable")
+    place, chosen = place[order], chosen[order]
+    after = np.searchsorted(place, place + 100.0)
+    links = []
+    for offset in (-1, 0):
+        other = np.clip(after + offset, 0, place.size - 1)
+        near = np.abs(place[other] - place - 100.0) < _STEEPEST_CURVE * step
+        links.append(np.stack([np.nonzero(near)[0], other[near]]))
+    first, second = np.concatenate(links, axis=1)
+    graph = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(place.size, place.size))
+    _, curve = connected_components(graph, directed=False)
+    alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
+    return alone
+
+
+def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool:
+    """Return whether shadows as dark as the tube are in the reflection.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        Candidates of all photos.
+    fate : ndarray of int, shape (m,)
+        Of all edges.
+    y_m : ndarray, shape (r,)
+        Rows [m].
+
+    Returns
+    -------
+    bool
+        Whether they are.
+
+    Notes
+    -----
+    Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such edges
+    as they have right ones, which nothing in their brightness tells from the tube's. Noise and glints within the tube
+    step either way, but do not go on from row to row.
+    """
+    wrong = fate == EdgeFate.WRONG_STEP
+    return bool(np.mean(wrong & ~is_alone(edges, wrong, y_m)) > _SHADOWS_SHARE)
+
+
+def unchecked_doubt(fate: IntArray) -> str | None:
+    """Say that most edges were refused because photos are too far apart to tell them from those of shadows.
+
+    Parameters
+    ----------
+    fate : ndarray of int, shape (m,)
+        Of all edges.
+
+    Returns
+    -------
+    str or None
+        A sentence.
+    """
+    lonely = float(np.mean(fate == EdgeFate.ONE_SIDED))
+    if lonely < _MOST_ONE_SIDED:
+        return None
+    wrong = float(np.mean(fate == EdgeFate.WRONG_STEP))
+    return (
+        f"{100 * wrong:.0f} % of the edges in the reflection step the other way than the tube's, as those of shadows, "
+        f"glass and things on the ground do; {100 * lonely:.0f} % are not borne out by the tube's other edge and were "
+        "refused. Photos nearer to each other bear them out; or turn the trough so that a bright, clear sky is around "
+        "the tube"
+    )

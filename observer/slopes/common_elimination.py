@@ -1,0 +1,315 @@
+"""What touching lines say of their common unknowns when the slopes of their rows are eliminated.
+
+With the slopes' normal matrix A and derivatives B of the lines, both over the sigmas, and D those with respect to the
+common unknowns, the normal matrix of these is ``D^T (1 - B A^-1 B^T) D``. The matrix in the middle belongs to single
+rows and to the few hundred lines of each; D has some ten entries in a line. Whole rows of unknowns times all common
+unknowns, of which there are a thousand and more, need not be formed.
+"""
+
+import weakref
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from observer.slopes.banded_cholesky import BandedFactor
+from observer.slopes.row_spline import IntArray, Roughness, RowGrid, RowSystem, TouchingLines, assemble
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+#: Entries of a table of some rows' lines against all unknowns: 16 MB, which the allocator hands out again.
+_ENTRIES_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """Amounts of patterns of the lines that nothing else explains, found beside the common unknowns.
+
+    Parameters
+    ----------
+    amount : ndarray, shape (k,)
+        How much of each pattern there is.
+    covariance : ndarray, shape (k, k)
+        Covariance.
+    """
+
+    amount: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """The common unknowns of some rows.
+
+    Parameters
+    ----------
+    common : ndarray, shape (c,)
+        Their estimates.
+    normal : ndarray, shape (c, c)
+        Their normal matrix, the slopes eliminated.
+    root : ndarray, shape (c, c)
+        Its lower Cholesky root.
+    evidence : float
+        Logarithm of how probable the lines are with slopes and common unknowns integrated out, but for a constant.
+    carried : ndarray, shape (r, n, 2, c)
+        By how much the slopes across and along at chosen nodes change against each common unknown; n is 0 where none
+        were asked for.
+    beside : Beside
+        Amounts of the patterns that were asked for.
+    """
+
+    common: FloatArray
+    normal: FloatArray
+    root: FloatArray
+    evidence: float
+    carried: FloatArray
+    beside: Beside
+
+
+class Reduction:
+    """Lines of some rows, gathered once for any roughness of these.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations, their misfits with zero slope error and zero common unknowns.
+    grid : RowGrid
+        Nodes.
+    covariance : ndarray, shape (c, c)
+        Prior covariance of the common unknowns about zero.
+    """
+
+    def __init__(self, lines: TouchingLines, grid: RowGrid, covariance: FloatArray) -> None:
+        order = np.argsort(lines.row, kind="stable")
+        self._order = order
+        lines = lines.chosen(order)
+        self._first = np.searchsorted(lines.row, np.arange(grid.n_rows + 1))
+        self._rows = assemble(lines, grid)
+        self._sigma = lines.sigma_rad
+        self._values = lines.misfit_rad / lines.sigma_rad
+        self._pull = self._rows.right_sides(self._values)
+        self._covariance = covariance
+        self._lines = lines
+
+    @cached_property
+    def _derivatives(self) -> "csr_array":
+        return derivatives_of(self._lines, len(self._covariance))
+
+    @cached_property
+    def _by_row(self) -> "list[tuple[csr_array, csr_array]]":
+        """Derivatives of each row's lines with respect to its slopes and to the common unknowns."""
+        by_slopes, size = self._rows.derivatives(), 2 * self._rows.grid.x_m.size
+        return [
+            (by_slopes[first:last, size * i : size * (i + 1)], self._derivatives[first:last])
+            for i, (first, last) in enumerate(pairwise(self._first))
+        ]
+
+    def under(
+        self, prior: Roughness, *, columns: IntArray | None = None, beside: tuple[FloatArray, FloatArray] | None = None
+    ) -> Reduced:
+        """Eliminate the slopes and estimate the common unknowns.
+
+        Parameters
+        ----------
+        prior : Roughness
+            How slopes may vary.
+        columns : ndarray of int, shape (n,), optional
+            Nodes at which it is wanted what the slopes have from the common unknowns.
+        beside : (ndarray, ndarray), shapes (m, k) and (k,), optional
+            Changes of the lines' misfits by patterns whose amounts are wanted [rad], and the prior standard deviations
+            of these. They have no influence on the common unknowns.
+
+        Returns
+        -------
+        Reduced
+            The common unknowns.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            They are not determined.
+        """
+        system = self._rows.under(prior)
+        solved = system.factor.solve(self._pull)
+        evidence = 0.5 * (system.log_determinant + float((self._pull * solved).sum()))
+        count, by_slopes = len(self._covariance), self._rows.derivatives()
+        left = self._values - by_slopes @ solved.reshape(-1)
+        if count == 0:
+            normal, root, common = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+            carried = np.zeros((self._rows.grid.n_rows, 0, 2, 0))
+        else:
+            normal, carried = self._projected(system, np.zeros(0, dtype=np.intp) if columns is None else columns)
+            precision, spread = _precision(self._covariance)
+            normal += precision
+            root, narrowed = root_of(normal)
+            gradient = self._derivatives.T @ left
+            common = -solve_with(root, gradient)
+            evidence -= 0.5 * (narrowed + spread + float(gradient @ common))
+        if beside is None:
+            return Reduced(common, normal, root, evidence, carried, Beside(np.zeros(0), np.zeros((0, 0))))
+        patterns = beside[0][self._order] / self._sigma[:, None]
+        pulls = np.stack([self._rows.right_sides(one) for one in patterns.T])
+        seen = patterns - (by_slopes @ system.factor.solve(pulls).reshape(len(pulls), -1).T)
+        coupling = self._derivatives.T @ seen
+        normal = patterns.T @ seen + np.diag(beside[1] ** -2.0) - coupling.T @ solve_with(root, coupling)
+        spread_beside = np.linalg.inv(normal)
+        amount = -spread_beside @ (patterns.T @ left + coupling.T @ common)
+        return Reduced(common, normal, root, evidence, carried, Beside(amount, spread_beside))
+
+    def _projected(self, system: RowSystem, columns: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix of the common unknowns by the lines, the slopes following along, and what these do.
+
+        Shapes (c, c) and (r, n, 2, c).
+        """
+        count, grid = len(self._covariance), self._rows.grid
+        normal = np.zeros((count, count))
+        carried = np.zeros((grid.n_rows, columns.size, 2, count))
+        # Memory that the processor's caches and the allocator keep: some rows at a time.
+        most = max(1, _ENTRIES_AT_ONCE // (int(np.diff(self._first).max(initial=1)) * max(count, 2 * grid.x_m.size)))
+        for first in range(0, grid.n_rows, most):
+            last = min(first + most, grid.n_rows)
+            solved = self._solved(system, first, last)
+            some = slice(self._first[first], self._first[last])
+            projected = np.empty((some.stop - some.start, count))
+            done = 0
+            for i in range(first, last):
+                by_slopes, by_common = self._by_row[i]
+                lines = by_slopes.shape[0]
+                own = -(by_slopes @ solved[i - first, :, :lines])
+                own.flat[:: lines + 1] += 1.0
+                projected[done : done + lines] = (by_common.T @ own).T
+                done += lines
+                if columns.size:
+                    chosen = solved[i - first, :, :lines].reshape(-1, 2, lines)[columns].reshape(-1, lines)
+                    carried[i] = (by_common.T @ chosen.T).T.reshape(columns.size, 2, count)
+            normal += self._derivatives[some].T @ projected
+        return normal, carried
+
+    def _solved(self, system: RowSystem, first: int, last: int) -> FloatArray:
+        """Return by how much the slopes of some rows change with each of their lines, shape (r, 2 nx, k)."""
+        lines = np.diff(self._first)[first:last]
+        some = slice(self._first[first], self._first[last])
+        size = system.factor.root.shape[1]
+        # One right side for each line, as it stands in the normal equations.
+        right = np.zeros((last - first, size, int(lines.max(initial=0))))
+        number = np.arange(some.start, some.stop) - np.repeat(self._first[first:last], lines)
+        place = self._rows.place[some, None] - first * size + np.arange(4)
+        right.reshape((last - first) * size, -1)[place, number[:, None]] = self._rows.weights[some]
+        return BandedFactor(system.factor.root[first:last]).solve_many(right)
+
+
+def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":
+    """Return the derivatives of all lines over their sigmas with respect to the common unknowns.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations.
+    count : int
+        Number of common unknowns.
+
+    Returns
+    -------
+    csr_array, shape (m, c)
+        Derivatives.
+    """
+    from scipy.sparse import csr_array
+
+    width = lines.common_index.shape[1]
+    first = np.arange(lines.row.size + 1) * width
+    table = ((lines.d_common / lines.sigma_rad[:, None]).ravel(), lines.common_index.ravel(), first)
+    return csr_array(table, shape=(lines.row.size, count))
+
+
+def _precision(covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a prior covariance and the logarithm of its determinant; the last two are remembered.
+
+    All rounds of a solution have the same prior, and inverting a thousand unknowns takes as long as half the rest.
+    """
+    for known, found in _last_priors:
+        if known() is covariance:
+            return found
+    root, determinant = root_of(covariance)
+    _last_priors[:] = [(weakref.ref(covariance), (inverse_of(root), determinant)), *_last_priors[:1]]
+    return _last_priors[0][1]
+
+
+_last_priors: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = []
+
+
+def root_of(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the Cholesky root of a positive definite matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (c, c)
+        The matrix; its lower half is read.
+
+    Returns
+    -------
+    root : ndarray, shape (c, c)
+        Lower root.
+    log_determinant : float
+        Logarithm of the matrix's determinant.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        It is not positive definite.
+    """
+    from scipy.linalg import lapack
+
+    # The upper half in C's order is the lower one in Fortran's.
+    root, info = lapack.dpotrf(matrix.T, lower=1)
+    if info != 0:
+        raise np.linalg.LinAlgError("the common unknowns are not determined")
+    return np.asarray(root), 2 * float(np.log(np.diagonal(root)).sum())
+
+
+def solve_with(root: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve for a matrix that has a root.
+
+    Parameters
+    ----------
+    root : ndarray, shape (c, c)
+        Lower Cholesky root.
+    right : ndarray, shape (c,) or (c, k)
+        Right sides.
+
+    Returns
+    -------
+    ndarray, shape as right
+        Solutions.
+    """
+    from scipy.linalg import lapack
+
+    return np.asarray(lapack.dpotrs(root, right, lower=1)[0]) if len(root) else np.array(right)
+
+
+def inverse_of(root: FloatArray) -> FloatArray:
+    """Return the inverse of the matrix that has a root.
+
+    Parameters
+    ----------
+    root : ndarray, shape (c, c)
+        Lower Cholesky root, zero above the diagonal.
+
+    Returns
+    -------
+    ndarray, shape (c, c)
+        Symmetric inverse.
+    """
+    from scipy.linalg import lapack
+
+    if len(root) == 0:
+        return np.zeros((0, 0))
+    # Above the diagonal both are zero.
+    inverse, _ = lapack.dpotri(root, lower=1)
+    whole = inverse + inverse.T
+    whole.flat[:: len(whole) + 1] *= 0.5
+    return np.asarray(whole)

@@ -1,0 +1,328 @@
+"""What all touching lines of sight have in common: camera poses, where the tube is, how wide it looks.
+
+Each mirror point is seen through both edges of the tube, by different photos. Half the sum of what they say is the
+slope; half the difference is the width ``w = asin(a / R)`` of the tube as seen from there, R its distance. That width
+says how the tube lies to the mirror, but other things change it too, and are unknowns beside it:
+
+- the tube's place at its stations, known from its direct view, with that covariance;
+- its radius;
+- a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are told;
+- the middle of the glass beside that of the tube: the glass turns a line that touches the metal by kappa while it is
+  inside, so that with the tube d beside the middle of the glass and the line's direction u the tube looks wider by
+  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm);
+- the mean height of each panel, with the accuracy of its mounting as prior: a millimetre looks like 0.15 mrad of slope
+  at the rim, which nothing tells from slope, and like 0.03 mrad of width, which many edges together do tell.
+
+What is left out of these comes back as wrong poses: with the glass 6 mm beside the tube they err by four times their
+standard deviation, and slopes by 0.1 mrad.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray
+from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
+from observer.slopes.observation_equation import Misfit, Sights, change_across, misfit
+from observer.slopes.pose_modes import CameraModes
+from observer.slopes.row_spline import IntArray
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.glass import turned_rad
+
+#: What the stated radius is good for, as a share of it.
+_RADIUS_SHARE = 5e-3
+#: How far the glass may be beside the tube [m].
+_GLASS_M = 3e-3
+#: How far edges may lie outward, in standard deviations of the noise of one: all of them (0.05 px at a noise of 0.025
+#: px), and those of one photo beyond that. In ray-traced photos it is 0.003 to 0.006 px.
+_OUTWARD, _OUTWARD_OF_PHOTO = 2.0, 0.4
+#: Height by which derivatives are taken [m].
+_LIFT_M = 1e-3
+#: Unknowns of the tube beside its place: radius, displacement of all edges, x and z of the glass.
+_TUBE_UNKNOWNS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonUnknowns:
+    """Unknowns that move many lines: poses, widths of photos, the tube's place, the tube itself, heights of panels.
+
+    Parameters
+    ----------
+    index : ndarray of int, shape (m, c)
+        Unknowns that move each line; those of its photo come first.
+    derivative : ndarray, shape (m, c)
+        By how much [rad].
+    covariance : ndarray, shape (k, k)
+        Prior covariance of the unknowns about zero.
+    n_photo : int
+        Number of unknowns that belong to single photos.
+    n_stations : int
+        Stations of the tube whose place is unknown; 0 where it is held.
+    units : ndarray, shape (4,)
+        Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
+    steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
+        Step of each photo's pose (`RigidTransform.moved`) for one unit of its first unknowns [rad, m].
+    height_unit_m : float
+        Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
+    """
+
+    index: IntArray
+    derivative: FloatArray
+    covariance: FloatArray
+    n_photo: int
+    n_stations: int
+    units: FloatArray
+    steps: FloatArray
+    height_unit_m: float = 0.0
+
+    @property
+    def place(self) -> slice:
+        """Unknowns that are the tube's place, x at all stations and z at all stations [m]."""
+        return slice(self.n_photo, self.n_photo + 2 * self.n_stations)
+
+    @property
+    def radius(self) -> int:
+        """Unknown that is the tube's radius, in its unit."""
+        return self.n_photo + 2 * self.n_stations
+
+    @property
+    def is_place(self) -> BoolArray:
+        """Which unknowns are the tube's place, shape (k,)."""
+        which = np.zeros(len(self.covariance), dtype=bool)
+        which[self.place] = True
+        return which
+
+    def place_as_slope(self, expected: Expectation, y_m: FloatArray, x_m: FloatArray) -> FloatArray:
+        """Return by how much the tube's place looks like slope across: its theta_a is that of so much less slope.
+
+        Parameters
+        ----------
+        expected : Expectation
+            Collector and the tube's place.
+        y_m, x_m : ndarray, shapes (r,) and (n,)
+            Rows and columns of nodes [m].
+
+        Returns
+        -------
+        ndarray, shape (r, n, 2 k)
+            For each coordinate of the stations, x first; k is 0 where the tube is held [rad/m].
+        """
+        path, focal, k = expected.absorber, expected.collector.focal_length_m, self.n_stations
+        found = np.zeros((y_m.size, x_m.size, 2 * k))
+        if k == 0:
+            return found
+        axis_x, axis_z = path.at(y_m)
+        to_x, to_z = axis_x[:, None] - x_m, axis_z[:, None] - x_m**2 / (4 * focal)
+        # theta_r changes by -1 / (1 + slope^2) of a slope, theta_a by -to_z / (2 R^2) of x and to_x / (2 R^2) of z.
+        scale = (1 + (x_m / (2 * focal)) ** 2) / (2 * (to_x**2 + to_z**2))
+        before, share = path.shares(y_m)
+        row = np.arange(y_m.size)
+        for place, weight in ((before, 1 - share), (np.minimum(before + 1, k - 1), share)):
+            found[row, :, place] += -weight[:, None] * to_z * scale
+            found[row, :, k + place] += weight[:, None] * to_x * scale
+        return found
+
+    def panel_heights_m(self, common: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much each panel is higher than its design, and the standard deviation.
+
+        Parameters
+        ----------
+        common : ndarray, shape (k,)
+            The solution.
+        covariance : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        height_m, sigma_m : ndarray, shape (p,)
+            In the order of `Collector.panel_index`; empty where heights are held [m].
+        """
+        first = self.radius + _TUBE_UNKNOWNS
+        sigma = np.sqrt(np.diagonal(covariance)[first:])
+        return self.height_unit_m * common[first:], self.height_unit_m * sigma
+
+    def moved_poses(
+        self, poses: Sequence[RigidTransform], covariance: FloatArray, common: FloatArray, covariance_common: FloatArray
+    ) -> tuple[tuple[RigidTransform, ...], FloatArray]:
+        """Return the poses as the solution has them.
+
+        Parameters
+        ----------
+        poses : sequence of RigidTransform
+            As they were before, ``cam_from_frame``.
+        covariance : ndarray, shape (6 n, 6 n)
+            Joint covariance of their steps before.
+        common : ndarray, shape (k,)
+            The solution.
+        covariance_common : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        poses : tuple of RigidTransform
+            The poses.
+        covariance : ndarray, shape (n, 6, 6)
+            Of the steps of each one [rad, m].
+
+        Notes
+        -----
+        A photo's unknowns m are combinations of its step s with unit covariance, so that ``s = S m + rest`` with S the
+        `steps` and a rest that is independent of m. The edges tell m and, but for what m has in common with it, not
+        the rest: its expectation stays zero and its covariance ``P - S S^T``.
+        """
+        count, modes = len(self.steps), self.steps.shape[2]
+        own = common[: count * modes].reshape(count, modes)
+        numbers = np.arange(count * modes).reshape(count, modes)
+        known = covariance_common[numbers[:, :, None], numbers[:, None, :]]
+        before = covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
+        told = self.steps @ (np.eye(modes) - known) @ np.swapaxes(self.steps, 1, 2)
+        after = before - 0.5 * (told + np.swapaxes(told, 1, 2))
+        steps = np.einsum("nij,nj->ni", self.steps, own)
+        return tuple(pose.moved(step) for pose, step in zip(poses, steps, strict=True)), after
+
+    def moved(self, path: AbsorberPath, common: FloatArray, covariance: FloatArray) -> AbsorberPath:
+        """Return the tube's path as the solution has it.
+
+        Parameters
+        ----------
+        path : AbsorberPath
+            As it was before.
+        common : ndarray, shape (k,)
+            The solution.
+        covariance : ndarray, shape (k, k)
+            Its covariance.
+
+        Returns
+        -------
+        AbsorberPath
+            The path; the same one where it was held.
+        """
+        if self.n_stations == 0:
+            return path
+        step, block = common[self.place], covariance[self.place, self.place]
+        n = self.n_stations
+        return replace(path, x_m=path.x_m + step[:n], z_m=path.z_m + step[n:], covariance_m2=0.5 * (block + block.T))
+
+
+def common_unknowns(
+    edges: ReflectionEdges,
+    sights: Sights,
+    found: Misfit,
+    modes: CameraModes,
+    expected: Expectation,
+    with_poses: FloatArray | None = None,
+) -> CommonUnknowns:
+    """Collect what touching lines of sight have in common.
+
+    Parameters
+    ----------
+    edges : ReflectionEdges
+        The edges.
+    sights : Sights
+        Their lines of sight.
+    found : Misfit
+        Misfits and derivatives of these, with the design's slopes.
+    modes : CameraModes
+        The unknowns that stand for the poses.
+    expected : Expectation
+        Collector and the tube's place; it is held where it has no variance.
+    with_poses : ndarray, shape (2 k, 6 n), optional
+        Covariance of the tube's place with the steps of the poses: wrong targets displace both.
+
+    Returns
+    -------
+    CommonUnknowns
+        Index, derivatives and prior covariance.
+    """
+    path, collector, m = expected.absorber, expected.collector, edges.photo.size
+    n_modes = len(modes.covariance)
+    n_photos = n_modes // modes.index.shape[1]
+    n_stations = path.n if np.diagonal(path.covariance_m2).any() else 0
+    n_photo = n_modes + n_photos
+    outward, unit = _outward(edges, sights, found, collector.focal_length_m)
+    place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
+    tube, units = _tube(found, sights, expected, outward, unit)
+    panel, lifted, n_panels = _lifted(sights, found, expected)
+    first_tube = n_photo + 2 * n_stations
+    first_panel = first_tube + _TUBE_UNKNOWNS
+    index = np.column_stack([
+        modes.index, n_modes + edges.photo, n_photo + place[0],
+        np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
+        first_panel + panel,
+    ])  # fmt: skip
+    derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube, lifted])
+    covariance = np.eye(first_panel + n_panels)
+    covariance[:n_modes, :n_modes] = modes.covariance
+    if n_stations:
+        # A micrometre keeps the matrix positive definite.
+        covariance[n_photo:first_tube, n_photo:first_tube] = path.covariance_m2 + 1e-12 * np.eye(2 * path.n)
+        if with_poses is not None:
+            covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
+            covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
+    return CommonUnknowns(
+        index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units, modes.steps,
+        collector.panel_height_sigma_m,
+    )  # fmt: skip
+
+
+def _lifted(sights: Sights, found: Misfit, expected: Expectation) -> tuple[IntArray, FloatArray, int]:
+    """Return each line's panel and what its height does to the line, shapes (m, 1), and the number of panels.
+
+    Without a column where heights are held. The line of sight stays; it meets the panel at another place.
+    """
+    collector, m = expected.collector, len(sights.side)
+    unit, focal = collector.panel_height_sigma_m, collector.focal_length_m
+    if unit == 0:
+        return np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)), 0
+    x, y, _ = sights.points_m.T
+    way = sights.points_m - sights.eyes_m
+    points = sights.points_m + (_LIFT_M / (way[:, 2] - x / (2 * focal) * way[:, 0]))[:, None] * way
+    slopes = points[:, 0] / (2 * focal), np.zeros(m)
+    later = misfit(
+        Sights(points, sights.eyes_m, sights.side), slopes, expected.absorber, collector.absorber_diameter_m / 2
+    )
+    by_height = (later.angle_rad - found.angle_rad) / _LIFT_M
+    panel = collector.panel_index(x, y)
+    derivative = np.where(panel >= 0, unit * by_height, 0.0)
+    return np.maximum(panel, 0)[:, None].astype(np.intp), derivative[:, None], collector.n_panels
+
+
+def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:
+    """Return the change of the misfits where edges lie outward by one radian at the camera, and the usual noise [rad].
+
+    Outward is towards the brighter side.
+    """
+    away = sights.eyes_m - sights.points_m
+    distance = np.linalg.norm(away, axis=1)
+    slope = sights.points_m[:, 0] / (2 * focal_m)
+    # How long a step of dx along the mirror looks: its part across the line of sight.
+    along = (away[:, 0] + slope * away[:, 2]) / distance
+    looks = np.sqrt(np.maximum(1 + slope**2 - along**2, 1e-6)) / distance
+    unit = float(np.median(edges.sigma_x_m * looks)) if edges.photo.size else 0.0
+    return change_across(sights, found, focal_m) * np.sign(edges.contrast) / looks, unit
+
+
+def _place(found: Misfit, path: AbsorberPath) -> tuple[IntArray, FloatArray]:
+    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4)."""
+    before, share = path.shares(np.nan_to_num(found.passing_y_m))
+    after = np.minimum(before + 1, path.n - 1)
+    weights = np.column_stack([1 - share, share])
+    by_x, by_z = found.d_angle_d_absorber.T
+    index = np.column_stack([before, after, path.n + before, path.n + after])
+    return index, np.column_stack([weights * by_x[:, None], weights * by_z[:, None]])
+
+
+def _tube(
+    found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, unit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the tube's own unknowns do to each line, shape (m, 4), and their units."""
+    collector = expected.collector
+    axis_x, axis_z = expected.absorber.at(np.nan_to_num(found.passing_y_m))
+    to_x, to_z = axis_x - sights.points_m[:, 0], axis_z - sights.points_m[:, 2]
+    kappa = turned_rad(collector, 1.0) / np.hypot(to_x, to_z)
+    by_radius = found.d_angle_d_radius
+    units = np.array([_RADIUS_SHARE * collector.absorber_diameter_m / 2, _OUTWARD * unit, _GLASS_M, _GLASS_M])
+    columns = np.stack([by_radius, outward, kappa * to_x * by_radius, kappa * to_z * by_radius], axis=1)
+    return columns * units, units

@@ -1,0 +1,396 @@
+"""Slopes of all rows together with what they have in common: camera positions, absorber and its radius."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.validate import BoolArray, FloatArray
+from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
+from observer.slopes.row_spline import IntArray, Roughness, RowGrid, TouchingLines, assemble
+
+#: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
+#: many photos fewer rows do, because each mirror point is seen by more of them.
+_MOST_ROWS_FOR_COMMON, _FEWEST_ROWS_FOR_COMMON = 48, 12
+_ROWS_TIMES_COMMON = 18000
+#: Rows with less than this share of the usual number of lines are no sample of the others.
+_FEW_LINES = 0.5
+#: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
+_ROWS_FOR_ROUGHNESS = 16
+#: Photos whose lines suffice for that.
+_PHOTOS_FOR_ROUGHNESS = 70
+#: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
+_MODES = 10
+_MODES_SHARE = 0.99
+#: Columns at which the share of the common unknowns is computed; it is smooth within a panel.
+_COLUMNS_FOR_SHARES = 64
+#: Decimal exponents of the roughness [rad^2 / m^3, rad^2 / m^5] that are searched, by its order: from a mirror that
+#: bends by 0.1 mrad within a metre to a crumpled one.
+_EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
+#: Waves of 0.6 m have so many times the roughness in the next order [1/m^2].
+_NEXT_ORDER_PER_M2 = 100.0
+#: It is told to such a part of the range, by differences of the evidence over twice so many decades.
+_INTERVALS, _DIFFERENCE = 32, 0.125
+
+
+#: From rows and columns of nodes to by how much those unknowns that are apart look like slope there, shape (s, n, l).
+LooksLikeSlope = Callable[[IntArray, IntArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TubeShare:
+    """What the common unknowns do to the slope less what the tube's place looks like, which is theta_ra as a slope.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (r, nx)
+        Variance from the common unknowns [rad^2].
+    modes : ndarray, shape (k, s, nx)
+        Change for one standard deviation of each of the strongest independent combinations of them [rad].
+    """
+
+    variance: FloatArray
+    modes: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeErrors:
+    """Solution for the rows and for what they share.
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (r, nx, 2)
+        Errors of dz/dx and dz/dy of the mirror at the nodes [rad].
+    random : ndarray, shape (r, nx, 2, 2)
+        Covariance of both at each node from noise and from what lies between samples [rad^2].
+    shared : ndarray, shape (r, nx, 2)
+        Variance from the common unknowns [rad^2].
+    common : ndarray, shape (c,)
+        Estimates of the common unknowns.
+    covariance_common : ndarray, shape (c, c)
+        Their covariance.
+    mode_rows : ndarray of int, shape (s,)
+        Rows at which the modes are given.
+    modes : ndarray, shape (k, s, nx)
+        Change of dz/dx for one standard deviation of each of the strongest independent combinations of the common
+        unknowns [rad].
+    modes_apart : ndarray, shape (l, s, nx)
+        The same of those unknowns that are shown apart, with what the others do along with them; `modes` are then what
+        the others do besides.
+    to_tube : TubeShare or None, optional
+        Common share of the slope against the tube as it is; None where it was not asked for.
+    """
+
+    slopes: FloatArray
+    random: FloatArray
+    shared: FloatArray
+    common: FloatArray
+    covariance_common: FloatArray
+    mode_rows: IntArray
+    modes: FloatArray
+    modes_apart: FloatArray
+    to_tube: TubeShare | None = None
+
+
+def find_roughness(
+    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray, *, any_order: bool = False
+) -> Roughness:
+    """Choose the roughness across the trough under which the lines are most probable.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations, misfits with zero slope error and zero common unknowns.
+    grid : RowGrid
+        Nodes.
+    prior : Roughness
+        The slope along the trough, which is kept.
+    covariance : ndarray, shape (c, c)
+        Prior covariance of the common unknowns.
+    any_order : bool, optional
+        Whether the order of the random walk is chosen as well; otherwise it is the prior's.
+
+    Returns
+    -------
+    Roughness
+        With the most probable roughness, to a quarter of a decade.
+
+    Notes
+    -----
+    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval in
+    which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is near
+    after the first round, and found by bisection.
+    """
+    some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
+    some, own_covariance = _fewer_common(some, covariance)
+    reduction = Reduction(some, fewer, own_covariance)
+
+    def evidence(trial: Roughness) -> float:
+        return reduction.under(trial).evidence
+
+    best = _most_probable(prior, evidence)
+    if not any_order:
+        return best
+    other = 5 - best.order
+    start = best.across * _NEXT_ORDER_PER_M2 ** (other - best.order)
+    rival = _most_probable(replace(prior, across=start, order=other), evidence)
+    return max(best, rival, key=evidence)
+
+
+def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) -> Roughness:
+    """Return the roughness of the prior's order that has the largest evidence."""
+    low, high = _EXPONENTS[prior.order]
+    width = (high - low) / _INTERVALS
+    known: dict[int, bool] = {}
+
+    def evidence(exponent: float) -> float:
+        return evidence_of(replace(prior, across=10.0**exponent))
+
+    def rises(border: int) -> bool:
+        """Return whether the evidence rises at a border between intervals; the first and the last enclose it."""
+        if border <= 0 or border >= _INTERVALS:
+            return border <= 0
+        if border not in known:
+            middle = low + border * width
+            known[border] = evidence(middle + _DIFFERENCE) > evidence(middle - _DIFFERENCE)
+        return known[border]
+
+    first = int(np.clip((np.log10(prior.across) - low) / width, 0, _INTERVALS - 1))
+    last, stride = first + 1, 1
+    while not rises(first):
+        first, last, stride = max(first - stride, 0), first, 2 * stride
+    stride = 1
+    while rises(last):
+        first, last, stride = last, min(last + stride, _INTERVALS), 2 * stride
+    while last - first > 1:
+        middle = (first + last) // 2
+        first, last = (middle, last) if rises(middle) else (first, middle)
+    return replace(prior, across=10.0 ** (low + (first + 0.5) * width))
+
+
+def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
+    """Keep the lines of some photos, evenly spread, and the common unknowns that move them, numbered anew."""
+    if len(covariance) == 0:
+        return lines, covariance
+    leading = np.unique(lines.common_index[:, 0])
+    if leading.size <= _PHOTOS_FOR_ROUGHNESS:
+        return lines, covariance
+    chosen = leading[np.linspace(0, leading.size - 1, _PHOTOS_FOR_ROUGHNESS).round().astype(np.intp)]
+    some = lines.chosen(np.isin(lines.common_index[:, 0], chosen))
+    kept, number = np.unique(some.common_index, return_inverse=True)
+    index = np.asarray(number.reshape(some.common_index.shape), dtype=np.intp)
+    return replace(some, common_index=index), covariance[np.ix_(kept, kept)]
+
+
+def solve_jointly(
+    lines: TouchingLines,
+    grid: RowGrid,
+    prior: Roughness,
+    covariance: FloatArray,
+    *,
+    with_shares: bool | BoolArray | None = True,
+    looks_like: LooksLikeSlope | None = None,
+) -> SlopeErrors:
+    """Solve for slopes and common unknowns.
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations, their misfits with zero slope error and zero common unknowns.
+    grid : RowGrid
+        Nodes.
+    prior : Roughness
+        How slopes may vary.
+    covariance : ndarray, shape (c, c)
+        Prior covariance of the common unknowns about zero.
+    with_shares : bool, ndarray of bool, shape (c,), or None, optional
+        Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
+        there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
+        With None not even the covariance of the common unknowns is computed; it is empty.
+    looks_like : callable, optional
+        By how much the unknowns that are shown apart look like slope across, for the share of both together.
+
+    Returns
+    -------
+    SlopeErrors
+        The solution.
+
+    Notes
+    -----
+    The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
+    """
+    count = len(covariance)
+    rows = common_rows(lines, grid, count)
+    is_shown = with_shares is not None and with_shares is not False
+    columns = share_columns(grid) if is_shown else None
+    own, fewer = _sampled(lines, grid, rows)
+    reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
+    common = reduced.common
+    all_rows = assemble(lines, grid)
+    system = all_rows.under(prior)
+    moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, common[lines.common_index])
+    slopes = system.factor.solve(all_rows.right_sides(-moved / lines.sigma_rad)).reshape(grid.n_rows, -1, 2)
+    random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
+    posterior = np.zeros((0, 0)) if with_shares is None else inverse_of(reduced.root)
+    nothing = np.zeros((0, rows.size, grid.x_m.size))
+    if columns is None:
+        return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
+    apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
+    beside = None if looks_like is None else looks_like(rows, columns)
+    variance, modes = _shares(reduced, apart, beside)
+    shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
+    shown = [np.moveaxis(_between_columns(np.moveaxis(one, 0, -1), columns, grid), -1, 0) for one in modes]
+    to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
+    return SlopeErrors(slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube)
+
+
+def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:
+    """Return the covariance of both slopes of each node, shape (r, nx, 2, 2), from blocks of w nodes."""
+    n_rows, n_blocks, size, _ = blocks.shape
+    found = np.empty((n_rows, n_blocks, size // 2, 2, 2))
+    for i in range(size // 2):
+        own = slice(2 * i, 2 * i + 2)
+        found[:, :, i] = blocks[..., own, own]
+    return found.reshape(n_rows, -1, 2, 2)[:, :n_nodes]
+
+
+def share_columns(grid: RowGrid) -> IntArray:
+    """Return the nodes at which the share of the common unknowns is computed: evenly spread, and beside panel edges.
+
+    Parameters
+    ----------
+    grid : RowGrid
+        Nodes.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Ascending.
+    """
+    n = grid.x_m.size
+    even = np.linspace(0, n - 1, min(n, _COLUMNS_FOR_SHARES)).round().astype(np.intp)
+    edges = np.nonzero(~grid.joined)[0]
+    return np.unique(np.concatenate([even, edges, edges + 1]))
+
+
+def common_rows(lines: TouchingLines, grid: RowGrid, count: int) -> IntArray:
+    """Return the rows that some number of common unknowns are estimated from, shape (s,).
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations of all rows.
+    grid : RowGrid
+        All rows.
+    count : int
+        Number of common unknowns.
+
+    Returns
+    -------
+    ndarray of int, shape (s,)
+        Ascending numbers of rows.
+    """
+    wanted = _ROWS_TIMES_COMMON // max(count, 1)
+    return sample_rows(lines, grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
+
+
+def sample_rows(lines: TouchingLines, grid: RowGrid, most: int) -> IntArray:
+    """Return rows spread over the part of the mirror that has lines, shape (s,).
+
+    Parameters
+    ----------
+    lines : TouchingLines
+        Observations of all rows.
+    grid : RowGrid
+        All rows.
+    most : int
+        How many at most.
+
+    Returns
+    -------
+    ndarray of int, shape (s,)
+        Ascending numbers of rows.
+    """
+    number = np.bincount(lines.row, minlength=grid.n_rows)
+    usual = float(np.median(number[number > 0])) if number.any() else 0.0
+    # The rows at the ends of the trough have few lines, and shadows may leave most rows without any: these say little
+    # of the others.
+    told = np.nonzero((number > 0) & (number >= _FEW_LINES * usual))[0]
+    return told[np.unique(np.linspace(0, told.size - 1, min(told.size, most)).round().astype(np.intp))]
+
+
+def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[TouchingLines, RowGrid]:
+    """Keep some rows, numbered anew."""
+    number = np.full(grid.n_rows, -1)
+    number[rows] = np.arange(rows.size)
+    some = lines.chosen(number[lines.row] >= 0)
+    return replace(some, row=number[some.row]), RowGrid(grid.x_m, grid.joined, rows.size)
+
+
+def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tuple[FloatArray, list[FloatArray]]:
+    """Return what the slopes have from the common unknowns.
+
+    That is the variance, shape (r, n, 2), and the strongest independent changes of dz/dx, shape (k, r, n) each, by the
+    unknowns that are not apart with the others held, and by these, the former following along. With what those apart
+    look like beside there is a third variance, and the strongest changes of that slope.
+    """
+    from scipy.linalg import blas
+
+    n_rows, n_columns, _, count = reduced.carried.shape
+    root, carried = reduced.root, reduced.carried.reshape(-1, count)
+    if apart.any():
+        # Those that are apart as the last ones: the root then splits what both do.
+        order = np.argsort(apart, kind="stable")
+        root, carried = root_of(reduced.normal[np.ix_(order, order)])[0], carried[:, order]
+    # In single precision, which is a millionth of a variance; these products are the most expensive of all.
+    flat = carried.astype(np.float32).T
+    if count:
+        flat = np.asarray(blas.strsm(1.0, np.asfortranarray(root, dtype=np.float32), flat, lower=1))
+    variance = np.einsum("ck,ck->k", flat, flat).astype(np.float64).reshape(n_rows, n_columns, 2)
+    first = int(np.count_nonzero(~apart))
+    across = flat.reshape(-1, n_rows * n_columns, 2)[..., 0]
+    shown = [across[:first], across[first:]]
+    if beside is not None:
+        # What only the last unknowns do stays zero before them.
+        extra = np.asfortranarray(beside.reshape(n_rows * n_columns, -1).T, dtype=np.float32)
+        if first < count:
+            extra = blas.strsm(1.0, np.asfortranarray(root[first:, first:], dtype=np.float32), extra, lower=1)
+        shown.append(np.concatenate([across[:first], across[first:] + extra]))
+        third = np.square(shown[2]).sum(axis=0, dtype=np.float64).reshape(n_rows, n_columns, 1)
+        variance = np.concatenate([variance, third], axis=2)
+    return variance, [_strongest(one).reshape(-1, n_rows, n_columns) for one in shown]
+
+
+def _strongest(changes: npt.NDArray[np.float32]) -> FloatArray:
+    """Return the principal parts of changes by independent unknowns of unit variance, shapes (c, k) and (s, k)."""
+    from scipy.linalg import eigh
+
+    if len(changes) == 0:
+        return np.zeros((0, changes.shape[1]))
+    is_wide = changes.shape[0] > changes.shape[1]
+    products = np.asarray(changes.T @ changes if is_wide else changes @ changes.T, dtype=np.float64)
+    size = len(products)
+    values, vectors = eigh(products, subset_by_index=(max(size - _MODES, 0), size - 1), check_finite=False)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    enough = np.cumsum(values) < _MODES_SHARE * np.trace(products)
+    kept = min(values.size, int(np.count_nonzero(enough)) + 1)
+    if is_wide:
+        return np.asarray(np.sqrt(np.maximum(values[:kept], 0.0))[:, None] * vectors[:, :kept].T)
+    return np.asarray(vectors[:, :kept].T @ changes)
+
+
+def _between_columns(values: FloatArray, columns: IntArray, grid: RowGrid) -> FloatArray:
+    """Interpolate values of chosen nodes, shape (s, n, ...), to all nodes, shape (s, nx, ...)."""
+    return np.swapaxes(_between_rows(np.swapaxes(values, 0, 1), columns, grid.x_m.size), 0, 1)
+
+
+def _between_rows(values: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
+    """Interpolate values of sampled rows, shape (s, ...), to all rows; beyond the last they stay."""
+    if rows.size == 1:
+        return np.repeat(values, n_rows, axis=0)
+    place = np.arange(n_rows)
+    before = np.clip(np.searchsorted(rows, place, side="right") - 1, 0, rows.size - 2)
+    share = np.clip((place - rows[before]) / (rows[before + 1] - rows[before]), 0.0, 1.0)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1 - share) * values[before] + share * values[before + 1])

@@ -1,0 +1,265 @@
+r"""Lines of sight by way of the mirror: what a camera that sees the tube's edge at a mirror point says of the slope.
+
+The observation equation of the whole method. At a mirror point P with slopes (s_x, s_y) the normal is
+n = (-s_x, -s_y, 1). The line of sight from P to the camera, unit vector v, goes on after reflection along
+r = 2 (n.v) n / n.n - v. Across the trough it leaves under psi = atan2(r_x, r_z). It touches the absorber tube of
+radius a, whose axis it passes at A = (X_a, Z_a), where::
+
+    e = psi - beta + side * w = 0,   beta = atan2(X_a - P_x, Z_a - P_z),   w = asin(a / |A - P|),
+
+with side +1 for the edge that is seen at the larger camera angle. For s_y = 0 this is Phi = 2 theta_ra + side * w of
+Owkes (2012), eqs 5.4 and 5.10, with theta_a = (beta_0 - beta) / 2 (its eq. 5.7 with the sign repaired).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from observer.trough.absorber_path import AbsorberPath
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """Lines of sight that touch the tube's edge after reflection.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (m, 3)
+        Mirror points [m].
+    eyes_m : ndarray, shape (m, 3)
+        The camera's centre for each [m].
+    side : ndarray, shape (m,)
+        +1 for the edge at the larger camera angle, -1 for the other.
+    """
+
+    points_m: FloatArray
+    eyes_m: FloatArray
+    side: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """How far reflected lines of sight pass beside the tube's edge, and what moves them.
+
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (m,)
+        e of the module's text: angle across the trough by which the edge is missed [rad].
+    d_angle_d_slope_x, d_angle_d_slope_y : ndarray, shape (m,)
+        Derivatives with respect to dz/dx and dz/dy of the mirror [rad].
+    d_angle_d_eye : ndarray, shape (m, 3)
+        Derivatives with respect to the camera's centre, the mirror point held [rad/m].
+    d_angle_d_absorber : ndarray, shape (m, 2)
+        Derivatives with respect to X_a and Z_a where the ray passes [rad/m].
+    d_angle_d_radius : ndarray, shape (m,)
+        Derivative with respect to the tube's radius [rad/m].
+    passing_y_m : ndarray, shape (m,)
+        Where along the trough the ray passes the tube [m].
+    """
+
+    angle_rad: FloatArray
+    d_angle_d_slope_x: FloatArray
+    d_angle_d_slope_y: FloatArray
+    d_angle_d_eye: FloatArray
+    d_angle_d_absorber: FloatArray
+    d_angle_d_radius: FloatArray
+    passing_y_m: FloatArray
+
+
+def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath, radius_m: float) -> Misfit:
+    """Evaluate by what angle reflected lines of sight miss the tube's edge.
+
+    Parameters
+    ----------
+    sights : Sights
+        Mirror points, cameras and sides.
+    slopes : (ndarray, ndarray), shape (m,) each
+        dz/dx and dz/dy of the mirror at the points.
+    absorber : AbsorberPath
+        The tube's axis.
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    Misfit
+        Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
+    """
+    ray = _Ray(sights, slopes)
+    angle, half, (to_x, to_z), passing = _beside_tube(sights, ray, absorber, radius_m)
+    by_x, by_y = ray.turns_with_slopes()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        range_square = to_x**2 + to_z**2
+        # d asin(a / R) = -tan(w) dR / R
+        shrink = -sights.side * np.tan(half) / range_square
+        d_absorber = np.stack([-to_z / range_square + shrink * to_x, to_x / range_square + shrink * to_z], axis=1)
+        d_radius = sights.side / (np.sqrt(range_square) * np.cos(half))
+    return Misfit(angle + sights.side * half, by_x, by_y, ray.turns_with_eye(), d_absorber, d_radius, passing)
+
+
+def misfit_with_slopes(
+    sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Evaluate what `misfit` does, with derivatives with respect to the slopes alone: half the time.
+
+    Parameters
+    ----------
+    sights : Sights
+        Mirror points, cameras and sides.
+    slopes : (ndarray, ndarray), shape (m,) each
+        dz/dx and dz/dy of the mirror at the points.
+    absorber : AbsorberPath
+        The tube's axis.
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    angle_rad : ndarray, shape (m,)
+        Angle by which the edge is missed; NaN where the ray does not reach the tube [rad].
+    d_slope_x, d_slope_y : ndarray, shape (m,)
+        Its derivatives with respect to the slopes [rad].
+    """
+    ray = _Ray(sights, slopes)
+    angle, half, _, _ = _beside_tube(sights, ray, absorber, radius_m)
+    return angle + sights.side * half, *ray.turns_with_slopes()
+
+
+class _Ray:
+    """Reflected lines of sight r = 2 (n.v) n / n.n - v, one array for each component; v need not be of unit length."""
+
+    def __init__(self, sights: Sights, slopes: tuple[FloatArray, FloatArray]) -> None:
+        self.slope_x, self.slope_y = slopes
+        away_x, away_y, away_z = (sights.eyes_m - sights.points_m).T
+        self.square = 1.0 + self.slope_x**2 + self.slope_y**2
+        self.twice = 2 * (away_z - self.slope_x * away_x - self.slope_y * away_y) / self.square
+        self.x = -self.twice * self.slope_x - away_x
+        self.y = -self.twice * self.slope_y - away_y
+        self.z = self.twice - away_z
+        self.across = self.x**2 + self.z**2
+
+    def turns_with_slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Return by how much psi changes with both slopes, shape (m,) each.
+
+        With h = (n.v) / n.n a slope changes it by ``r_i / n.n``, and r by ``2 n`` times that and by -2 h along i.
+        """
+        level = self.z * self.slope_x + self.x
+        by_x = -(self.twice * self.z + 2 * self.x * level / self.square) / self.across
+        return by_x, -2 * self.y * level / (self.square * self.across)
+
+    def turns_with_eye(self) -> FloatArray:
+        """Return by how much psi changes with the camera's place, shape (m, 3) [rad/m].
+
+        r is linear in v: v along i changes it by ``2 n_i n / n.n`` less v itself.
+        """
+        level = self.z * self.slope_x + self.x
+        part = 2 / (self.square * self.across)
+        by_x = part * self.slope_x * level - self.z / self.across
+        by_z = self.x / self.across - part * level
+        return np.stack([by_x, part * self.slope_y * level, by_z], axis=1)
+
+
+def _beside_tube(
+    sights: Sights, ray: _Ray, absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray], FloatArray]:
+    """Return angle beside the axis, half the tube's width, the way from mirror to axis (x, z) and where rays pass."""
+    points = sights.points_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passing = _passing_y(points, ray.y, ray.z, absorber)
+        axis_x, axis_z = absorber.at(passing)
+        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
+        sine = radius_m / np.sqrt(to_x**2 + to_z**2)
+        half = np.arcsin(np.where(sine < 1, sine, np.nan))
+        angle = np.arctan2(ray.x, ray.z) - np.arctan2(to_x, to_z)
+    return angle, half, (to_x, to_z), passing
+
+
+def beside_axis(
+    sights: Sights, slope_x: FloatArray, absorber: AbsorberPath, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return by what angle reflected lines of sight pass beside the tube's axis, without derivatives.
+
+    Parameters
+    ----------
+    sights : Sights
+        Mirror points and cameras; sides do not matter.
+    slope_x : ndarray, shape (m,)
+        dz/dx of the mirror at the points; its slope along the trough counts as none.
+    absorber : AbsorberPath
+        The tube's axis.
+    radius_m : float
+        The tube's radius [m].
+
+    Returns
+    -------
+    angle_rad : ndarray, shape (m,)
+        Mean of the misfits of both edges [rad].
+    half_rad : ndarray, shape (m,)
+        Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
+    passing_y_m : ndarray, shape (m,)
+        Where along the trough the ray passes the tube [m].
+    """
+    ray = _Ray(sights, (slope_x, np.zeros_like(slope_x)))
+    angle, half, _, passing = _beside_tube(sights, ray, absorber, radius_m)
+    return angle, half, passing
+
+
+def _passing_y(points_m: FloatArray, ray_y: FloatArray, ray_z: FloatArray, absorber: AbsorberPath) -> FloatArray:
+    """Return where along the trough the reflected rays come to the absorber's height."""
+    along = ray_y / np.where(ray_z > 1e-6, ray_z, np.nan)
+    passing = points_m[:, 1] + (float(np.mean(absorber.z_m)) - points_m[:, 2]) * along
+    height = np.interp(passing, absorber.y_m, absorber.z_m)
+    return np.asarray(points_m[:, 1] + (height - points_m[:, 2]) * along)
+
+
+def gradient_on_mirror(
+    sights: Sights, found: Misfit, focal_length_m: float, bend_per_m: FloatArray | float = 0.0
+) -> FloatArray:
+    """Differentiate the misfit with respect to the mirror point, the camera held and the slopes following the mirror.
+
+    Parameters
+    ----------
+    sights : Sights
+        The lines.
+    found : Misfit
+        Their misfits and derivatives.
+    focal_length_m : float
+        Focal length of the mirror, whose curvature turns the normal along the way [m].
+    bend_per_m : float or ndarray, shape (m,), optional
+        Curvature across that the mirror has beside that: change of the slope's error [1/m].
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Derivatives [rad/m]; movements must stay on the mirror.
+    """
+    gradient = -found.d_angle_d_eye
+    gradient[:, 0] += found.d_angle_d_slope_x * (1 / (2 * focal_length_m) + bend_per_m) - found.d_angle_d_absorber[:, 0]
+    gradient[:, 2] -= found.d_angle_d_absorber[:, 1]
+    return gradient
+
+
+def change_across(
+    sights: Sights, found: Misfit, focal_length_m: float, bend_per_m: FloatArray | float = 0.0
+) -> FloatArray:
+    """Return by how much the misfit changes where the mirror point moves across the trough, shape (m,) [rad/m].
+
+    Parameters
+    ----------
+    sights : Sights
+        The lines.
+    found : Misfit
+        Their misfits and derivatives.
+    focal_length_m : float
+        Focal length of the mirror [m].
+    bend_per_m : float or ndarray, shape (m,), optional
+        Curvature across that the mirror has beside that [1/m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Total derivative along the parabola [rad/m].
+    """
+    gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
+    return np.asarray(gradient[:, 0] + gradient[:, 2] * sights.points_m[:, 0] / (2 * focal_length_m))

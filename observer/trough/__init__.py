@@ -1,0 +1,1 @@
+"""Description of a trough: collector, absorber path, glass, visibility. Estimates nothing."""

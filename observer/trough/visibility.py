@@ -1,0 +1,228 @@
+"""Which part of a mirror can show the absorber tube to the cameras, and where a camera would have to be for the rest.
+
+A line of sight from the mirror point P under the angle ``Phi`` across the trough touches the tube where
+``Phi = 2 theta_ra +- w`` (`observer.slopes.observation_equation`). In the design's geometry the reflected line passes the tube's axis at
+
+    y_A = P_y - (y_camera - P_y) R_a / R_c,
+
+with R_a and R_c the distances across the trough to the axis and to the camera. It shows nothing where y_A lies beyond
+the tube's end or at a support, or where the receiver itself is between camera and mirror.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.flags import SampleFlag
+from heliogauge.validate import BoolArray, FlagArray, FloatArray
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+#: Rows that are looked at; what is visible changes smoothly along the trough [m].
+_ROW_STEP_M = 0.1
+#: A photo within so many usual distances between photos, in angle, is where the edge would be seen.
+_SPACINGS = 1.5
+#: The least such distance: a mirror bent that much more than its neighbourhood changes nothing of the geometry [rad].
+_LEAST_SPACING_RAD = 4e-3
+#: Columns further apart than this belong to different parts of the aperture; so many parts are named [m].
+_BETWEEN_M, _INTERVALS = 0.1, 3
+#: A gap in the cameras' path is so many times as wide as usual.
+_GAP_TIMES = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visibility:
+    """What the cameras can see of the tube by way of each node.
+
+    Parameters
+    ----------
+    flags : ndarray of uint32, shape (r, nx)
+        Reasons (`heliogauge.flags.SampleFlag`) for nodes that cannot be measured; 0 elsewhere.
+    seeable : ndarray of bool, shape (r, nx)
+        Nodes by which a camera on this path, were it long enough, would see an edge of the tube.
+    camera_from_x_m, camera_to_x_m : float
+        Where cameras would have to be, at their height, to see the tube by way of the whole aperture [m].
+    """
+
+    flags: FlagArray
+    seeable: BoolArray
+    camera_from_x_m: float
+    camera_to_x_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nodes:
+    """Geometry across the trough of some rows of nodes, arrays of shape (r, nx)."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    z_m: FloatArray
+    axis_x_m: FloatArray
+    axis_z_m: FloatArray
+    reach_m: FloatArray
+    centre_rad: FloatArray
+    half_rad: FloatArray
+
+
+def visibility(
+    nodes_m: tuple[FloatArray, FloatArray],
+    eyes_m: FloatArray,
+    collector: Collector,
+    absorber: AbsorberPath,
+    theta_r_rad: FloatArray,
+) -> Visibility:
+    """Tell which nodes of the mirror can show the tube's edges.
+
+    Parameters
+    ----------
+    nodes_m : (ndarray, ndarray), shapes (nx,) and (r,)
+        Ascending columns and rows [m].
+    eyes_m : ndarray, shape (n, 3)
+        The cameras [m].
+    collector : Collector
+        The design.
+    absorber : AbsorberPath
+        The tube's axis.
+    theta_r_rad : ndarray, shape (r, nx)
+        Slope error as far as known; NaN counts as none [rad].
+
+    Returns
+    -------
+    Visibility
+        Reasons, and where the camera would have to go.
+    """
+    x, y = nodes_m
+    step = float(y[1] - y[0]) if y.size > 1 else 1.0
+    rows = np.unique(np.append(np.arange(0, y.size, max(1, round(_ROW_STEP_M / step))), y.size - 1))
+    nodes = _geometry(x, y[rows], collector, absorber, np.nan_to_num(theta_r_rad[rows]))
+    covered, shows, open_to = np.zeros((3, rows.size, x.size), dtype=bool)
+    slack = max(_LEAST_SPACING_RAD, _SPACINGS * _spacing(eyes_m))
+    for eye in eyes_m:
+        to_x, to_z = eye[0] - nodes.x_m, eye[2] - nodes.z_m
+        beside = np.arctan2(to_x, to_z) - nodes.centre_rad
+        meets = np.abs(np.abs(beside) - nodes.half_rad) < slack
+        distance = np.hypot(to_x, to_z)
+        passing = nodes.y_m - (eye[1] - nodes.y_m) * nodes.reach_m / distance
+        tube = meets & _is_tube(passing, collector)
+        covered |= meets
+        shows |= tube
+        open_to |= tube & ~_is_behind(nodes, to_x, to_z, distance, collector)
+    flags = np.zeros(covered.shape, dtype=np.uint32)
+    flags[~open_to & shows] = np.uint32(SampleFlag.BEHIND_TUBE)
+    flags[covered & ~shows] = np.uint32(SampleFlag.BEYOND_TUBE)
+    flags[~covered] = np.uint32(SampleFlag.NOT_COVERED)
+    needed = _needed(nodes, eyes_m)
+    nearest = np.abs(y[:, None] - y[rows]).argmin(axis=1)
+    return Visibility(flags[nearest], (open_to | ~covered)[nearest], *needed)
+
+
+def _geometry(
+    x_m: FloatArray, y_m: FloatArray, collector: Collector, absorber: AbsorberPath, theta_r_rad: FloatArray
+) -> _Nodes:
+    """Return where nodes lie and under which angles they show the tube's middle and its edges."""
+    x, y = np.meshgrid(x_m, y_m)
+    focal = collector.focal_length_m
+    z = x**2 / (4 * focal)
+    axis_x, axis_z = absorber.at(y)
+    reach = np.hypot(axis_x - x, axis_z - z)
+    centre = 2 * theta_r_rad + np.arctan2(-x, focal - z) - np.arctan2(axis_x - x, axis_z - z)
+    half = np.arcsin(np.minimum(collector.absorber_diameter_m / 2 / reach, 1.0))
+    return _Nodes(x, y, z, axis_x, axis_z, reach, centre, half)
+
+
+def _spacing(eyes_m: FloatArray) -> float:
+    """Return the usual angle between neighbouring photos, seen from the middle of the mirror [rad]."""
+    angle = np.sort(np.arctan2(eyes_m[:, 0], eyes_m[:, 2]))
+    return float(np.median(np.diff(angle))) if angle.size > 1 else 0.0
+
+
+def _is_tube(passing_y_m: FloatArray, collector: Collector) -> BoolArray:
+    """Return whether there is bare tube where the lines pass it."""
+    tube = np.abs(passing_y_m) < collector.length_m / 2
+    for support in collector.support_y_m:
+        tube &= np.abs(passing_y_m - support) > collector.support_width_m / 2
+    return np.asarray(tube)
+
+
+def _is_behind(
+    nodes: _Nodes, to_x: FloatArray, to_z: FloatArray, distance: FloatArray, collector: Collector
+) -> BoolArray:
+    """Return whether the receiver is between the camera and the node."""
+    outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
+    beside = (nodes.axis_x_m - nodes.x_m) * to_z - (nodes.axis_z_m - nodes.z_m) * to_x
+    return np.asarray(np.abs(beside) < outer / 2 * distance)
+
+
+def _needed(nodes: _Nodes, eyes_m: FloatArray) -> tuple[float, float]:
+    """Return between which x cameras would see the middle of the tube by way of all nodes [m]."""
+    height = float(np.median(eyes_m[:, 2]))
+    place = nodes.x_m + (height - nodes.z_m) * np.tan(nodes.centre_rad)
+    return float(np.percentile(place, 1)), float(np.percentile(place, 99))
+
+
+def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> str | None:
+    """Say which part of the aperture the cameras' path leaves out, and where to fly.
+
+    Parameters
+    ----------
+    found : Visibility
+        What the cameras can see.
+    x_m : ndarray, shape (nx,)
+        Columns [m].
+    aperture : ndarray of bool, shape (r, nx)
+        Nodes on panels.
+    eyes_m : ndarray, shape (n, 3)
+        The cameras [m].
+
+    Returns
+    -------
+    str or None
+        A sentence; None where less than 1 % of the mirror is left out.
+    """
+    missing = aperture & ((found.flags & np.uint32(SampleFlag.NOT_COVERED)) > 0)
+    share = int(np.count_nonzero(missing)) / max(int(np.count_nonzero(aperture)), 1)
+    if share < 0.01:
+        return None
+    columns = x_m[missing.sum(axis=0) > 0.5 * np.maximum(aperture.sum(axis=0), 1)]
+    eyes_x = np.sort(eyes_m[:, 0])
+    steps = np.diff(eyes_x)
+    gap = int(np.argmax(steps)) if steps.size else 0
+    gaps = f", {steps[gap]:.2f} m apart at x = {eyes_x[gap]:.2f} to {eyes_x[gap + 1]:.2f} m" if steps.size else ""
+    gaps = gaps if steps.size and steps[gap] > _GAP_TIMES * np.median(steps) else ""
+    return (
+        f"no photo shows an edge of the absorber's reflection on {100 * share:.0f} % of the mirror "
+        f"({_intervals(columns)}): the cameras were between x = {eyes_x[0]:.2f} and {eyes_x[-1]:.2f} m at "
+        f"{np.median(eyes_m[:, 2]):.1f} m{gaps}; fly from x = {found.camera_from_x_m:.2f} to "
+        f"{found.camera_to_x_m:.2f} m without gaps"
+    )
+
+
+def _intervals(columns_m: FloatArray) -> str:
+    """Return the widest intervals of columns as text, in ascending order."""
+    if columns_m.size == 0:
+        return "scattered over the aperture"
+    parts = np.split(columns_m, np.nonzero(np.diff(columns_m) > _BETWEEN_M)[0] + 1)
+    widest = sorted(sorted(parts, key=np.ptp)[-_INTERVALS:], key=lambda part: float(part[0]))
+    return "x = " + " and ".join(f"{part[0]:.2f} to {part[-1]:.2f}" for part in widest) + " m"
+
+
+def shares(found: Visibility, aperture: BoolArray, valid: BoolArray) -> tuple[float, float]:
+    """Return the share of the mirror that can show the tube, and how much of that was measured.
+
+    Parameters
+    ----------
+    found : Visibility
+        What the cameras can see.
+    aperture : ndarray of bool, shape (r, nx)
+        Nodes on panels.
+    valid : ndarray of bool, shape (r, nx)
+        Nodes with a value.
+
+    Returns
+    -------
+    seeable_share, seeable_measured_share : float
+        Both between 0 and 1.
+    """
+    can = aperture & found.seeable
+    count = max(int(np.count_nonzero(can)), 1)
+    return count / max(int(np.count_nonzero(aperture)), 1), int(np.count_nonzero(can & valid)) / count

@@ -1,0 +1,1 @@
+"""The bundle adjustment: poses, points and cameras with covariance, datum, diagnosis."""

@@ -1,0 +1,248 @@
+"""Put a network that floats in its own frame and scale where control points or constraints want it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+
+from heliogauge.adjust.least_squares import VECTOR, Options, Problem, solve
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector, skew
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.constraints import AXES, Constraint, Coordinate, Distance
+from photogrammetry.bundle.state import BundleState
+
+#: With so many targets whose three coordinates are known the attitude follows from them at once.
+_ENOUGH_TARGETS = 4
+#: Targets whose extent in the second direction is less than this share of that in the first tell no turn about it.
+_ON_A_LINE = 1e-3
+#: Attitudes whose squared misfits differ by less than this share (and by 1e-8 of the size, squared) fit alike.
+_ALIKE = 1e-2
+
+_NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z", "stretch")
+
+
+def transformed(state: BundleState, world_from_old: RigidTransform, scale: float = 1.0) -> BundleState:
+    """Move a network to another frame, ``X' = scale R X + t``; every photo sees every target where it saw it.
+
+    Parameters
+    ----------
+    state : BundleState
+        The network.
+    world_from_old : RigidTransform
+        Rotation R and translation t.
+    scale : float, optional
+        New length of what was 1.
+
+    Returns
+    -------
+    BundleState
+        The network in the new frame.
+    """
+    rotation, shift = world_from_old.rotation, world_from_old.translation_m
+    rotations = state.rotations @ rotation.T
+    points = scale * state.points_m @ rotation.T + shift
+    return BundleState(state.cameras, rotations, scale * state.translations_m - rotations @ shift, points)
+
+
+def aligned_to_control(state: BundleState, targets: Sequence[str], control_m: Mapping[str, FloatArray]) -> BundleState:
+    """Put a network where control points are, and the control points exactly there.
+
+    Parameters
+    ----------
+    state : BundleState
+        The network, in any frame and scale.
+    targets : sequence of str
+        Names of its targets.
+    control_m : mapping of str to array_like of shape (3,)
+        Coordinates of at least three of them, not on one line [m].
+
+    Returns
+    -------
+    BundleState
+        The network, moved by the best-fit similarity; targets of the control have the control's coordinates.
+
+    Raises
+    ------
+    EstimationError
+        Fewer than three of the control points are in the network, or all are on one line.
+    """
+    moved = best_fit(state, targets, control_m)
+    place = {name: i for i, name in enumerate(targets)}
+    names = [name for name in control_m if name in place]
+    moved.points_m[[place[name] for name in names]] = [control_m[name] for name in names]
+    return moved
+
+
+def best_fit(
+    state: BundleState, targets: Sequence[str], wanted_m: Mapping[str, FloatArray], *, with_scale: bool = True
+) -> BundleState:
+    """Move a network as a whole to where coordinates are wanted.
+
+    Parameters
+    ----------
+    state : BundleState
+        The network, in any frame and scale.
+    targets : sequence of str
+        Names of its targets.
+    wanted_m : mapping of str to array_like of shape (3,)
+        Coordinates of at least three of them, not on one line [m].
+    with_scale : bool, optional
+        Whether the scale may change too.
+
+    Returns
+    -------
+    BundleState
+        The network with the smallest sum of squared distances.
+
+    Raises
+    ------
+    EstimationError
+        Fewer than three of the targets are in the network, or all are on one line.
+
+    Notes
+    -----
+    Umeyama, IEEE Trans. PAMI 13 (1991) 376.
+    """
+    place = {name: i for i, name in enumerate(targets)}
+    names = [name for name in wanted_m if name in place]
+    if len(names) < 3:
+        raise EstimationError(f"alignment: 3 control points in the network are needed, not {len(names)}")
+    own = state.points_m[[place[name] for name in names]]
+    wanted = np.array([wanted_m[name] for name in names], dtype=np.float64)
+    own_arms, wanted_arms = own - own.mean(axis=0), wanted - wanted.mean(axis=0)
+    left, singular, right = np.linalg.svd(wanted_arms.T @ own_arms)
+    if singular[1] < 1e-9 * singular[0]:
+        raise EstimationError(f"alignment: the control points {', '.join(names)} are on one line; add one beside it")
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = left @ np.diag(sign) @ right
+    scale = float((singular * sign).sum() / (own_arms**2).sum()) if with_scale else 1.0
+    shift = wanted.mean(axis=0) - scale * rotation @ own.mean(axis=0)
+    return transformed(state, RigidTransform(rotation, shift), scale)
+
+
+def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Sequence[Constraint]) -> BundleState:
+    """Put a network where constraints want it, as far as they say.
+
+    Parameters
+    ----------
+    state : BundleState
+        The network, in any frame and scale.
+    targets : sequence of str
+        Names of its targets.
+    known : sequence of Constraint
+        Scale bars, coordinates, planes, weighted control points; those of targets outside the network do not count.
+
+    Returns
+    -------
+    BundleState
+        The network with the scale of its distances (their median) and the place and attitude that fit best, from 24
+        attitudes to start with. Handedness is never changed. Where two attitudes fit alike (a trough turned end for
+        end fits its rims as well), it is the one whose z axis points to the side of the photos.
+    """
+    place = {name: i for i, name in enumerate(targets)}
+    usable = [one for one in known if all(name in place for name in one.targets)]
+    if not usable:
+        return state
+    ratios = [
+        one.distance_m
+        / float(np.linalg.norm(state.points_m[place[one.target_a]] - state.points_m[place[one.target_b]]))
+        for one in usable
+        if isinstance(one, Distance)
+    ]
+    scaled = transformed(state, RigidTransform.identity(), float(np.median(ratios)) if ratios else 1.0)
+    if len(ratios) == len(usable):
+        return scaled
+    indices = [[place[name] for name in one.targets] for one in usable]
+    held = ("stretch",) if ratios else ()
+    # Poses only follow; the search moves the targets alone.
+    bare = replace(scaled, rotations=scaled.rotations[:0], translations_m=scaled.translations_m[:0])
+    near = _attitude_of_coordinates(bare, place, usable)
+    trials = [_fitted(bare, usable, indices, (one, held)) for one in (_attitudes() if near is None else [near])]
+    best = min(misfit for misfit, *_ in trials)
+    # Rounding must not choose between attitudes that fit alike; their misfits differ by what the iteration left over.
+    alike = [trial for trial in trials if trial[0] <= best * (1 + _ALIKE) + (1e-8 * _size(scaled)) ** 2]
+    towards_photos = scaled.centers_m.mean(axis=0) - scaled.points_m.mean(axis=0)
+    _, rotation, shift, scale = max(alike, key=lambda trial: float(trial[1][2] @ towards_photos))
+    return transformed(scaled, RigidTransform(rotation, shift), scale)
+
+
+def _size(state: BundleState) -> float:
+    """Return the targets' distance from their centre, RMS [m]."""
+    return float(np.sqrt(((state.points_m - state.points_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _attitude_of_coordinates(
+    state: BundleState, place: Mapping[str, int], known: Sequence[Constraint]
+) -> FloatArray | None:
+    """Return the best attitude for the targets of which all coordinates are known; None where those are too few."""
+    listed: dict[str, dict[str, float]] = {}
+    for one in known:
+        if isinstance(one, Coordinate):
+            listed.setdefault(one.target, {})[one.axis] = one.value_m
+    whole = {name: [axes[axis] for axis in AXES] for name, axes in listed.items() if len(axes) == len(AXES)}
+    if len(whole) < _ENOUGH_TARGETS:
+        return None
+    own, wanted = state.points_m[[place[name] for name in whole]], np.array(list(whole.values()))
+    left, singular, right = np.linalg.svd((wanted - wanted.mean(axis=0)).T @ (own - own.mean(axis=0)))
+    if singular[1] < _ON_A_LINE * singular[0]:
+        return None
+    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right)
+
+
+def _attitudes() -> list[FloatArray]:
+    """Return the 24 rotations of a cube."""
+    signs = [np.array(one) for one in product((1.0, -1.0), repeat=3)]
+    matrices = [np.eye(3)[list(order)] * sign for order in permutations(range(3)) for sign in signs]
+    return [matrix for matrix in matrices if np.linalg.det(matrix) > 0]
+
+
+def _fitted(
+    state: BundleState,
+    known: Sequence[Constraint],
+    indices: Sequence[list[int]],
+    start: tuple[FloatArray, tuple[str, ...]],
+) -> tuple[float, FloatArray, FloatArray, float]:
+    """Fit up to seven parameters to the constraints from one attitude; return misfit, rotation, shift and scale."""
+    turned = transformed(state, RigidTransform(start[0], np.zeros(3)))
+    center = turned.points_m.mean(axis=0)
+    size = _size(turned)
+
+    def movement(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        # From an attitude that is wrong the stretch runs away: a factor of 1e9 either way is a misfit like any other.
+        rotation, scale = rotation_from_vector(values[:3]), float(np.exp(np.clip(values[6], -20.0, 20.0)))
+        return rotation, center + values[3:6] * size - scale * rotation @ center, scale
+
+    def evaluate(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rotation, shift, scale = movement(values)
+        here = transformed(turned, RigidTransform(rotation, shift), scale)
+        arms = here.points_m - here.points_m.mean(axis=0)
+        d_points = np.concatenate([-skew(arms), np.broadcast_to(size * np.eye(3), (len(arms), 3, 3))], axis=2)
+        d_points = np.concatenate([d_points, arms[:, :, None]], axis=2)
+        rows = [_in_metres(*one.rows(here.points_m[index])) for one, index in zip(known, indices, strict=True)]
+        jacobian = [np.einsum("rkc,kcd->rd", own, d_points[i]) for (_, own), i in zip(rows, indices, strict=True)]
+        # The rotation vector is moved by adding: its derivative is that of the left-invariant turn.
+        full = np.concatenate(jacobian)
+        full[:, :3] = full[:, :3] @ _left_jacobian(values[:3])
+        return np.concatenate([residuals for residuals, _ in rows]), full
+
+    problem = Problem(_NAMES, evaluate, VECTOR, held=start[1])
+    solution = solve(problem, np.zeros(7), options=Options(max_iterations=60, tolerance=1e-3, initial_damping=1e-3))
+    rotation, shift, scale = movement(solution.parameters)
+    return float((solution.residuals**2).sum()), rotation @ start[0], shift, scale
+
+
+def _in_metres(residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Undo the weights: far from the answer a sigma of a micrometre would outweigh everything else."""
+    sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(1, 2))), 1e-300)
+    return residuals / sizes, jacobian / sizes[:, None, None]
+
+
+def _left_jacobian(vector: FloatArray) -> FloatArray:
+    """Return J of the turn ``R(v + dv) = R(J dv) R(v)``."""
+    angle, cross = float(np.linalg.norm(vector)), skew(vector)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * cross)
+    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)

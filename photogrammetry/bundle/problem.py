@@ -1,0 +1,217 @@
+"""The question of a bundle adjustment: image points, cameras and what of them is free, constraints, datum."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from heliogauge.adjust.least_squares import Prior
+from heliogauge.errors import InputError
+from heliogauge.validate import FloatArray, covariance_matrix, float_array
+from photogrammetry.bundle.constraints import Constraint, constrained_targets
+from photogrammetry.bundle.datum import Datum
+from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState
+from photogrammetry.image_points import ImagePoints, IntArray
+
+
+class ResidualSpace(StrEnum):
+    """Where image residuals are formed."""
+
+    MEASURED = "measured image"
+    CORRECTED = "image corrected for distortion"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModel:
+    """What is estimated of one physical camera; the rest is held at the values of the start.
+
+    Parameters
+    ----------
+    name : str
+        Name of the camera.
+    free : tuple of str, optional
+        Names from `INTRINSIC_NAMES` that are estimated.
+    priors : tuple of Prior, optional
+        Values of free intrinsics known before, each with its sigma.
+    prior_covariance : array_like, shape (10, 10), optional
+        Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
+    prior_values : array_like, shape (10,), optional
+        What that calibration found; the values of the start by default, which only then are right when nothing has
+        been adjusted before.
+    residual : ResidualSpace, optional
+        Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
+        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal length.
+
+    Raises
+    ------
+    InputError
+        An unknown or repeated name, or a prior of an intrinsic that is held.
+    """
+
+    name: str
+    free: tuple[str, ...] = ()
+    priors: tuple[Prior, ...] = ()
+    prior_covariance: FloatArray | None = None
+    prior_values: FloatArray | None = None
+    residual: ResidualSpace = ResidualSpace.MEASURED
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.free if name not in INTRINSIC_NAMES]
+        if unknown or len(set(self.free)) != len(self.free):
+            raise InputError(
+                f"camera {self.name}: free intrinsics must be different ones of {', '.join(INTRINSIC_NAMES)}, "
+                f"not {', '.join(self.free)}"
+            )
+        # One order everywhere, whatever the caller's was.
+        object.__setattr__(self, "free", tuple(name for name in INTRINSIC_NAMES if name in self.free))
+        held = [prior.name for prior in self.priors if prior.name not in self.free]
+        if held:
+            raise InputError(f"camera {self.name}: {', '.join(held)} has a prior but is not free")
+        if self.prior_covariance is not None:
+            covariance = covariance_matrix(f"camera {self.name}: prior_covariance", self.prior_covariance, 10)
+            object.__setattr__(self, "prior_covariance", covariance)
+        if self.prior_values is not None:
+            values = float_array(f"camera {self.name}: prior_values", self.prior_values, (10,))
+            object.__setattr__(self, "prior_values", values)
+
+    @property
+    def columns(self) -> IntArray:
+        """Places of the free intrinsics in `INTRINSIC_NAMES`."""
+        return np.array([INTRINSIC_NAMES.index(name) for name in self.free], dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleProblem:
+    """What is observed and what is sought.
+
+    Parameters
+    ----------
+    observations : ImagePoints
+        The image points.
+    cameras : tuple of CameraModel
+        The physical cameras.
+    camera_of_photo : array_like of int, shape (p,), optional
+        Camera of each photo; the first one by default.
+    constraints : tuple of Constraint, optional
+        Scale bars, distances, coordinates, control points with sigma, planes.
+    fixed : tuple of str, optional
+        Targets whose coordinates are those of the start, without error.
+    datum : Datum, optional
+        How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
+
+    Raises
+    ------
+    InputError
+        An unknown target or camera, or a photo without camera.
+    """
+
+    observations: ImagePoints
+    cameras: tuple[CameraModel, ...]
+    camera_of_photo: IntArray | None = None
+    constraints: tuple[Constraint, ...] = ()
+    fixed: tuple[str, ...] = ()
+    datum: Datum = field(default_factory=Datum)
+
+    def __post_init__(self) -> None:
+        count = len(self.observations.photos)
+        index = np.zeros(count, np.intp) if self.camera_of_photo is None else np.array(self.camera_of_photo, np.intp)
+        if index.shape != (count,) or (index < 0).any() or (index >= len(self.cameras)).any():
+            raise InputError(f"camera_of_photo: {count} indices below {len(self.cameras)} are needed")
+        object.__setattr__(self, "camera_of_photo", index)
+        known = set(self.observations.targets)
+        lost = [name for name in self.datum.photos if name not in self.observations.photos]
+        if lost:
+            raise InputError(f"photos {', '.join(lost)}: named by the datum, but not in the network")
+        asked = [*constrained_targets(self.constraints), *self.fixed, *self.datum.targets]
+        unknown = sorted({name for name in asked if name not in known})
+        if unknown:
+            raise InputError(
+                f"targets {', '.join(unknown)}: named by a constraint, as fixed or by the datum, but not measured"
+            )
+
+    @property
+    def camera_index(self) -> IntArray:
+        """Camera of each photo, shape (p,)."""
+        return np.zeros(0, np.intp) if self.camera_of_photo is None else self.camera_of_photo
+
+    def target_indices(self, names: Sequence[str]) -> IntArray:
+        """Return the places of targets."""
+        place = {name: i for i, name in enumerate(self.observations.targets)}
+        return np.array([place[name] for name in names], dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where each unknown is in the vector of unknowns: photos, intrinsics, kept targets, then eliminated targets.
+
+    Targets that an observation other than an image point links to another target are kept in the dense part; all
+    others are eliminated one by one (Schur complement).
+
+    Parameters
+    ----------
+    n_photos : int
+        Number of photos.
+    intrinsic_columns : tuple of ndarray of int
+        Columns of each camera's free intrinsics.
+    kept, eliminated : ndarray of int
+        Targets of the dense part, and those outside it.
+    kept_column : ndarray of int, shape (n,)
+        First column of each target of the dense part, -1 for others.
+    slot : ndarray of int, shape (n,)
+        Place of each target among the eliminated, -1 for others (kept or fixed).
+    """
+
+    n_photos: int
+    intrinsic_columns: tuple[IntArray, ...]
+    kept: IntArray
+    eliminated: IntArray
+    kept_column: IntArray
+    slot: IntArray
+
+    @property
+    def n_global(self) -> int:
+        """Number of unknowns in the dense part."""
+        return 6 * self.n_photos + sum(len(columns) for columns in self.intrinsic_columns) + 3 * self.kept.size
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return self.n_global + 3 * int(self.eliminated.size)
+
+
+def layout_of(problem: BundleProblem, state: BundleState) -> Layout:
+    """Order the unknowns of a problem.
+
+    Parameters
+    ----------
+    problem : BundleProblem
+        The problem.
+    state : BundleState
+        The start, to see which targets each constraint links.
+
+    Returns
+    -------
+    Layout
+        The order.
+    """
+    n_targets = len(problem.observations.targets)
+    fixed = problem.target_indices(problem.fixed)
+    linked: set[int] = set()
+    for constraint in problem.constraints:
+        index = problem.target_indices(constraint.targets)
+        _, jacobian = constraint.rows(state.points_m[index])
+        touches = (jacobian != 0).any(axis=2)
+        linked.update(index[touches[touches.sum(axis=1) > 1].any(axis=0)].tolist())
+    kept = np.array(sorted(linked - set(fixed.tolist())), dtype=np.intp)
+    first = 6 * len(problem.observations.photos)
+    columns = []
+    for model in problem.cameras:
+        columns.append(np.arange(first, first + len(model.free), dtype=np.intp))
+        first += len(model.free)
+    kept_column = np.full(n_targets, -1, dtype=np.intp)
+    kept_column[kept] = first + 3 * np.arange(kept.size)
+    eliminated = np.setdiff1d(np.arange(n_targets), np.concatenate([kept, fixed])).astype(np.intp)
+    slot = np.full(n_targets, -1, dtype=np.intp)
+    slot[eliminated] = np.arange(eliminated.size)
+    return Layout(len(problem.observations.photos), tuple(columns), kept, eliminated, kept_column, slot)

@@ -1,0 +1,361 @@
+"""Evidence for and against a bundle adjustment: redundancy, outliers, significance, what is not determined."""
+
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from heliogauge.adjust.solution import CovarianceScale
+from heliogauge.validate import BoolArray, FloatArray
+from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, BundleResult, BundleState, adjust
+from photogrammetry.bundle.rows import BundleModel, CameraRows, runs
+from photogrammetry.bundle.state import INTRINSIC_NAMES, intrinsics_of
+from photogrammetry.image_points import IntArray
+
+# Below this share nothing of an error shows in the residual, and its test says nothing.
+_UNCONTROLLED = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePointTests:
+    """Tests of the image points, in the order of the observations.
+
+    Parameters
+    ----------
+    redundancy : ndarray, shape (m, 2, 2)
+        Share of an error of each whitened image point that shows in its residual.
+    baarda : ndarray, shape (m, 2)
+        Whitened residuals over their own sigma, standard normal if the stated sigmas are right; NaN where nothing
+        controls them.
+    length_squared : ndarray, shape (m,)
+        Both components together, ``r^T R^-1 r``, chi-square with two degrees of freedom if the sigmas are right.
+    probability : ndarray, shape (m,)
+        Probability of a larger value for a good image point: Baarda's test for stated sigmas, Pope's for sigmas known
+        up to a factor.
+    """
+
+    redundancy: FloatArray
+    baarda: FloatArray
+    length_squared: FloatArray
+    probability: FloatArray
+
+    def outliers(self, family_significance: float = 0.05) -> BoolArray:
+        """Mark image points that are too far off.
+
+        Parameters
+        ----------
+        family_significance : float, optional
+            Probability of marking any good image point of all.
+
+        Returns
+        -------
+        ndarray of bool, shape (m,)
+            Marks.
+        """
+        return np.asarray(self.probability < family_significance / max(self.probability.size, 1))
+
+
+def examine_image_points(result: BundleResult) -> ImagePointTests:
+    """Compute redundancy numbers and outlier tests of all image points.
+
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
+
+    Returns
+    -------
+    ImagePointTests
+        The tests.
+
+    Notes
+    -----
+    With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance
+    ``I - H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
+    probability is ``(1 - T / total)^((redundancy - 2) / 2)``.
+    """
+    count = result.problem.observations.n
+    weight = result.system.rows
+    shares = np.concatenate([_leverages(result, one) for one in weight])
+    redundancy = np.empty((count, 2, 2))
+    redundancy[result.rows.model.order] = np.eye(2) - shares
+    residuals = result.whitened_residuals
+    own = np.einsum("mii->mi", redundancy)
+    baarda = residuals / np.sqrt(np.where(own > _UNCONTROLLED, own, np.nan))
+    values, vectors = np.linalg.eigh(redundancy)
+    seen = values > _UNCONTROLLED
+    along = np.einsum("mij,mi->mj", vectors, residuals)
+    squared = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+    probability = np.exp(-0.5 * squared)
+    if result.options.covariance_scale is CovarianceScale.POSTERIOR and result.redundancy > 2:
+        total = result.variance_factor * result.redundancy
+        probability = np.maximum(1 - squared / total, 0.0) ** (0.5 * (result.redundancy - 2))
+    return ImagePointTests(redundancy, baarda, squared, np.asarray(probability))
+
+
+def _leverages(result: BundleResult, rows: CameraRows) -> FloatArray:
+    """Return ``J Q J^T`` of each image point of one camera, shape (m, 2, 2)."""
+    crossed, own = result.covariance.target_cofactors
+    photos = rows.photos[rows.starts[:-1]] if rows.photos.size else rows.photos
+    intrinsics = np.broadcast_to(result.system.layout.intrinsic_columns[rows.camera], (photos.size, rows.n_free))
+    places = np.concatenate([6 * photos[:, None] + np.arange(6), intrinsics], axis=1)
+    dense = result.covariance.dense_cofactors(places)
+    if rows.has_few_points:
+        own_photo = np.repeat(np.arange(photos.size), np.diff(rows.starts))
+        coupling = crossed[places[own_photo], rows.targets[:, None]]
+        return _leverages_at_once(rows, dense[own_photo], coupling, own[rows.targets])
+    shares = np.empty((rows.photos.size, 2, 2))
+    for k, (_, first, last) in enumerate(runs(rows.photos, rows.starts)):
+        part, d_target = rows.jacobian[:, : 6 + rows.n_free, first:last], rows.target_columns[:, :, first:last]
+        targets = rows.targets[first:last]
+        coupling = np.moveaxis(crossed[places[k]][:, targets], 1, 2)
+        # Q times the rows, in the dense part and at the target.
+        along = dense[k] @ part + np.einsum("gim,rim->rgm", coupling, d_target)
+        at_target = np.einsum("gim,rgm->rim", coupling, part)
+        at_target += np.einsum("mij,rjm->rim", own[targets], d_target)
+        both = np.einsum("rgm,sgm->mrs", part, along) + np.einsum("rim,sim->mrs", d_target, at_target)
+        shares[first:last] = both
+    return shares
+
+
+def _leverages_at_once(rows: CameraRows, dense: FloatArray, coupling: FloatArray, own: FloatArray) -> FloatArray:
+    """Return the same with Q of pose and intrinsics, of these with the target, and of the target of each row."""
+    jacobian = np.moveaxis(rows.jacobian, -1, 0)
+    part, d_target = jacobian[:, :, : 6 + rows.n_free], jacobian[:, :, 7 + rows.n_free :]
+    turned = np.swapaxes(part, 1, 2)
+    crossed = d_target @ np.swapaxes(coupling, 1, 2) @ turned
+    both = part @ (dense @ turned) + d_target @ own @ np.swapaxes(d_target, 1, 2)
+    return np.asarray(both + crossed + np.swapaxes(crossed, 1, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """An image point that was left out.
+
+    Parameters
+    ----------
+    row : int
+        Its place in the observations that were given.
+    label : str
+        Target and photo.
+    residual_px : float
+        Length of its residual when it was left out [px].
+    reason : str
+        Why.
+    """
+
+    row: int
+    label: str
+    residual_px: float
+    reason: str
+
+
+def adjust_and_reject(
+    problem: BundleProblem,
+    start: BundleState,
+    *,
+    options: BundleOptions | None = None,
+    family_significance: float = 0.05,
+    most_rounds: int = 20,
+    suspects: BoolArray | None = None,
+) -> tuple[BundleResult, tuple[Rejected, ...]]:
+    """Adjust, leave out the worst image points, adjust again, until none is too far off.
+
+    Parameters
+    ----------
+    problem : BundleProblem
+        What is observed and what is sought.
+    start : BundleState
+        Start values.
+    options : BundleOptions, optional
+        How to adjust.
+    family_significance : float, optional
+        Probability of leaving out any good image point of all.
+    most_rounds : int, optional
+        Rounds after which the search ends.
+    suspects : ndarray of bool, shape (m,), optional
+        Image points that take no part until the others are clean; then those that agree come in.
+
+    Returns
+    -------
+    result : BundleResult
+        The adjustment of what is left.
+    rejected : tuple of Rejected
+        What was left out, in order. In each round only the worst image point of a photo and of a target goes, because
+        one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What turns out to
+        agree in the end comes back. Suspects that stay out are not among them.
+    """
+    options = options or BundleOptions()
+    outside = np.zeros(problem.observations.n, dtype=np.bool_) if suspects is None else suspects
+    rows = np.nonzero(~outside)[0]
+    rejected: dict[int, Rejected] = {}
+    first = replace(problem, observations=problem.observations.subset(rows)) if outside.any() else problem
+    result = adjust(first, start, options=options)
+    for _ in range(most_rounds):
+        tests = examine_image_points(result)
+        marked = tests.outliers(family_significance)
+        if not marked.any():
+            break
+        gone = np.zeros(rows.size, dtype=np.bool_)
+        gone[_worst_of_their_kind(result, tests.length_squared, marked)] = True
+        singles = _left_alone(result, gone)
+        for place in np.nonzero(gone | singles)[0].tolist():
+            times = f"{np.sqrt(tests.length_squared[place]):.1f} times its sigma"
+            reason = times if gone[place] else "the only ray left of its target"
+            rejected[int(rows[place])] = _rejection(result, int(rows[place]), place, reason)
+        keep = ~(gone | singles)
+        rows = rows[keep]
+        smaller = replace(result.problem, observations=result.problem.observations.subset(keep))
+        result = adjust(smaller, result.state, options=options)
+    asked = [*rejected, *np.nonzero(outside)[0].tolist()]
+    back = _innocent(problem, result, asked, family_significance)
+    if back:
+        rows = np.sort(np.concatenate([rows, np.array(back, dtype=np.intp)]))
+        result = adjust(replace(problem, observations=problem.observations.subset(rows)), result.state, options=options)
+    return result, tuple(one for row, one in rejected.items() if row not in back)
+
+
+def _innocent(problem: BundleProblem, result: BundleResult, rows: list[int], family_significance: float) -> list[int]:
+    """Choose rejected image points that agree with the network once the false ones are gone."""
+    if not rows:
+        return []
+    table = problem.observations.subset(np.array(rows, dtype=np.intp))
+    one_by_one = BundleModel(replace(problem, observations=table), result.state)
+    squares = np.concatenate(
+        [np.einsum("rm,rm->m", *[one.residuals] * 2) for one in one_by_one.camera_rows(result.state)]
+    )
+    factor = 1.0
+    if result.options.covariance_scale is CovarianceScale.POSTERIOR and result.redundancy > 0:
+        factor = result.variance_factor
+    # The residual of a point that took no part has a larger sigma than that: what passes is surely no outlier.
+    limit = -2 * np.log(family_significance / max(problem.observations.n, 1)) * factor
+    determined = ~result.covariance.unknown_targets[table.target_index[one_by_one.order]]
+    fine = np.isfinite(squares) & (squares <= limit) & determined
+    return [rows[place] for place in one_by_one.order[fine].tolist()]
+
+
+def _rejection(result: BundleResult, row: int, place: int, reason: str) -> Rejected:
+    length = float(np.hypot(*result.residuals_px[place]))
+    return Rejected(row, result.problem.observations.label(place), length, reason)
+
+
+def _worst_of_their_kind(result: BundleResult, size: FloatArray, marked: BoolArray) -> IntArray:
+    """Choose marked image points, the worst first, not two of one photo or of one target."""
+    table = result.problem.observations
+    photos, targets, chosen = set(), set(), []
+    # A far outlier spoils all others of its surroundings: what is less than half as far off waits.
+    marked = marked & (size >= 0.25 * size[marked].max())
+    for row in np.nonzero(marked)[0][np.argsort(-size[marked], kind="stable")].tolist():
+        photo, target = int(table.photo_index[row]), int(table.target_index[row])
+        if photo not in photos and target not in targets:
+            chosen.append(row)
+            photos.add(photo)
+            targets.add(target)
+    return np.array(chosen, dtype=np.intp)
+
+
+def _left_alone(result: BundleResult, gone: BoolArray) -> BoolArray:
+    """Mark rows whose target keeps one ray only because of those that go, unless something else holds it."""
+    table = result.problem.observations
+    rays = np.bincount(table.target_index[~gone], minlength=len(table.targets))
+    held = np.zeros(len(table.targets), dtype=np.bool_)
+    names = [*result.problem.fixed, *(t for one in result.problem.constraints for t in one.targets)]
+    held[result.problem.target_indices(names)] = True
+    touched = np.zeros(len(table.targets), dtype=np.bool_)
+    touched[table.target_index[gone]] = True
+    return np.asarray(~gone & (touched & (rays == 1) & ~held)[table.target_index])
+
+
+@dataclass(frozen=True, slots=True)
+class IntrinsicTest:
+    """One estimated intrinsic.
+
+    Parameters
+    ----------
+    camera, name : str
+        Which.
+    value, sigma : float
+        Estimate and standard deviation, in the unit of the name.
+    significance : float
+        Probability with which it differs from zero (1: certainly); NaN for focal length and principal point.
+    rival : str
+        The other intrinsic it is correlated with most.
+    correlation : float
+        That correlation.
+    """
+
+    camera: str
+    name: str
+    value: float
+    sigma: float
+    significance: float
+    rival: str
+    correlation: float
+
+
+def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
+    """Test every estimated intrinsic against zero and against the others.
+
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
+
+    Returns
+    -------
+    tuple of IntrinsicTest
+        In the order of cameras and `INTRINSIC_NAMES`.
+    """
+    covariance = result.covariance.intrinsics
+    sigmas = np.sqrt(np.diag(covariance))
+    correlation = covariance / sigmas[:, None] / sigmas
+    np.fill_diagonal(correlation, 0.0)
+    labels, values = [], []
+    for model, camera in zip(result.problem.cameras, result.state.cameras, strict=True):
+        labels += [(model.name, name) for name in model.free]
+        values += intrinsics_of(camera)[model.columns].tolist()
+    tests = []
+    for place, (camera_name, name) in enumerate(labels):
+        ratio = abs(values[place]) / sigmas[place]
+        against_zero = name in INTRINSIC_NAMES[4:] or name == "aspect"
+        significance = 2 * NormalDist().cdf(float(ratio)) - 1 if against_zero and np.isfinite(ratio) else float("nan")
+        own = np.nan_to_num(correlation[place])
+        rival = int(np.argmax(np.abs(own)))
+        other = "" if len(labels) < 2 else labels[rival][1]
+        tests.append(
+            IntrinsicTest(
+                camera_name, name, values[place], float(sigmas[place]), significance, other, float(own[rival])
+            )
+        )
+    return tuple(tests)
+
+
+def largest_correlations(result: BundleResult, at_least: float = 0.95) -> tuple[tuple[str, str, float], ...]:
+    """List pairs of intrinsics, and of an intrinsic with a pose, that the observations hardly separate.
+
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
+    at_least : float, optional
+        Smallest absolute correlation listed.
+
+    Returns
+    -------
+    tuple of (str, str, float)
+        Names and correlation, strongest first. Poses are given by their steps in the camera frame.
+    """
+    photos = result.problem.observations.photos
+    joint = result.covariance.joint(photos=np.arange(len(photos)), intrinsics=True)
+    sigmas = np.sqrt(np.diag(joint))
+    correlation = np.nan_to_num(joint / np.where(sigmas > 0, sigmas, np.nan)[:, None] / np.where(sigmas > 0, sigmas, 1))
+    axes = ("rotation x", "rotation y", "rotation z", "translation x", "translation y", "translation z")
+    names = [f"{axis} of {photo}" for photo in photos for axis in axes]
+    names += [f"{name} of {model.name}" for model in result.problem.cameras for name in model.free]
+    first = 6 * len(photos)
+    strong = np.abs(correlation) >= at_least
+    strong[:, :first] = False
+    # A pair of intrinsics appears twice.
+    strong[first:, first:] = np.triu(strong[first:, first:], 1)
+    pairs = [(names[j], names[i], float(correlation[i, j])) for i, j in np.argwhere(strong)]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))

@@ -1,0 +1,1 @@
+"""Centres of targets with covariance, to hundredths of a pixel."""

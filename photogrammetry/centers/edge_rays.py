@@ -1,0 +1,132 @@
+"""Ellipses through edges along rays, for all spots of a photo at once: precise enough to start a centre operator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from photogrammetry.centers.pyramid import Pyramid, ellipse_frames
+
+__all__ = ["Outlines", "outlines_along_rays"]
+
+#: Rays from a spot's centre; passes, each with the reach of its rays and their samples, in radii of the ellipse before.
+_RAYS = 24
+_PASSES = ((0.4, 1.7, 14), (0.7, 1.4, 15))
+#: Share of the rays that must meet an edge.
+_SEEN_SHARE = 0.75
+#: Edges farther from the ellipse than this many robust sigmas are left out of the second fit.
+_OUTLIER_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """Ellipses of many spots.
+
+    Parameters
+    ----------
+    centers_px : ndarray, shape (n, 2)
+        Centres [px].
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Shape matrices [px^2].
+    rms_px : ndarray, shape (n,)
+        Rms distance of the edges from the ellipse [px].
+    found : ndarray of bool, shape (n,)
+        Whether there is an ellipse.
+    """
+
+    centers_px: FloatArray
+    shapes_px2: FloatArray
+    rms_px: FloatArray
+    found: BoolArray
+
+
+def outlines_along_rays(
+    pyramid: Pyramid, centers_px: FloatArray, shapes_px2: FloatArray, middle_dn: FloatArray
+) -> Outlines:
+    """Find where rays leave spots, and fit an ellipse to each.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        The photo; large spots are looked at on a halving, where neither noise nor a display's pixels disturb.
+    centers_px : ndarray, shape (n, 2)
+        Starts: centres [px].
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Starts: shape matrices [px^2].
+    middle_dn : ndarray, shape (n,)
+        Level half way between inside and outside [DN].
+
+    Returns
+    -------
+    Outlines
+        One for each start, found or not.
+    """
+    centers, shapes = centers_px.copy(), shapes_px2.copy()
+    rms, found = np.full(len(centers), np.inf), np.ones(len(centers), dtype=np.bool_)
+    angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for low, high, samples in _PASSES:
+        frames = ellipse_frames(shapes)
+        radii = np.linspace(low, high, samples)
+        rays = (circle.T[:, :, None] * radii).reshape(2, -1)
+        values = pyramid.around(centers, shapes, rays).reshape(-1, _RAYS, samples)
+        edges, seen = _first_crossing(values, middle_dn, radii)
+        conic, ok = _fit(edges, seen, circle)
+        off = np.abs(_distance(conic, edges, circle))
+        known = np.where(seen, off, np.nan)
+        known[~seen.any(axis=1)] = 0.0
+        spread = np.nanmedian(known, axis=1, keepdims=True)
+        near = seen & (off <= np.maximum(_OUTLIER_SIGMAS * 1.4826 * spread, 0.02))
+        conic, ok_again = _fit(edges, near, circle)
+        off = np.where(near, _distance(conic, edges, circle), 0.0)
+        found &= ok & ok_again & (near.sum(axis=1) >= _SEEN_SHARE * _RAYS)
+        moved, inner = _ellipses(conic)
+        found &= (np.hypot(*moved.T) < 0.7) & np.isfinite(inner).all(axis=(1, 2))
+        radius = np.sqrt(np.sqrt(np.maximum(np.linalg.det(shapes), 0.0)))
+        rms = radius * np.sqrt((off**2).sum(axis=1) / np.maximum(near.sum(axis=1) - 5, 1))
+        good = found[:, None, None]
+        centers = np.where(good[:, 0], centers + np.einsum("nij,nj->ni", frames, np.nan_to_num(moved)), centers)
+        shapes = np.where(good, frames @ np.nan_to_num(inner) @ frames, shapes)
+    return Outlines(centers, shapes, rms, found)
+
+
+def _first_crossing(values: Float32Array, middle: FloatArray, radii: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Radius at which each ray first crosses the middle level on its way out, and whether it does."""
+    above = values - middle[:, None, None]
+    changes = (above[..., 1:] > 0) != (above[..., :-1] > 0)
+    seen = changes.any(axis=2)
+    at = changes.argmax(axis=2)[..., None]
+    before = np.take_along_axis(above, at, axis=2)[..., 0]
+    after = np.take_along_axis(above, at + 1, axis=2)[..., 0]
+    step = before - after
+    share = before / np.where(step == 0, 1.0, step)
+    return radii[at[..., 0]] + share * (radii[1] - radii[0]), seen
+
+
+def _fit(edges: FloatArray, used: BoolArray, circle: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Conics A x^2 + B x y + C y^2 + D x + E y = 1 near the unit circle, where algebraic distances are true ones."""
+    x, y = edges * circle[:, 0], edges * circle[:, 1]
+    rows = np.stack([x * x, x * y, y * y, x, y], axis=2) * used[..., None]
+    normal = np.matmul(rows.transpose(0, 2, 1), rows) + 1e-9 * np.eye(5)
+    right = rows.sum(axis=1)
+    ok = used.sum(axis=1) >= 8
+    return np.linalg.solve(normal, right[..., None])[..., 0], ok
+
+
+def _distance(conic: FloatArray, edges: FloatArray, circle: FloatArray) -> FloatArray:
+    x, y = edges * circle[:, 0], edges * circle[:, 1]
+    a, b, c, d, e = (conic[:, k, None] for k in range(5))
+    return np.asarray(0.5 * (a * x * x + b * x * y + c * y * y + d * x + e * y - 1))
+
+
+def _ellipses(conic: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centres and shapes of conics; NaN where they are none."""
+    a, b, c, d, e = conic.T
+    determinant = a * c - 0.25 * b * b
+    valid = (determinant > 1e-6) & (a > 0)
+    determinant = np.where(valid, determinant, np.nan)
+    x = (0.25 * b * e - 0.5 * c * d) / determinant
+    y = (0.25 * b * d - 0.5 * a * e) / determinant
+    level = 1 - 0.5 * (d * x + e * y)
+    inverse = np.stack([np.stack([c, -0.5 * b], axis=1), np.stack([-0.5 * b, a], axis=1)], axis=1)
+    return np.stack([x, y], axis=1), inverse * (level / determinant)[:, None, None]

@@ -1,0 +1,1 @@
+"""Targets, markers and features found in photos and identified; false codes refused with a reason."""

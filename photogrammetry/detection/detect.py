@@ -1,0 +1,396 @@
+"""Find everything in a photo that may be a circular target: uniform ellipses on a uniform ground, of any size.
+
+The photo is halved again and again; on each scale a local threshold and its outlines find the spots whose size suits
+that scale. So the work hardly depends on the sizes searched for: 24 megapixels cost less than decoding them. What
+follows judges spots by a few dozen grey values each, all spots at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import InputError
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from photogrammetry.centers.edge_rays import outlines_along_rays
+from photogrammetry.centers.ellipse import Ellipse
+from photogrammetry.centers.operator import CenterOperator, TargetCenter, cut_window
+from photogrammetry.centers.pyramid import Pyramid, ellipse_frames, make_pyramid
+from photogrammetry.targets.coded_targets import Polarity
+
+__all__ = ["Candidate", "SearchLimits", "find_candidates", "find_in_pyramid", "measure_center"]
+
+Bytes = npt.NDArray[np.uint8]
+IndexArray = npt.NDArray[np.intp]
+
+#: Side of the box whose mean is the local threshold, and smallest and largest width of the spots looked for, in pixels
+#: of the level: on the photo itself, and on its halvings. Half as fine, the gap of the smallest code rings is gone: a
+#: 6 px dot tilted by 55 deg, or a 12 px dot tilted by 65 deg, merges with its ring.
+_FULL_SEARCH, _HALVED_SEARCH = (15, 2.0, 16.0), (31, 3.0, 22.0)
+#: Only targets below this diameter are searched on the photo itself; it costs as much as all halvings [px].
+_NEEDS_FULL_PX = 20.0
+#: Rows that are searched at a time: they stay in the processor's cache, which halves the time.
+_STRIPE_ROWS = 384
+#: Threshold below (above) the local mean, as a share of the least contrast: a spot that fills two thirds of the box
+#: still lies a third of its contrast below the box's mean.
+_THRESHOLD_SHARE = 0.3
+#: Share of its ellipse that a spot must fill: a ring half open fills half of it.
+_LEAST_FILLED = 0.7
+#: Spots are judged on rings of this many points: two within, at these radii (some prints have a hole of 0.12 radii in
+#: the middle), and two in the gap, at these shares of its width.
+_RING_POINTS, _INNER_RADII, _OUTER_SHARES = 16, (0.25, 0.5), (0.5, 0.65)
+#: Share of ring points that must lie on their side of the middle level; the rest may be covered or in glare.
+_RIGHT_SIDE_SHARE = 0.8
+#: Mean deviation of the ring's grey values from their median, as a share of the contrast.
+_MOST_UNEVEN = 0.2
+#: Rms of the edges about the outline above which a spot is no ellipse: in radii, or in pixels for small spots.
+_MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """What is searched for.
+
+    Parameters
+    ----------
+    smallest_px, largest_px : float, optional
+        Diameters of targets seen square on [px].
+    least_contrast_dn : float, optional
+        Difference of target and ground, in grey values of 255 [DN].
+    most_tilt_rad : float, optional
+        Tilt against the line of sight [rad].
+    polarities : tuple of Polarity, optional
+        Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
+    gap_radius : float, optional
+        Where the next ink may begin, in radii of the dot: the inner radius of code rings.
+
+    Raises
+    ------
+    InputError
+        Sizes, contrast or tilt that no target has.
+    """
+
+    smallest_px: float = 6.0
+    largest_px: float = 300.0
+    least_contrast_dn: float = 20.0
+    most_tilt_rad: float = 1.2
+    polarities: tuple[Polarity, ...] = (Polarity.BLACK_ON_WHITE, Polarity.WHITE_ON_BLACK)
+    gap_radius: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.smallest_px < self.largest_px:
+            raise InputError(
+                "target diameters: 3 px <= smallest < largest is needed, "
+                f"not {self.smallest_px} to {self.largest_px} px"
+            )
+        if not 0 < self.least_contrast_dn < 255:
+            raise InputError(f"least_contrast_dn: between 0 and 255 is needed, not {self.least_contrast_dn}")
+        if not 0 <= self.most_tilt_rad < 1.5:
+            raise InputError(f"most_tilt_rad: 0 to 1.5 rad is needed, not {self.most_tilt_rad}")
+        if self.gap_radius < 1.4:
+            raise InputError(f"gap_radius: at least 1.4 radii of the dot are needed, not {self.gap_radius}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One spot that may be a target.
+
+    Parameters
+    ----------
+    ellipse : Ellipse
+        Outline in the photo's pixels, good to a tenth of a pixel or so.
+    inside_dn, outside_dn : float
+        Levels of the spot and of the ground round it, in grey values of 255 [DN].
+    edge_rms_px : float
+        Rms distance of the edges along 24 rays from the outline [px].
+    polarity : Polarity
+        Dark or light.
+    """
+
+    ellipse: Ellipse
+    inside_dn: float
+    outside_dn: float
+    edge_rms_px: float
+    polarity: Polarity
+
+
+def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
+    """Find all spots of a photo that may be circular targets.
+
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    limits : SearchLimits, optional
+        What is searched for.
+
+    Returns
+    -------
+    tuple of Candidate
+        Spots with an elliptic edge, each once, from top to bottom.
+
+    Raises
+    ------
+    InputError
+        Not an image of one colour.
+    """
+    return find_in_pyramid(make_pyramid(image_dn), limits or SearchLimits())
+
+
+def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, ...]:
+    """Find all spots of a photo that may be circular targets, the photo being halved already.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        The photo.
+    asked : SearchLimits
+        What is searched for.
+
+    Returns
+    -------
+    tuple of Candidate
+        Spots with an elliptic edge, each once, from top to bottom.
+    """
+    parts = []
+    for level, image in enumerate(pyramid.levels):
+        needed = asked.smallest_px < _NEEDS_FULL_PX if level == 0 else 2**level * _HALVED_SEARCH[1] <= asked.largest_px
+        if needed:
+            parts += _spots_on_level(image, level, asked)
+    return _apart(_uniform(pyramid, _joined(parts), asked))
+
+
+def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, operator: CenterOperator) -> TargetCenter:
+    """Measure a target's centre in the photo's pixels.
+
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values [DN].
+    start : Ellipse
+        The target's outline in the photo, to a pixel or so.
+    operator : CenterOperator
+        The estimator.
+
+    Returns
+    -------
+    TargetCenter
+        The result in the photo's pixels.
+
+    Raises
+    ------
+    EstimationError
+        The target touches the border, or the estimator refuses.
+    """
+    window = cut_window(image_dn, start)
+    origin = np.array(window.origin_px, dtype=np.float64)
+    return operator(window.values_dn, start.moved(-origin)).moved(origin)
+
+
+# --- spots: vectorised over all of a scale --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spots:
+    """Ellipses (n) in the photo's pixels, and whether they are dark."""
+
+    shapes: FloatArray
+    centers: FloatArray
+    dark: BoolArray
+
+    def chosen(self, which: BoolArray) -> "_Spots":
+        return _Spots(self.shapes[which], self.centers[which], self.dark[which])
+
+
+def _joined(parts: Sequence[_Spots]) -> _Spots:
+    return _Spots(
+        np.concatenate([np.empty((0, 2, 2)), *(part.shapes for part in parts)]),
+        np.concatenate([np.empty((0, 2)), *(part.centers for part in parts)]),
+        np.concatenate([np.empty(0, dtype=np.bool_), *(part.dark for part in parts)]),
+    )
+
+
+def _spots_on_level(image: Bytes, level: int, asked: SearchLimits) -> list[_Spots]:
+    box, low, high = _FULL_SEARCH if level == 0 else _HALVED_SEARCH
+    threshold = max(_THRESHOLD_SHARE * asked.least_contrast_dn, 3.0, min(3 * _noise(image), asked.least_contrast_dn))
+    # A spot on the border of two stripes lies whole in one of them, with the ground that its threshold needs.
+    overlap = int(high) + box // 2 + 1
+    found = []
+    for first in range(0, image.shape[0], _STRIPE_ROWS):
+        top = max(first - overlap, 0)
+        stripe = image[top : first + _STRIPE_ROWS + overlap]
+        mean, difference = cv2.blur(stripe, (box, box)), np.empty_like(stripe)
+        for polarity in asked.polarities:
+            dark = polarity is Polarity.BLACK_ON_WHITE
+            cv2.subtract(mean if dark else stripe, stripe if dark else mean, difference)
+            cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY, difference)
+            lines = cv2.findContours(difference, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE, offset=(0, top))[0]
+            shapes, centers = _ellipses_of_lines(lines, 2**level, asked, (low, high))
+            found.append(_Spots(shapes, centers, np.full(len(shapes), dark)))
+    return found
+
+
+def _noise(image: Bytes) -> float:
+    """Return the noise of a pixel from neighbours, in some fifty rows: half of them lie on even ground [DN]."""
+    rows = image[:: max(image.shape[0] // 50, 1)].astype(np.int16)
+    steps = np.abs(rows[:, 1::2] - rows[:, : rows.shape[1] // 2 * 2 : 2]).ravel()
+    return float(np.partition(steps, len(steps) // 2)[len(steps) // 2]) * 1.4826 / 2**0.5
+
+
+def _ellipses_of_lines(
+    lines: Sequence[npt.NDArray[np.integer | np.floating]], scale: int, asked: SearchLimits, widths: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Shapes and centres, in the photo's pixels, of the ellipses with the second moments of the spots' outlines.
+
+    Outlines run through the middles of a spot's outermost pixels, half a pixel within its edge. Those of holes run the
+    other way round and have a negative area.
+    """
+    lengths = np.fromiter(map(len, lines), dtype=np.intp, count=len(lines))
+    enough = np.flatnonzero(lengths >= 4)
+    if len(enough) == 0:
+        return np.empty((0, 2, 2)), np.empty((0, 2))
+    points = np.concatenate([lines[k] for k in enough.tolist()]).reshape(-1, 2)
+    lengths = lengths[enough]
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    width = 1 + np.maximum.reduceat(points, starts) - np.minimum.reduceat(points, starts)
+    longest = width.max(axis=1)
+    low = max(widths[0], 0.6 * asked.smallest_px / scale)
+    high = min(1.1 * asked.largest_px / scale + 1, widths[1])
+    chosen = (longest >= low) & (longest <= high)
+    if not chosen.any():
+        return np.empty((0, 2, 2)), np.empty((0, 2))
+    points, lengths = points[np.repeat(chosen, lengths)].astype(np.float64), lengths[chosen]
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    origin = points[starts]
+    area, first, second = _moments(points - np.repeat(origin, lengths, axis=0), starts, lengths)
+    solid = area > 0.5
+    area, first, second = area[solid, None], first[solid], second[solid]
+    middle = first / area
+    xx, xy, yy = (second / area - middle[:, [0, 0, 1]] * middle[:, [0, 1, 1]]).T
+    shapes = 4 * np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=1)
+    frames = ellipse_frames(shapes)
+    shapes = (shapes + frames + 0.25 * np.eye(2)) * scale**2
+    # An ellipse has the area pi sqrt(det S). Half a pixel all round adds half the outline, pi (a + b) / 2, and pi / 4.
+    whole = area[:, 0] + 0.5 * np.pi * np.trace(frames, axis1=1, axis2=2) + 0.8
+    filled = whole * scale**2 > _LEAST_FILLED * np.pi * np.sqrt(np.maximum(np.linalg.det(shapes), 0.0))
+    larger, smaller = _semi_axes(shapes)
+    # Boxes of a few pixels tell the axes to half a pixel each.
+    slack = 0.6 * scale
+    kept = filled & (smaller + slack > np.cos(asked.most_tilt_rad) * (larger - slack))
+    return shapes[kept], ((origin[solid] + middle + 0.5) * scale - 0.5)[kept]
+
+
+def _moments(points: FloatArray, starts: IndexArray, lengths: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Areas, first and second moments of polygons one after the other, counter-clockwise on the screen positive."""
+    following = np.arange(1, len(points) + 1)
+    following[starts + lengths - 1] = starts
+    x, y = points.T
+    x1, y1 = points[following].T
+    cross = x1 * y - x * y1
+    parts = np.stack(
+        [
+            cross / 2,
+            (x + x1) * cross / 6,
+            (y + y1) * cross / 6,
+            (x * x + x * x1 + x1 * x1) * cross / 12,
+            (x * (2 * y + y1) + x1 * (y + 2 * y1)) * cross / 24,
+            (y * y + y * y1 + y1 * y1) * cross / 12,
+        ],
+        axis=1,
+    )
+    sums = np.add.reduceat(parts, starts, axis=0)
+    return sums[:, 0], sums[:, 1:3], sums[:, 3:]
+
+
+def _semi_axes(shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    middle = 0.5 * (shapes[:, 0, 0] + shapes[:, 1, 1])
+    reach = np.hypot(0.5 * (shapes[:, 0, 0] - shapes[:, 1, 1]), shapes[:, 0, 1])
+    return np.sqrt(middle + reach), np.sqrt(np.maximum(middle - reach, 1e-6))
+
+
+def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candidate]:
+    """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
+    kept, inside, outside = _judged(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
+    spots = spots.chosen(kept)
+    lines = outlines_along_rays(pyramid, spots.centers, spots.shapes, 0.5 * (inside + outside)[kept])
+    spots = _Spots(lines.shapes_px2, lines.centers_px, spots.dark).chosen(lines.found)
+    rms = lines.rms_px[lines.found]
+    larger, smaller = _semi_axes(spots.shapes)
+    pixel = 2.0 ** pyramid.level_for(spots.shapes)
+    fits = (
+        (rms < np.maximum(_MOST_EDGE_RADII * np.sqrt(larger * smaller), _MOST_EDGE_PX * pixel))
+        & (smaller > 0.85 * np.cos(asked.most_tilt_rad) * larger)
+        & (2 * larger > 0.8 * asked.smallest_px)
+        & (2 * larger < 1.2 * asked.largest_px)
+        & _inside(pyramid.size_px, spots.shapes, spots.centers)
+    )
+    spots, rms = spots.chosen(fits), rms[fits]
+    kept, inside, outside = _judged(pyramid, spots, asked, uneven=_MOST_UNEVEN)
+    polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
+    return [
+        Candidate(
+            Ellipse(spots.centers[k], spots.shapes[k]),
+            float(inside[k]), float(outside[k]), float(rms[k]), polarities[int(spots.dark[k])],
+        )
+        for k in np.flatnonzero(kept)
+    ]  # fmt: skip
+
+
+def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -> BoolArray:
+    """Tell which ellipses lie wholly within the photo."""
+    half = np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
+    return np.asarray(((centers - half > 1) & (centers + half < np.array(size_px) - 2)).all(axis=1))
+
+
+def _judged(
+    pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: float
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Tell which ellipses are even inside and in a ring around, and differ from it; levels inside and outside."""
+    radii = (*_INNER_RADII, *(1 + share * (asked.gap_radius - 1) for share in _OUTER_SHARES))
+    values = _on_rings(pyramid, spots, radii)
+    inner, outer = values[:, : 2 * _RING_POINTS], values[:, 2 * _RING_POINTS :]
+    inside = np.asarray(np.median(inner, axis=1), dtype=np.float64)
+    outside = np.asarray(np.median(outer, axis=1), dtype=np.float64)
+    contrast = np.where(spots.dark, outside - inside, inside - outside)
+    middle = 0.5 * (inside + outside)[:, None]
+    right_inside = np.mean((inner < middle) == spots.dark[:, None], axis=1)
+    right_outside = np.mean((outer > middle) == spots.dark[:, None], axis=1)
+    unevenness = np.maximum(
+        np.abs(inner - inside[:, None]).mean(axis=1), np.abs(outer - outside[:, None]).mean(axis=1)
+    ) / np.maximum(contrast, 1e-6)
+    kept = (
+        (contrast >= asked.least_contrast_dn)
+        & (right_inside >= _RIGHT_SIDE_SHARE)
+        & (right_outside >= _RIGHT_SIDE_SHARE)
+        & (unevenness < uneven)
+    )
+    return kept, inside, outside
+
+
+def _on_rings(pyramid: Pyramid, spots: _Spots, radii: Sequence[float]) -> Float32Array:
+    """Grey values on rings, shape (n, points)."""
+    angles = np.arange(_RING_POINTS) * (2 * np.pi / _RING_POINTS)
+    circle = np.concatenate([radius * np.stack([np.cos(angles), np.sin(angles)]) for radius in radii], axis=1)
+    return pyramid.around(spots.centers, spots.shapes, circle)
+
+
+def _apart(spots: list[Candidate]) -> tuple[Candidate, ...]:
+    """Keep of spots at one place and of one size the one with the cleanest edge; sort from top to bottom.
+
+    Scales overlap, and so do the stripes of one scale.
+    """
+    kept: list[Candidate] = []
+    places = np.empty((len(spots), 3))
+    for spot in sorted(spots, key=lambda spot: spot.edge_rms_px):
+        x, y = spot.ellipse.center_px
+        radius = spot.ellipse.radius_px
+        taken = places[: len(kept)]
+        off = np.hypot(taken[:, 0] - x, taken[:, 1] - y)
+        near = off < 0.5 * np.minimum(taken[:, 2], radius)
+        if (near & (np.abs(np.log(taken[:, 2] / radius)) < 0.5)).any():
+            continue
+        places[len(kept)] = x, y, radius
+        kept.append(spot)
+    return tuple(sorted(kept, key=lambda spot: (spot.ellipse.center_px[1], spot.ellipse.center_px[0])))

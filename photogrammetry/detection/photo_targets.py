@@ -1,0 +1,300 @@
+"""All circular targets of one photo: found, read, centred."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
+from heliogauge.validate import FlagArray, FloatArray
+from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
+from photogrammetry.centers.operator import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
+from photogrammetry.centers.pyramid import make_pyramid
+from photogrammetry.centers.template import template_center, template_centers
+from photogrammetry.centers.template_batch import stacked_centers
+from photogrammetry.detection.decode import RingLimits, RingReading, read_rings, ring_outline
+from photogrammetry.detection.detect import SearchLimits, find_in_pyramid, measure_center
+from photogrammetry.detection.detections import Detections
+from photogrammetry.targets.coded_targets import VENDOR_RADII, RingDictionary
+
+__all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_at", "measure_targets"]
+
+#: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
+_CLIPPED_SHARE = 0.99
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetSearch:
+    """What is searched for in photos, and how it is measured.
+
+    Parameters
+    ----------
+    dictionary : RingDictionary or None, optional
+        The ring codes that may occur; None for targets without code only.
+    limits : SearchLimits, optional
+        Sizes, contrast, tilt, polarity.
+    ring_limits : RingLimits, optional
+        How good a code ring must be.
+    with_uncoded : bool, optional
+        Also return dots without a code ring.
+    operator : CenterOperator, optional
+        Estimator of the centres.
+    most_misfit : float, optional
+        Residual of a dot without code as a share of its contrast, above which it is none.
+    """
+
+    dictionary: RingDictionary | None = None
+    limits: SearchLimits = field(default_factory=SearchLimits)
+    ring_limits: RingLimits = field(default_factory=RingLimits)
+    with_uncoded: bool = True
+    operator: CenterOperator = template_center
+    most_misfit: float = 0.08
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnusedTarget:
+    """A target that is there but has no centre, or not one of its own.
+
+    Parameters
+    ----------
+    name : str
+        Its code's name; empty for a dot that may belong to a code cut off.
+    center_px : ndarray, shape (2,)
+        Where it is, to a pixel or so [px].
+    flag : SampleFlag
+        Why.
+    reason : str
+        Why, with numbers.
+    """
+
+    name: str
+    center_px: FloatArray
+    flag: SampleFlag
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoTargets:
+    """The targets of one photo and what was noticed about them.
+
+    Parameters
+    ----------
+    detections : Detections
+        Coded targets by their names, then dots without a code as "u0", "u1"...
+    centers : tuple of TargetCenter
+        All that is known of each detection.
+    readings : tuple of RingReading
+        The readings of the coded targets, first in the detections.
+    mirrored : tuple of str
+        Names of codes that are in the dictionary only as mirror images (print or photo is mirrored); not detections.
+    unknown_words : tuple of str
+        Sectors ("110100...") of good rings whose word is not in the dictionary.
+    duplicated : tuple of str
+        Names that occur more than once; all of them are among the detections.
+    unused : tuple of UnusedTarget
+        Targets that are partly covered, cut by the border, too small.
+    """
+
+    detections: Detections
+    centers: tuple[TargetCenter, ...]
+    readings: tuple[RingReading, ...]
+    mirrored: tuple[str, ...]
+    unknown_words: tuple[str, ...]
+    duplicated: tuple[str, ...]
+    unused: tuple[UnusedTarget, ...]
+
+
+def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
+    """Find, read and centre all circular targets of a photo.
+
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16 or float32 [DN].
+    photo : str
+        Name of the photo.
+    search : TargetSearch
+        What is searched for.
+
+    Returns
+    -------
+    PhotoTargets
+        Detections with covariances, and what was noticed. No target is no error.
+    """
+    pyramid = make_pyramid(image_dn)
+    dictionary = search.dictionary
+    limits = search.limits if dictionary is None else replace(search.limits, gap_radius=dictionary.radii.inner)
+    candidates = find_in_pyramid(pyramid, limits)
+    dots = [candidate.ellipse for candidate in candidates]
+    readings = [None] * len(dots) if dictionary is None else read_rings(pyramid, dots, dictionary, search.ring_limits)
+    ringed = [(k, reading) for k, reading in enumerate(readings) if reading is not None]
+    coded: list[tuple[TargetCenter, RingReading]] = []
+    unused: list[UnusedTarget] = []
+    covered = [dots[k] for k, _ in ringed]
+    for (_, reading), dot, center in zip(ringed, covered, _centers(image_dn, covered, search), strict=True):
+        if isinstance(center, TargetCenter):
+            coded.append((center, reading))
+        elif reading.code is not None:
+            unused.append(_unused(reading.code.name, dot, center))
+    uncoded: list[TargetCenter] = []
+    if search.with_uncoded:
+        rest = [dot for dot, reading in zip(dots, readings, strict=True) if reading is None]
+        uncoded, cut = _uncoded(image_dn, rest, covered, search)
+        unused += cut
+    named = [(center, reading) for center, reading in coded if reading.code is not None]
+    names = [reading.code.name for _, reading in named if reading.code is not None]
+    centers = [center for center, _ in named] + uncoded
+    detections = _detections(image_dn, photo, names + [f"u{k}" for k in range(len(uncoded))], centers)
+    others = [reading for _, reading in coded if reading.code is None]
+    return PhotoTargets(
+        detections,
+        tuple(centers),
+        tuple(reading for _, reading in named),
+        tuple(reading.mirrored.name for reading in others if reading.mirrored is not None),
+        tuple("".join("01"[bit] for bit in reading.sectors) for reading in others if reading.mirrored is None),
+        detections.duplicated,
+        tuple(unused),
+    )
+
+
+def measure_at(
+    images_dn: Sequence[npt.NDArray[np.generic]],
+    photos: Sequence[str],
+    starts: Sequence[NamedEllipses],
+    search: TargetSearch,
+) -> list[tuple[Detections, FloatArray]]:
+    """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
+
+    Parameters
+    ----------
+    images_dn : sequence of ndarray, shape (h, w)
+        Grey values: uint8, uint16 or float32 [DN].
+    photos : sequence of str
+        Names of the photos.
+    starts : sequence of NamedEllipses
+        Where the dot of each target of each photo is.
+    search : TargetSearch
+        How targets are measured.
+
+    Returns
+    -------
+    list of (Detections, ndarray of shape (n, 2, 2))
+        Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
+    """
+    if search.operator is not template_center:
+        return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]
+    photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])
+    places = np.concatenate([one.centers_px for one in starts] or [np.zeros((0, 2))])
+    shapes = np.concatenate([one.shapes_px2 for one in starts] or [np.zeros((0, 2, 2))])
+    stack = stacked_centers(images_dn, photo, places, shapes, _template_reach(search))
+    for row in np.flatnonzero(~stack.settled).tolist():
+        center = _centers(images_dn[int(photo[row])], [Ellipse(places[row], shapes[row])], search)[0]
+        if isinstance(center, TargetCenter):
+            stack.put(row, center)
+    fine = stack.settled & (stack.residual_dn < search.most_misfit * np.abs(stack.contrast_dn))
+    names = [name for one in starts for name in one.names]
+    found = []
+    for k, (image, name) in enumerate(zip(images_dn, photos, strict=True)):
+        rows = np.flatnonzero((photo == k) & fine)
+        outlines = stack.shapes_px2[rows]
+        detections = Detections(
+            name, tuple(names[row] for row in rows), stack.centers_px[rows], stack.covariance_px2[rows],
+            np.linalg.det(outlines) ** 0.25, _clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
+        )  # fmt: skip
+        found.append((detections, outlines))
+    return found
+
+
+def _measured_one_by_one(
+    image_dn: npt.NDArray[np.generic], photo: str, starts: NamedEllipses, search: TargetSearch
+) -> tuple[Detections, FloatArray]:
+    dots = [Ellipse(*one) for one in zip(starts.centers_px, starts.shapes_px2, strict=True)]
+    centers = _centers(image_dn, dots, search)
+    found = [(name, one) for name, one in zip(starts.names, centers, strict=True)
+             if isinstance(one, TargetCenter) and one.misfit < search.most_misfit]  # fmt: skip
+    measured = [one for _, one in found]
+    shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)
+    return _detections(image_dn, photo, [name for name, _ in found], measured), shapes
+
+
+def _template_reach(search: TargetSearch) -> float:
+    """Return how far from a dot's centre pixels may be used, in its radii: a code ring begins beyond."""
+    gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
+    return min(REACH, 1 + (REACH - 1) * gap)
+
+
+def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
+    flag = why.flag if isinstance(why, UnmeasuredTargetError) else SampleFlag.PARTLY_COVERED
+    return UnusedTarget(name, dot.center_px, flag, str(why))
+
+
+def _centers(
+    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], search: TargetSearch
+) -> Sequence[TargetCenter | EstimationError]:
+    """Measure centres: the template's all at once, those of other operators one by one."""
+    if search.operator is template_center:
+        return template_centers(image_dn, dots, _template_reach(search))
+    found: list[TargetCenter | EstimationError] = []
+    for dot in dots:
+        try:
+            found.append(measure_center(image_dn, dot, search.operator))
+        except EstimationError as error:
+            found.append(error)
+    return found
+
+
+def _uncoded(
+    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], coded: Sequence[Ellipse], search: TargetSearch
+) -> tuple[list[TargetCenter], list[UnusedTarget]]:
+    """Measure the dots without a code that lie in no coded target, and tell which may be a coded one cut off."""
+    radii = VENDOR_RADII if search.dictionary is None else search.dictionary.radii
+    rings = [ring_outline(dot, radii) for dot in coded]
+    middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)
+    conics = np.array([np.linalg.inv(ring.shape_px2) for ring in rings]).reshape(-1, 2, 2)
+    off = np.array([dot.center_px for dot in dots]).reshape(-1, 1, 2) - middles
+    within = (np.einsum("mni,nij,mnj->mn", off, conics, off) < 1).any(axis=1)
+    free, cut = [], []
+    for dot, in_ring in zip(dots, within.tolist(), strict=True):
+        if in_ring:
+            continue
+        if search.dictionary is not None and not _whole(ring_outline(dot, radii), image_dn.shape):
+            why = "its code ring, if it has one, reaches beyond the border of the photo"
+            cut.append(UnusedTarget("", dot.center_px, SampleFlag.CUT_BY_BORDER, why))
+        else:
+            free.append(dot)
+    centers = [center for center in _centers(image_dn, free, search) if isinstance(center, TargetCenter)]
+    return [center for center in centers if center.misfit < search.most_misfit], cut
+
+
+def _whole(outline: Ellipse, shape: tuple[int, ...]) -> bool:
+    half = np.sqrt(np.diag(outline.shape_px2))
+    low, high = outline.center_px - half, outline.center_px + half
+    return bool((low > 0).all() and high[0] < shape[1] - 1 and high[1] < shape[0] - 1)
+
+
+def _detections(
+    image_dn: npt.NDArray[np.generic], photo: str, names: Sequence[str], centers: Sequence[TargetCenter]
+) -> Detections:
+    n = len(centers)
+    inside = np.array([center.inside_dn for center in centers])
+    contrast = np.array([center.contrast_dn for center in centers])
+    return Detections(
+        photo,
+        tuple(names),
+        np.array([center.center_px for center in centers]).reshape(n, 2),
+        np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
+        np.array([center.ellipse.radius_px for center in centers]).reshape(n),
+        _clipped(image_dn, inside, contrast),
+    )
+
+
+def _clipped(image_dn: npt.NDArray[np.generic], inside_dn: FloatArray, contrast_dn: FloatArray) -> FlagArray:
+    """Flag targets of which a side is at the largest number of the file."""
+    flags = np.zeros(inside_dn.size, dtype=np.uint32)
+    # Luminance of colours, or light of encoded numbers, is float32 in the file's depth.
+    is_deep = image_dn.dtype == np.uint16 or float(image_dn.max(initial=0)) > 255
+    highest = 65535.0 if is_deep else 255.0
+    flags[np.maximum(inside_dn, inside_dn - contrast_dn) > _CLIPPED_SHARE * highest] = SampleFlag.CLIPPED
+    return flags

@@ -1,0 +1,1 @@
+"""What the measurement.toml of a photo network may say."""

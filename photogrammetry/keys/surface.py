@@ -1,0 +1,82 @@
+"""What measurement.toml of ``kind = "photogrammetry"`` may say of the surface under the targets: ``[surface]``."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from heliogauge.measurement.models import DESIGN_KEYS, DesignKeys, Outline, Positive, Section, Text, Vector2, Vector3
+
+#: Names, patterns with ``*`` and ``?``, and ranges ``17..32`` or ``A1..A9``.
+TargetNames = Annotated[tuple[Text, ...], Field(min_length=1)]
+
+
+class ReferenceTargetSection(Section):
+    """A target whose place on the design is known: ``[[surface.reference]]``."""
+
+    target: Text
+    xyz_m: Vector3
+
+
+class SurfaceFacetSection(DesignKeys):
+    """One facet: its targets, and its design pose ``design_from_facet`` where it has a design of its own."""
+
+    name: Text
+    targets: TargetNames
+    outline_m: Outline | None = None
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    rotation_vector_rad: Vector3 = (0.0, 0.0, 0.0)
+    reference_point_m: Vector2 | None = None
+
+
+class SurfaceSection(DesignKeys):
+    """The design surface, or a CAD mesh, that the targets are compared with; another date; what is written."""
+
+    fit: Literal["rigid", "focal-length", "none"] = "rigid"
+    robust: bool = True
+    targets: TargetNames | None = None
+    reference: tuple[ReferenceTargetSection, ...] = ()
+    facet: tuple[SurfaceFacetSection, ...] = ()
+    outline_m: Outline | None = None
+    slope_map: bool = True
+    grid_step_mm: Positive | None = None
+    mesh: Text | None = None
+    mesh_unit: Literal["m", "mm"] = "m"
+    ply: bool = False
+    compare_with: Text | None = None
+    stable_targets: TargetNames | None = None
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        own = bool(self.facet) and all(facet.design for facet in self.facet)
+        if self.design is not None and self.mesh is not None:
+            raise ValueError("design and mesh are both given; compare with one of them")
+        if self.design is None and not own and (self.facet or not (self.mesh or self.compare_with)):
+            raise ValueError(f"design is missing; say one of {', '.join(DESIGN_KEYS)} (or give mesh or compare_with)")
+        if self.fit == "focal-length" and (not self.curvable or any(facet.design for facet in self.facet)):
+            raise ValueError('fit = "focal-length" needs one design with a focal length or radius for all targets')
+        if self.stable_targets is not None and self.compare_with is None:
+            raise ValueError("stable_targets belong to compare_with, which is missing")
+        if self.reference and len(self.reference) < 3:
+            raise ValueError(f"{len(self.reference)} [[surface.reference]] are too few; three or more place the design")
+        for what, names in (("facets", [one.name for one in self.facet]),
+                            ("references", [one.target for one in self.reference])):  # fmt: skip
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise ValueError(f'two {what} are called "{twice}"')
+        return self
+
+    @property
+    def curvable(self) -> bool:
+        """Whether the design has lengths that can be estimated."""
+        return self.design is not None and self.design not in ("plane", "quadric")
+
+    @property
+    def names(self) -> list[str]:
+        """Files that the section names, relative to the measurement's folder."""
+        other = [] if self.compare_with is None else [f"{self.compare_with}/points.csv"]
+        return other if self.mesh is None else [self.mesh, *other]
+
+    @property
+    def has_design(self) -> bool:
+        """Whether there is a surface by formula."""
+        return self.design is not None or bool(self.facet)

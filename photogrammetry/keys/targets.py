@@ -1,0 +1,98 @@
+"""What measurement.toml says of the targets in photos."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from heliogauge.measurement.models import Positive, Section, Text, Vector3
+
+
+class UncodedSection(Section):
+    """A target without a code: its name and where it is, to some millimetres."""
+
+    target: Text
+    xyz_m: Vector3
+    sigma_mm: Positive
+
+
+class CharucoTargetSection(Section):
+    """A ChArUco board in the scene, of the markers of the dictionary; columns and rows count squares."""
+
+    columns: Annotated[int, Field(strict=True, ge=4)]
+    rows: Annotated[int, Field(strict=True, ge=4)]
+    square_mm: Positive
+    marker_mm: Positive
+
+
+class TargetsSection(Section):
+    """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``), square markers (``DICT_4X4_100``), dots.
+
+    A dictionary that ends in .csv or .toml is a file with ring codes of one's own. ``sense`` and the ring's radii, in
+    radii of the dot, say how the codes are printed where that is not as the dictionary has it.
+
+    Dots without a code are matched through the poses that coded targets give; ``uncoded`` or ``uncoded_file`` names
+    them. Without a dictionary they are told by that list alone, with a known camera, or followed from marks set by hand
+    (``tracked_from``).
+    """
+
+    dictionary: Text | None = None
+    sense: Literal["clockwise", "counterclockwise"] | None = None
+    ring_inner_radius: Positive | None = None
+    ring_outer_radius: Positive | None = None
+    diameter_mm: Positive | None = None
+    polarity: Literal["black-on-white", "white-on-black", "both"] = "both"
+    smallest_px: Annotated[float, Field(strict=True, ge=3)] = 6.0
+    largest_px: Positive = 300.0
+    find_uncoded: bool | None = None
+    uncoded: tuple[UncodedSection, ...] = ()
+    uncoded_file: Text | None = None
+    up: Vector3 | None = None
+    front: Vector3 | None = None
+    tracked_from: Text | None = None
+    charuco: CharucoTargetSection | None = None
+    search_radius_px: Annotated[float, Field(strict=True, ge=4)] = 100.0
+
+    @model_validator(mode="after")
+    def _one_list(self) -> Self:
+        if self.dictionary is None and self.tracked_from is None and not self.is_listed:
+            raise ValueError(
+                "say which dictionary the targets in the photos are from; or list targets without a code "
+                "(uncoded_file), or name a file with marks set by hand (tracked_from)"
+            )
+        if self.charuco is not None and not self.has_markers:
+            raise ValueError("charuco: the dictionary must be that of the board's markers, DICT_...")
+        names = [one.target for one in self.uncoded]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"uncoded: target {twice} is listed twice")
+        if self.find_uncoded is False and self.is_listed:
+            raise ValueError("find_uncoded = false, but targets without a code are listed; leave one of both out")
+        return self
+
+    @property
+    def has_markers(self) -> bool:
+        """Whether the coded targets are square markers."""
+        return self.dictionary is not None and self.dictionary.startswith("DICT_")
+
+    @property
+    def dictionary_file(self) -> str | None:
+        """The file with a user's own ring codes, if the dictionary is one."""
+        is_file = self.dictionary is not None and self.dictionary.lower().endswith((".csv", ".toml"))
+        return self.dictionary if is_file else None
+
+    @property
+    def is_listed(self) -> bool:
+        """Whether targets without a code are listed with rough places."""
+        return bool(self.uncoded or self.uncoded_file)
+
+    @property
+    def searches_dots(self) -> bool:
+        """Whether dots without a code are searched for: by default beside ring codes, or where some are listed."""
+        if self.find_uncoded is not None:
+            return self.find_uncoded
+        return self.is_listed or (self.dictionary is not None and not self.has_markers)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files that are named."""
+        return tuple(name for name in (self.dictionary_file, self.uncoded_file, self.tracked_from) if name is not None)

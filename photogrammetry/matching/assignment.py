@@ -1,0 +1,395 @@
+"""Which dot of a single photo is which listed target, when neither its pose nor any code is known."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from math import comb
+
+import cv2
+import numpy as np
+
+from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray, float_array
+from photogrammetry.bundle.state import rotations_from_vectors
+from photogrammetry.image_points import IntArray
+from photogrammetry.matching.uncoded_names import ListedTargets
+
+__all__ = ["Assignment", "Sense", "assign_targets"]
+
+#: Fewer agreeing targets say nothing: three fit any pose, a fourth often does.
+_LEAST = 5
+#: Triples of dots that are tried; with every second dot false one in 8 is good, so that 100 fail once in 600 000.
+_TRIPLES = 100
+#: Ordered triples of listed targets tried for each triple of dots.
+_MOST_LISTED = 25_000
+#: Poses refined for each triple of dots.
+_REFINED = 10
+#: Probability of refusing a dot that is right.
+_SIGNIFICANCE = 1e-3
+_MOST_ACCIDENTS = 0.01
+#: Two rivals whose stated up direction differs by less are not told apart by it.
+_LEAST_TURN_RAD = np.deg2rad(30.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sense:
+    """What settles symmetric layouts, in the frame of the list.
+
+    Parameters
+    ----------
+    up : array_like of shape (3,), optional
+        Direction that points up in the photo, roughly.
+    front : array_like of shape (3,), optional
+        Direction from the targets towards the side they are seen from.
+
+    Raises
+    ------
+    InputError
+        A direction of length 0.
+    """
+
+    up: FloatArray | None = None
+    front: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("up", "front"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            vector = float_array(f"sense: {name}", value, (3,))
+            if not float(np.linalg.norm(vector)) > 0:
+                raise InputError(f"sense: {name}: a direction is needed, not (0, 0, 0)")
+            object.__setattr__(self, name, vector)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assignment:
+    """Dots of one photo with the names of listed targets.
+
+    Parameters
+    ----------
+    target_of_dot : ndarray of int, shape (m,)
+        Place of each dot's target in the list, -1 for none.
+    cam_from_list : RigidTransform
+        The pose.
+    misses : ndarray, shape (m,)
+        How far each assigned dot is from where it should be, in sigma; NaN for others.
+    accidents : float
+        Expected number of such agreements by accident, of all poses that were tried.
+    """
+
+    target_of_dot: IntArray
+    cam_from_list: RigidTransform
+    misses: FloatArray
+    accidents: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """What is given, also as directions without lens: dots (m, 2)."""
+
+    camera: Camera
+    pixels: FloatArray
+    covariance: FloatArray
+    ideal: FloatArray
+    listed: ListedTargets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    pose: RigidTransform
+    target_of_dot: IntArray
+    misses: FloatArray
+    score: float
+    accidents: float
+
+
+def assign_targets(
+    camera: Camera,
+    pixels_px: FloatArray,
+    covariance_px2: FloatArray,
+    listed: ListedTargets,
+    *,
+    sense: Sense | None = None,
+) -> Assignment:
+    """Find which dots of a photo are which listed targets, and the photo's pose.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    pixels_px : array_like, shape (m, 2)
+        The dots, false ones among them [px].
+    covariance_px2 : array_like, shape (m, 2, 2)
+        Their covariances [px^2].
+    listed : ListedTargets
+        The targets with approximate coordinates; some may not be in the photo.
+    sense : Sense, optional
+        What settles symmetric layouts.
+
+    Returns
+    -------
+    Assignment
+        The dots' targets and the pose.
+
+    Raises
+    ------
+    InputError
+        Lengths differ.
+    EstimationError
+        Fewer than five targets or dots; no pose explains them; or several do: a layout that looks the same after a turn
+        or in a mirror, which ``sense`` may settle.
+
+    Notes
+    -----
+    Triples of dots with all ordered triples of targets by the three-point solution; poses are judged by the dots near
+    listed targets, the best refined with the sigmas of dots and of listed coordinates. The first triple of dots whose
+    best pose is no accident ends the search; its rivals come from the same triple with other targets. The score is the
+    sum of ``gate - miss^2`` over the targets that have a dot, gate the chi-square quantile of two degrees of freedom.
+    A rival is a pose with other names for the dots, as many of them but one, and residuals that the sigmas allow.
+    """
+    pixels = float_array("pixels_px", pixels_px, (None, 2))
+    covariance = float_array("covariance_px2", covariance_px2, (len(pixels), 2, 2))
+    if min(len(pixels), len(listed)) < _LEAST:
+        raise EstimationError(
+            f"assignment: {len(pixels)} dots and {len(listed)} listed targets; {_LEAST} of both are needed"
+        )
+    rays = camera.cast_rays(pixels)
+    scene = _Scene(camera, pixels, covariance, rays[:, :2] / rays[:, 2:], listed)
+    triples = _ordered_triples(listed)
+    tried, solutions = 0, list[_Solution]()
+    for dots in _dot_triples(scene.ideal):
+        poses = _three_point_poses(scene, dots, triples)
+        tried += len(poses[0])
+        solutions += _judged(scene, poses, tried)
+        if any(one.accidents < _MOST_ACCIDENTS for one in solutions):
+            break
+    good = [one for one in solutions if one.accidents < _MOST_ACCIDENTS]
+    if not good:
+        most = max((int((one.target_of_dot >= 0).sum()) for one in solutions), default=0)
+        raise EstimationError(
+            f"assignment: no pose explains the dots: at most {most} of {len(listed)} listed targets agree with one of "
+            f"{len(pixels)} dots; are the coordinates, their sigmas and the camera right?"
+        )
+    best = _settled(good, listed, sense or Sense())
+    return Assignment(best.target_of_dot, best.pose, best.misses, best.accidents)
+
+
+def _ordered_triples(listed: ListedTargets) -> IntArray:
+    """Return ordered triples of targets, (k, 3), all or a fixed choice of many, none of them nearly on a line."""
+    n = len(listed)
+    if n * (n - 1) * (n - 2) <= 2 * _MOST_LISTED:
+        triples = np.array(list(permutations(range(n), 3)), dtype=np.intp)
+    else:
+        rng = np.random.default_rng(0)
+        triples = np.asarray(np.argsort(rng.random((2 * _MOST_LISTED, n)), axis=1)[:, :3], dtype=np.intp)
+    sides = listed.points_m[triples]
+    one, two = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
+    area = np.linalg.norm(np.cross(one, two), axis=1)
+    longest = np.maximum((one**2).sum(axis=1), (two**2).sum(axis=1))
+    triples = np.asarray(triples[area > 0.02 * longest], dtype=np.intp)
+    if not len(triples):
+        raise EstimationError("assignment: all listed targets are on one line; that leaves the pose open")
+    return triples
+
+
+def _dot_triples(ideal: FloatArray) -> Iterator[IntArray]:
+    """Yield triples of dots, a fixed random choice without those nearly on a line."""
+    rng = np.random.default_rng(1)
+    usable = np.nonzero(np.isfinite(ideal).all(axis=1))[0]
+    if usable.size < 3:
+        return
+    chosen = np.array([rng.choice(usable, 3, replace=False) for _ in range(4 * _TRIPLES)])
+    sides = ideal[chosen]
+    one, two = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
+    area = np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    # Not the widest: false dots lie all over the photo, targets in a part of it.
+    yield from chosen[area > 0.1 * np.median(area)][:_TRIPLES]
+
+
+def _three_point_poses(scene: _Scene, dots: IntArray, triples: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return all poses, rotations (k, 3, 3) and shifts (k, 3), that put triples of targets on three dots."""
+    image = np.ascontiguousarray(scene.ideal[dots])
+    middle = scene.listed.points_m.mean(axis=0)
+    places = np.ascontiguousarray((scene.listed.points_m - middle)[triples])
+    eye, none = np.eye(3), np.zeros(4)
+    vectors: list[FloatArray] = []
+    for three in places:
+        _, turns, shifts = cv2.solveP3P(three, image, eye, none, flags=cv2.SOLVEPNP_AP3P)
+        vectors += [np.concatenate([turn, shift]).ravel() for turn, shift in zip(turns, shifts, strict=True)]
+    poses = np.array(vectors).reshape(-1, 6)
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    rotations = rotations_from_vectors(poses[:, :3])
+    return rotations, poses[:, 3:] - rotations @ middle
+
+
+def _judged(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> list[_Solution]:
+    """Refine the poses that most targets find a dot with."""
+    rotations, shifts = poses
+    if not len(rotations):
+        return []
+    focal = scene.camera.focal_x_px
+    noise = float(np.sqrt(np.median(np.trace(scene.covariance, axis1=1, axis2=2)) / 2)) / focal
+    spread = float(np.sqrt((scene.listed.sigma_m**2).mean()))
+    counts, costs = np.zeros(len(rotations)), np.zeros(len(rotations))
+    for first in range(0, len(rotations), 2048):
+        own = slice(first, first + 2048)
+        seen = np.einsum("kij,nj->kni", rotations[own], scene.listed.points_m) + shifts[own, None]
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        places = seen[..., :2] / depth[..., None]
+        off = np.linalg.norm(places[:, :, None] - scene.ideal[None, None], axis=3)
+        nearest = np.where(np.isfinite(off), off, np.inf).min(axis=2)
+        # Three noisy points carry their errors outwards: twice the three sigma of one.
+        reach = 6 * np.hypot(noise, spread / np.nan_to_num(depth, nan=np.inf))
+        counts[own] = (nearest < reach).sum(axis=1)
+        costs[own] = np.minimum(nearest / np.maximum(reach, 1e-300), 1.0).sum(axis=1)
+    order = np.lexsort((costs, -counts))[:_REFINED]
+    found: dict[bytes, _Solution] = {}
+    for index in order[counts[order] >= _LEAST].tolist():
+        one = _refined(scene, RigidTransform(rotations[index], shifts[index]), tried)
+        if one is not None:
+            key = one.target_of_dot.tobytes()
+            if key not in found or one.score > found[key].score:
+                found[key] = one
+    return list(found.values())
+
+
+def _refined(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | None:
+    """Assign, adjust the pose, assign again, with a gate that narrows to the sigmas."""
+    gate = chi_square_quantile(1 - _SIGNIFICANCE, 2)
+    for widening in (4.0, 2.0, 1.0, 1.0, 1.0):
+        pairs, _, usable = _assigned(scene, pose, widening**2 * gate)
+        if len(pairs) < 4 or not usable:
+            return None
+        moved = _moved(scene, pose, pairs)
+        if moved is None:
+            return None
+        pose = moved
+    pairs, squares, _ = _assigned(scene, pose, gate)
+    if len(pairs) < _LEAST:
+        return None
+    target_of_dot = np.full(len(scene.pixels), -1, dtype=np.intp)
+    misses = np.full(len(scene.pixels), np.nan)
+    target_of_dot[pairs[:, 1]] = pairs[:, 0]
+    misses[pairs[:, 1]] = np.sqrt(squares)
+    return _Solution(pose, target_of_dot, misses, float((gate - squares).sum()), _accidents(scene, pose, pairs, tried))
+
+
+def _accidents(scene: _Scene, pose: RigidTransform, pairs: IntArray, tried: int) -> float:
+    """Return the expected number of poses, of all tried, with so many targets near dots by accident."""
+    pixels, covariance, inside = _predicted(scene, pose)
+    area = np.pi * chi_square_quantile(1 - _SIGNIFICANCE, 2) * np.sqrt(np.linalg.det(covariance[inside])).mean()
+    chance = min(len(scene.pixels) * float(area) / (scene.camera.width_px * scene.camera.height_px), 1.0)
+    # Three targets were put on their dots.
+    free, hits = max(int(inside.sum()) - 3, 1), len(pairs) - 3
+    tail = sum(comb(free, k) * chance**k * (1 - chance) ** (free - k) for k in range(hits, free + 1))
+    return float(tried * tail) if np.isfinite(pixels[inside]).all() else float("inf")
+
+
+def _predicted(scene: _Scene, pose: RigidTransform) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Images of the listed targets, their covariance from listed sigmas and a typical dot's, and which are inside."""
+    seen = scene.camera.project_posed(scene.listed.points_m, pose)
+    spread = seen.d_pixel_d_point * scene.listed.sigma_m[:, None, :]
+    covariance = spread @ np.swapaxes(spread, 1, 2) + np.median(scene.covariance, axis=0)
+    size = np.array([scene.camera.width_px, scene.camera.height_px])
+    inside = ((seen.pixels_px > -0.5) & (seen.pixels_px < size - 0.5)).all(axis=1)
+    return seen.pixels_px, covariance, np.asarray(inside)
+
+
+def _assigned(scene: _Scene, pose: RigidTransform, gate: float) -> tuple[IntArray, FloatArray, bool]:
+    """Pairs (target, dot), (k, 2), that are each other's nearest, their squared misses, and whether any is inside."""
+    pixels, covariance, inside = _predicted(scene, pose)
+    if not inside.any():
+        return np.zeros((0, 2), dtype=np.intp), np.zeros(0), False
+    off = scene.pixels[None] - np.where(inside[:, None], pixels, 1e9)[:, None]
+    covariance = np.where(inside[:, None, None], covariance, np.eye(2))
+    squares = np.einsum("nmi,nij,nmj->nm", off, np.linalg.inv(covariance), off)
+    nearest = np.argmin(squares, axis=1)
+    mutual = np.argmin(squares, axis=0)[nearest] == np.arange(len(pixels))
+    good = mutual & inside & (squares[np.arange(len(pixels)), nearest] < gate)
+    own = np.nonzero(good)[0]
+    return np.stack([own, nearest[own]], axis=1), squares[own, nearest[own]], True
+
+
+def _moved(scene: _Scene, pose: RigidTransform, pairs: IntArray) -> RigidTransform | None:
+    """Adjust a pose to pairs by three steps of Gauss and Newton; None where that fails."""
+    points, pixels = scene.listed.points_m[pairs[:, 0]], scene.pixels[pairs[:, 1]]
+    for _ in range(3):
+        seen = scene.camera.project_posed(points, pose)
+        if not np.isfinite(seen.pixels_px).all():
+            return None
+        spread = seen.d_pixel_d_point * scene.listed.sigma_m[pairs[:, 0]][:, None, :]
+        weights = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2) + scene.covariance[pairs[:, 1]])
+        design = seen.d_pixel_d_pose
+        normal = np.einsum("nia,nij,njb->ab", design, weights, design)
+        right = np.einsum("nia,nij,nj->a", design, weights, pixels - seen.pixels_px)
+        try:
+            step = np.linalg.solve(normal, right)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(step).all() or float(np.linalg.norm(step[:3])) > 1.0:
+            return None
+        pose = pose.moved(step)
+    return pose
+
+
+def _settled(found: Sequence[_Solution], listed: ListedTargets, sense: Sense) -> _Solution:
+    """Return the best solution; refuse where another one names the dots differently and fits as well."""
+    middle = listed.points_m.mean(axis=0)
+    if sense.front is not None:
+        front = sense.front
+        found = [one for one in found if (one.pose.inverse().translation_m - middle) @ front > 0]
+        if not found:
+            raise EstimationError("assignment: every pose that fits sees the targets from behind the stated front")
+    ranked = sorted(found, key=lambda one: -one.score)
+    best = ranked[0]
+    rivals = [best, *(one for one in ranked[1:] if _differ(one, best) and _acceptable(one, best))]
+    if len(rivals) == 1:
+        return best
+    text = (
+        f"assignment: {len(rivals)} ways of naming {int((best.target_of_dot >= 0).sum())} dots fit equally well "
+        f"({_example(best, rivals[1], listed)}): a symmetric layout"
+    )
+    if sense.up is None:
+        raise EstimationError(f"{text}; state which direction is up and where the front is, or add a target")
+    tilts = [_tilt_rad(one.pose, sense.up) for one in rivals]
+    order = np.argsort(tilts)
+    if tilts[order[1]] - tilts[order[0]] < _LEAST_TURN_RAD:
+        raise EstimationError(f"{text}, and the stated up direction does not tell them apart; state the front, too")
+    return rivals[int(order[0])]
+
+
+def _acceptable(one: _Solution, best: _Solution) -> bool:
+    """Whether a solution could be true: as many targets but one, residuals as the sigmas say or hardly above the best.
+
+    The difference of chi-squares is no criterion: where the layout is symmetric both namings have errors of the list
+    of their own.
+    """
+    counts = [int(np.isfinite(each.misses).sum()) for each in (one, best)]
+    squares = [float(np.nansum(each.misses**2)) for each in (one, best)]
+    limit = chi_square_quantile(1 - _SIGNIFICANCE, max(2 * counts[0] - 6, 1))
+    return counts[0] >= counts[1] - 1 and squares[0] < max(limit, 1.5 * squares[1])
+
+
+def _differ(one: _Solution, other: _Solution) -> bool:
+    """Whether two solutions name a dot differently; one dot more or less is no difference."""
+    both = (one.target_of_dot >= 0) & (other.target_of_dot >= 0)
+    return not both.any() or bool((one.target_of_dot[both] != other.target_of_dot[both]).any())
+
+
+def _example(one: _Solution, other: _Solution, listed: ListedTargets) -> str:
+    """Name one dot that two solutions name differently."""
+    both = (one.target_of_dot >= 0) & (other.target_of_dot >= 0) & (one.target_of_dot != other.target_of_dot)
+    if not both.any():
+        return "of different dots"
+    k = int(np.argmax(both))
+    return f"one dot is {listed.names[one.target_of_dot[k]]} or {listed.names[other.target_of_dot[k]]}"
+
+
+def _tilt_rad(pose: RigidTransform, up: FloatArray) -> float:
+    """Angle in the image between a direction of the list and the image's up."""
+    x, y, _ = pose.rotate(up)
+    return float(abs(np.arctan2(x, -y)))

@@ -1,0 +1,1 @@
+"""A whole network: solved, its quality, its sigmas by kind, its lengths."""

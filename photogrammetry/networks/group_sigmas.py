@@ -1,0 +1,139 @@
+"""Sigmas of several kinds of image points in one network, each kind's size from its own residuals."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.bundle.statistics import examine_image_points
+from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
+from photogrammetry.start_values.network import StartValues
+
+#: A kind with less redundancy than this keeps its stated sigma: its factor would be known to 20 % at best.
+_LEAST_REDUNDANCY = 50
+_MOST_ROUNDS = 4
+#: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare.
+_CLOSE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """A network whose kinds of image points were weighed against each other.
+
+    Parameters
+    ----------
+    solved : Solved
+        The network with the final sigmas.
+    points : ImagePoints
+        All image points that were given, with sigmas of the right ratios.
+    factors : ndarray, shape (g,)
+        What the stated sigmas of each kind were multiplied by.
+    """
+
+    solved: Solved
+    points: ImagePoints
+    factors: FloatArray
+
+
+def variance_factors(bundle: BundleResult, kinds: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Compare the residuals of each kind of image points with its stated sigmas.
+
+    Parameters
+    ----------
+    bundle : BundleResult
+        An adjusted network.
+    kinds : ndarray of int, shape (m,)
+        Kind of each of its image points.
+    count : int
+        Number of kinds.
+
+    Returns
+    -------
+    factors : ndarray, shape (count,)
+        Squared whitened residuals over redundancy; 1 where all is right, NaN without redundancy.
+    redundancy : ndarray, shape (count,)
+        Their redundancies.
+
+    Notes
+    -----
+    Variance components as Foerstner's iteration has them: ``v^T P v / r`` of each group (Foerstner 1979, Ein Verfahren
+    zur Schaetzung von Varianz- und Kovarianzkomponenten, eq. 12); at its fixed point it is the strict estimate.
+    """
+    numbers = np.einsum("mii->m", examine_image_points(bundle).redundancy)
+    squares = (bundle.whitened_residuals**2).sum(axis=1)
+    redundancy = np.bincount(kinds, weights=numbers, minlength=count)
+    total = np.bincount(kinds, weights=squares, minlength=count)
+    return np.asarray(total / np.where(redundancy > 0, redundancy, np.nan)), np.asarray(redundancy, dtype=np.float64)
+
+
+def solve_weighed(
+    points: ImagePoints,
+    ellipses_px2: FloatArray,
+    kinds: IntArray,
+    cameras: NetworkCameras,
+    knowledge: Knowledge,
+    options: SolveOptions,
+) -> Weighed:
+    """Solve a network of several kinds of image points without believing how their sigmas compare.
+
+    Parameters
+    ----------
+    points : ImagePoints
+        All image points, false ones among them.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Ellipses of the targets; NaN where there is none [px^2].
+    kinds : ndarray of int, shape (m,)
+        Kind of each image point: coded targets, features of one range of size, ...
+    cameras : NetworkCameras
+        The cameras to start from and what of them is free.
+    knowledge : Knowledge
+        Scale bars, control points, constraints and datum.
+    options : SolveOptions
+        How to solve.
+
+    Returns
+    -------
+    Weighed
+        The network, and by what the sigmas of each kind were multiplied.
+
+    Raises
+    ------
+    EstimationError
+        As `photogrammetry.networks.solve_network.solve_network`.
+    """
+    count = int(kinds.max(initial=0)) + 1
+    factors = np.ones(count)
+    solved = solve_network(points, ellipses_px2, cameras, knowledge, options)
+    for _ in range(_MOST_ROUNDS if count > 1 else 0):
+        found, redundancy = variance_factors(solved.bundle, _kinds_of(solved, points, kinds), count)
+        # The network's own factor is that of all kinds together and is found again in the end.
+        change = np.where(redundancy >= _LEAST_REDUNDANCY, found, 1.0)
+        if np.abs(change - 1).max() < _CLOSE:
+            break
+        found = change * solved.image_sigma_factor**2
+        factors *= np.sqrt(found)
+        points = replace(points, covariance_px2=points.covariance_px2 * found[kinds][:, None, None])
+        knowledge = replace(knowledge, start=_start(solved.bundle))
+        cameras = replace(cameras, cameras=solved.bundle.state.cameras)
+        solved = solve_network(points, ellipses_px2, cameras, knowledge, options)
+    return Weighed(solved, points, factors)
+
+
+def _kinds_of(solved: Solved, points: ImagePoints, kinds: IntArray) -> IntArray:
+    """Kind of each image point that took part."""
+    table = solved.bundle.problem.observations
+    photos, targets = ({name: k for k, name in enumerate(names)} for names in (points.photos, points.targets))
+    photo = np.array([photos[name] for name in table.photos], dtype=np.intp)[table.photo_index]
+    target = np.array([targets[name] for name in table.targets], dtype=np.intp)[table.target_index]
+    keys = points.pair_keys
+    order = np.argsort(keys)
+    place = order[np.searchsorted(keys[order], photo * len(points.targets) + target)]
+    return np.asarray(kinds[place])
+
+
+def _start(bundle: BundleResult) -> StartValues:
+    table = bundle.problem.observations
+    poses = dict(zip(table.photos, bundle.cam_from_world, strict=True))
+    return StartValues(poses, dict(zip(table.targets, bundle.state.points_m, strict=True)))

@@ -1,0 +1,375 @@
+"""What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.bundle.constraints import Distance
+from photogrammetry.bundle.statistics import examine_image_points
+from photogrammetry.networks.length_error import LengthRole, LengthStatement, Verdict, measured_length
+from photogrammetry.networks.solve_network import Solved
+
+Numbers = dict[str, float | int | None]
+
+#: A known value this many of its sigmas off is doubtful: 1 in 370 would be by chance.
+_DOUBTFUL = 3.0
+#: So many rejected image points of one target, a quarter of them all, are no accident.
+_DOUBLED_RAYS = 2
+#: Doubtful targets that get a sentence each; of the others so many are listed in one.
+_NAMED_ALONE, _LISTED = 3, 10
+#: Probability of naming any good image point of all.
+_FAMILY = 0.01
+#: Intersections below this many degrees say little of the depth.
+_LEAST_ROLL_RAD = 0.5
+#: Good measurements lose a few image points in a hundred; a wrong start loses every fifth.
+_MANY_REJECTED = 0.08
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedDistance:
+    """A known distance, and what the network says of it.
+
+    Parameters
+    ----------
+    name : str
+        The two targets.
+    used : bool
+        Whether the adjustment knew it.
+    known_m, sigma_known_m, measured_m, sigma_measured_m : float
+        Distances and their sigmas [m].
+    """
+
+    name: str
+    used: bool
+    known_m: float
+    sigma_known_m: float
+    measured_m: float
+    sigma_measured_m: float
+
+
+def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[CheckedDistance, ...]:
+    """Compare known distances with those of the adjusted network.
+
+    Parameters
+    ----------
+    bundle : BundleResult
+        The adjusted network.
+    checks : sequence of Distance
+        Distances that were not used; those used follow from the network.
+
+    Returns
+    -------
+    tuple of CheckedDistance
+        Used ones first; those of targets that are not in the network are left out.
+    """
+    table = bundle.problem.observations
+    place = {name: i for i, name in enumerate(table.targets)}
+    used = [one for one in bundle.problem.constraints if isinstance(one, Distance)]
+    found: list[CheckedDistance] = []
+    for one, known in [*((one, True) for one in used), *((one, False) for one in checks)]:
+        if not all(name in place for name in one.targets):
+            continue
+        pair = np.array([place[name] for name in one.targets], dtype=np.intp)
+        length, sigma = measured_length(bundle, pair)
+        found.append(CheckedDistance(one.name, known, one.distance_m, one.sigma_m, length, sigma))
+    return tuple(found)
+
+
+def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[str, str]]:
+    """Return the headline numbers, and why some are not determined.
+
+    Parameters
+    ----------
+    solved : Solved
+        The adjusted network.
+    lengths : LengthStatement
+        Known lengths against the network.
+
+    Returns
+    -------
+    tuple of dict
+        Numbers with units in their names; reasons.
+    """
+    bundle = solved.bundle
+    table = bundle.problem.observations
+    squares = bundle.residuals_px**2
+    sigmas = bundle.sigma_points_m[table.n_rays > 0]
+    size_m = _extent_m(bundle)
+    mean_sigma = np.sqrt((sigmas**2).mean(axis=0))
+    checked = bar_checks(bundle, ())
+    low, high = bundle.variance_factor_interval()
+    overall = float(np.sqrt((mean_sigma**2).mean()))
+    numbers: Numbers = {
+        "points_count": int((table.n_rays > 0).sum()),
+        "photos_count": int((table.n_targets_in_photo > 0).sum()),
+        "image_points_count": table.n,
+        "image_residual_rms_px": float(np.sqrt(squares.sum(axis=1).mean())),
+        "image_residual_rms_per_coordinate_px": float(np.sqrt(squares.mean())),
+        "largest_image_residual_px": float(np.sqrt(squares.sum(axis=1).max(initial=0.0))),
+        "sigma0_ratio": bundle.sigma0,
+        "variance_factor": bundle.variance_factor,
+        "variance_factor_low_factor": low,
+        "variance_factor_high_factor": high,
+        "image_sigma_factor": solved.image_sigma_factor,
+        "image_sigma_posterior_px": _posterior_sigma_px(bundle),
+        "redundancy_count": bundle.redundancy,
+        "point_sigma_x_rms_m": float(mean_sigma[0]),
+        "point_sigma_y_rms_m": float(mean_sigma[1]),
+        "point_sigma_z_rms_m": float(mean_sigma[2]),
+        "point_sigma_largest_m": float(sigmas.max(initial=0.0)),
+        "extent_m": size_m,
+        "relative_precision_ratio": size_m / overall if overall > 0 else None,
+        "largest_eccentricity_px": solved.largest_eccentricity_px,
+        "rejected_image_points_count": len(solved.rejected) + len(solved.network.suspicious),
+        "scale_bar_residual_rms_m": _rms([one.measured_m - one.known_m for one in checked]),
+        **_length_numbers(lengths),
+    }
+    reasons = {
+        "scale_bar_residual_rms_m": "no scale bar was used",
+        **dict.fromkeys(
+            ("length_error_rms_m", "length_error_largest_m", "length_error_sigma_ratio"),
+            "no scale bar was kept apart (check_only = true)",
+        ),
+        **dict.fromkeys(
+            ("length_error_left_out_rms_m", "length_error_left_out_largest_m", "length_error_left_out_sigma_ratio"),
+            "leaving a scale bar out needs at least two",
+        ),
+        "length_errors_outside_count": "no permissible error is stated ([permissible_length_error])",
+        "relative_precision_ratio": "all points are held",
+        **dict.fromkeys(
+            (
+                "sigma0_ratio",
+                "image_sigma_posterior_px",
+                "variance_factor",
+                "variance_factor_low_factor",
+                "variance_factor_high_factor",
+            ),
+            "no redundancy",
+        ),
+    }
+    missing = {key: reasons[key] for key, value in numbers.items() if value is None or not np.isfinite(value)}
+    return {key: None if key in missing else value for key, value in numbers.items()}, missing
+
+
+def _length_numbers(lengths: LengthStatement) -> Numbers:
+    numbers: Numbers = {}
+    for role, name in ((LengthRole.KEPT_APART, "length_error"), (LengthRole.LEFT_OUT, "length_error_left_out")):
+        errors = [one.error_m for one in lengths.of(role)]
+        numbers[f"{name}_rms_m"] = _rms(errors)
+        numbers[f"{name}_largest_m"] = max(map(abs, errors), default=None)
+        numbers[f"{name}_sigma_ratio"] = _rms([one.error_m / one.sigma_error_m for one in lengths.of(role)])
+    numbers["lengths_checked_count"] = len(lengths.best)
+    numbers["measuring_lines_count"] = len(lengths.lengths_of_line)
+    outside = sum(one.verdict is Verdict.OUTSIDE for one in lengths.best)
+    numbers["length_errors_outside_count"] = None if lengths.permissible is None else outside
+    return numbers
+
+
+def length_doubts(lengths: LengthStatement) -> tuple[str, ...]:
+    """Say which known lengths, that the network did not use, disagree with it.
+
+    Parameters
+    ----------
+    lengths : LengthStatement
+        Known lengths against the network.
+
+    Returns
+    -------
+    tuple of str
+        Sentences with numbers.
+    """
+    said = [
+        f"{one.name}, kept apart, is off by {1e3 * one.error_m:+.3f} mm, {abs(one.error_m) / one.sigma_error_m:.1f} "
+        "times the sigma of this error: the lengths of this network are not as sure as their sigmas say"
+        for one in lengths.of(LengthRole.KEPT_APART)
+        if abs(one.error_m) > _DOUBTFUL * one.sigma_error_m
+    ]
+    outside = [one.name for one in lengths.best if one.verdict is Verdict.OUTSIDE]
+    if outside:
+        said.append(f"length errors beyond the permissible one: {', '.join(outside)}")
+    return tuple(said)
+
+
+def quality_texts(lengths: LengthStatement, extent_m: float) -> dict[str, str]:
+    """Say what the numbers of quality mean, and what of VDI/VDE 2634 part 1 is fulfilled.
+
+    Parameters
+    ----------
+    lengths : LengthStatement
+        Known lengths against the network.
+    extent_m : float
+        Largest distance of two points [m].
+
+    Returns
+    -------
+    dict of str to str
+        Sentences for the summary.
+    """
+    limit, texts = lengths.permissible, {"length_check": lengths.coverage_text}
+    if limit is not None:
+        slope = f" + L / {limit.k:g}" if np.isfinite(limit.k) else ""
+        bound = f", at most {1e3 * limit.b_m:g} mm" if np.isfinite(limit.b_m) else ""
+        verdict = {"": "no length to decide with", "open": "undecided: the known lengths' own uncertainty decides"}
+        answer = verdict.get(lengths.verdict.value, f"{lengths.verdict.value} for all {len(lengths.best)} lengths")
+        if lengths.verdict is Verdict.OUTSIDE:
+            outside = sum(one.verdict is Verdict.OUTSIDE for one in lengths.best)
+            answer = f"exceeded by {outside} of {len(lengths.best)} length{'' if len(lengths.best) == 1 else 's'}"
+        texts["permissible_length_error"] = f"{1e3 * limit.a_m:g} mm{slope}{bound}: {answer}"
+    texts["relative_precision"] = (
+        f"1:N with N the largest distance of two targets ({extent_m:.3f} m) over the RMS of all coordinates' sigmas"
+    )
+    return texts
+
+
+def _posterior_sigma_px(bundle: BundleResult) -> float:
+    """Return the sigma of an image coordinate as the residuals have it; DBAT's sigma0 where all are equal."""
+    variances = np.einsum("mii->mi", bundle.problem.observations.covariance_px2)
+    return float(np.sqrt(np.median(variances))) * bundle.sigma0
+
+
+def _extent_m(bundle: BundleResult) -> float:
+    """Return the largest distance of two points."""
+    points = bundle.points_m[bundle.problem.observations.n_rays > 0]
+    reach = 0.0
+    for first in range(0, len(points), 256):
+        block = points[first : first + 256, None] - points[None]
+        reach = max(reach, float(np.einsum("abi,abi->ab", block, block).max(initial=0.0)))
+    return float(np.sqrt(reach))
+
+
+def _rms(values: Sequence[float]) -> float | None:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def doubts(solved: Solved) -> tuple[str, ...]:
+    """Say what makes a network doubtful.
+
+    Parameters
+    ----------
+    solved : Solved
+        The adjusted network.
+
+    Returns
+    -------
+    tuple of str
+        Sentences with numbers.
+    """
+    bundle = solved.bundle
+    said = [f"photo {one.name} is left out: {one.reason}" for one in solved.network.photos_left_out]
+    said += [f"{one.name}: {one.reason}" for one in solved.unused]
+    scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)
+    if bundle.system.movements.count == 7 and not scaled:
+        said.append("there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]")
+    said += _contradictions(bundle)
+    said += _many_rejected(solved)
+    said += _doubled_codes(solved)
+    low, high = bundle.variance_factor_interval(0.999)
+    if solved.image_sigma_factor == 1.0 and not low <= bundle.variance_factor <= high:
+        said.append(
+            f"the residuals are {bundle.sigma0:.2f} times what the stated sigmas say (sqrt of the variance factor; "
+            f"{np.sqrt(low):.2f} to {np.sqrt(high):.2f} would be by chance); sigmas of the results are as stated, "
+            'unless [adjustment] sigmas = "from residuals"'
+        )
+    said += _unturned(bundle)
+    said += _kept_outliers(bundle)
+    few = bundle.problem.observations.n_rays
+    weak = [name for name, rays in zip(bundle.problem.observations.targets, few, strict=True) if rays == 2]
+    if weak:
+        listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
+        said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
+    return tuple(said)
+
+
+def _unturned(bundle: BundleResult) -> list[str]:
+    """Name cameras that calibrate themselves and were always held the same way."""
+    cameras, texts = bundle.problem.cameras, []
+    for place, model in enumerate(cameras):
+        own = bundle.state.rotations[bundle.problem.camera_index == place]
+        if "focal_px" in model.free and len(own) and _roll_range_rad(own) < _LEAST_ROLL_RAD:
+            whose = "" if len(cameras) == 1 else f" {model.name}"
+            texts.append(
+                f"all photos are taken with the camera{whose} held the same way; turn it by 90 degrees for some, or "
+                "the principal point is badly separated from the poses"
+            )
+    return texts
+
+
+def _kept_outliers(bundle: BundleResult) -> list[str]:
+    """Count image points that were used and contradict the rest: nothing is rejected on request, or rounds ran out."""
+    tests = examine_image_points(bundle)
+    # Sigmas that are too small as a whole are said elsewhere; here one point against the others.
+    scale = max(1.0, bundle.variance_factor) if np.isfinite(bundle.variance_factor) else 1.0
+    squared = tests.length_squared / scale
+    limit = -2 * np.log(_FAMILY / max(squared.size, 1))
+    marked = np.nonzero(squared > limit)[0]
+    if not marked.size:
+        return []
+    worst = int(np.argmax(squared))
+    length_px = float(np.hypot(*bundle.residuals_px[worst]))
+    return [
+        f"{marked.size} image points that were used contradict the others, most of all "
+        f"{bundle.problem.observations.label(worst)} with {length_px:.2f} px ({np.sqrt(squared[worst]):.1f} sigma); "
+        "see test in residuals.csv"
+    ]
+
+
+def _many_rejected(solved: Solved) -> list[str]:
+    """Say so where more image points were left out than chance and false codes explain."""
+    lost = len(solved.rejected) + len(solved.network.suspicious)
+    total = lost + solved.bundle.problem.observations.n
+    if lost <= _MANY_REJECTED * total:
+        return []
+    return [
+        f"{lost} of {total} image points contradict the rest and were left out, too many for chance: a camera that "
+        "started far off (give focal_length_35mm or focal_px), an object that moved, or one code at several places"
+    ]
+
+
+def _doubled_codes(solved: Solved) -> list[str]:
+    """Name targets of which several image points were rejected: one code at two places shows like this."""
+    table = solved.bundle.problem.observations
+    rejected = [*(one.label for one in solved.rejected), *(one.name for one in solved.network.suspicious)]
+    counts = Counter(label.removeprefix("target ").partition(" in photo ")[0] for label in rejected)
+    rays = dict(zip(table.targets, table.n_rays.tolist(), strict=True))
+    doubled = [(name, count, count + rays.get(name, 0)) for name, count in counts.most_common()]
+    doubled = [one for one in doubled if one[1] >= _DOUBLED_RAYS and one[1] >= 0.25 * one[2]]
+    texts = [
+        f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, or did "
+        "the target move?"
+        for name, count, total in doubled[:_NAMED_ALONE]
+    ]
+    if len(doubled) > _NAMED_ALONE:
+        rest = ", ".join(f"{name} ({count} of {total})" for name, count, total in doubled[_NAMED_ALONE:][:_LISTED])
+        more = ", ..." if len(doubled) > _NAMED_ALONE + _LISTED else ""
+        texts.append(f"so do those of {len(doubled) - _NAMED_ALONE} more targets or features: {rest}{more}")
+    return texts
+
+
+def _contradictions(bundle: BundleResult) -> list[str]:
+    """Name what is known and contradicts the rest."""
+    found: list[tuple[float, str]] = []
+    for name, residuals in bundle.constraint_residuals:
+        worst = float(np.max(np.abs(residuals), initial=0.0))
+        if worst > _DOUBTFUL:
+            found.append((worst, name))
+    distances = {one.name: one for one in bundle.problem.constraints if isinstance(one, Distance)}
+    texts = []
+    for worst, name in sorted(found, reverse=True)[:8]:
+        known = distances.get(name)
+        size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
+        texts.append(f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}")
+    return texts
+
+
+def _roll_range_rad(rotations: FloatArray) -> float:
+    """Return how far a camera was turned about its axis, from the directions of its x axis across the views."""
+    # Turn between each photo and the first after taking out the change of the viewing direction.
+    first, angles = rotations[0], []
+    for rotation in rotations:
+        relative = rotation @ first.T
+        angles.append(float(np.arctan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1])))
+    return float(np.abs(np.angle(np.exp(1j * np.array(angles)))).max(initial=0.0))

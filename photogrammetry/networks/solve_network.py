@@ -1,0 +1,371 @@
+"""From image points to an adjusted network: start values, eccentricity, outliers, sigmas."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from heliogauge.adjust.solution import CovarianceScale
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.adjustment import (
+    BundleOptions,
+    BundleProblem,
+    BundleResult,
+    BundleState,
+    CameraModel,
+    Datum,
+    DatumKind,
+    adjust,
+)
+from photogrammetry.bundle.alignment import aligned_to_constraints, aligned_to_control, best_fit, transformed
+from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance
+from photogrammetry.bundle.diagnosis import require
+from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
+from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
+from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
+
+__all__ = ["Knowledge", "NetworkCameras", "SolveOptions", "Solved", "solve_from", "solve_network"]
+
+#: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
+_GROSS_SHARE, _GROSS_SIGMAS = 0.2, 10.0
+#: Sigmas from residuals need this many to spare to be worth more than the stated ones.
+_LEAST_REDUNDANCY = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """What is known besides image points.
+
+    Parameters
+    ----------
+    constraints : tuple of Constraint
+        Scale bars, distances, coordinates, planes, weighted control points.
+    fixed_m : dict of str to ndarray, shape (3,)
+        Control points without error [m].
+    datum : Datum
+        The datum.
+    start : StartValues, optional
+        Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
+    one_target_size : bool, optional
+        Whether all targets are equally large, whatever their size: helps the correction of eccentricity.
+    """
+
+    constraints: tuple[Constraint, ...]
+    fixed_m: dict[str, FloatArray]
+    datum: Datum
+    start: StartValues = field(default_factory=StartValues)
+    one_target_size: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkCameras:
+    """The cameras of a network.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+        To start from.
+    models : tuple of CameraModel
+        What of each is free.
+    camera_of : mapping of str to int
+        Which camera took each photo.
+
+    Raises
+    ------
+    InputError
+        Not as many models as cameras.
+    """
+
+    cameras: tuple[Camera, ...]
+    models: tuple[CameraModel, ...]
+    camera_of: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        if len(self.cameras) != len(self.models) or not self.cameras:
+            raise InputError(f"cameras: {len(self.cameras)} cameras, but {len(self.models)} models")
+
+    @classmethod
+    def of(cls, bundle: BundleResult) -> "NetworkCameras":
+        """Return the cameras of an adjusted network."""
+        problem = bundle.problem
+        owners = dict(zip(problem.observations.photos, problem.camera_index.tolist(), strict=True))
+        return cls(bundle.state.cameras, problem.cameras, owners)
+
+    def index(self, photos: Sequence[str]) -> IntArray:
+        """Return the camera of each photo."""
+        return np.array([self.camera_of[name] for name in photos], dtype=np.intp)
+
+    def problem(self, table: ImagePoints) -> BundleProblem:
+        """Return the free network of image points: nothing known, inner constraints."""
+        return BundleProblem(table, self.models, self.index(table.photos))
+
+
+@dataclass(frozen=True, slots=True)
+class SolveOptions:
+    """How to solve.
+
+    Parameters
+    ----------
+    reject : bool
+        Leave out image points that contradict the others.
+    family_significance : float
+        Probability of leaving out any good one of all.
+    rescale : bool
+        Take the size of the image points' sigmas from their residuals; their ratios stay.
+    """
+
+    reject: bool = True
+    family_significance: float = 0.05
+    rescale: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """An adjusted network and how it came about.
+
+    Parameters
+    ----------
+    network : Network
+        Start values, and what is not in it.
+    bundle : BundleResult
+        The adjustment.
+    rejected : tuple of Rejected
+        Image points left out by the adjustment.
+    largest_eccentricity_px : float
+        Largest correction of a centre [px].
+    image_sigma_factor : float
+        By what the stated sigmas of the image points were multiplied.
+    unused : tuple of LeftOut
+        Constraints whose targets are not in the network.
+    """
+
+    network: Network
+    bundle: BundleResult
+    rejected: tuple[Rejected, ...]
+    largest_eccentricity_px: float
+    image_sigma_factor: float
+    unused: tuple[LeftOut, ...]
+
+
+def solve_network(
+    points: ImagePoints,
+    ellipses_px2: FloatArray,
+    cameras: NetworkCameras,
+    knowledge: Knowledge,
+    options: SolveOptions,
+) -> Solved:
+    """Solve a photo network without any start values.
+
+    Parameters
+    ----------
+    points : ImagePoints
+        All image points, false ones among them.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Ellipses of the targets; NaN where there is none [px^2].
+    cameras : NetworkCameras
+        The cameras to start from and what of them is free.
+    knowledge : Knowledge
+        Scale bars, control points, constraints and datum.
+    options : SolveOptions
+        How to solve.
+
+    Returns
+    -------
+    Solved
+        The adjusted network.
+
+    Raises
+    ------
+    EstimationError
+        The photos do not hang together, or something is not determined; it is named.
+    """
+    network = build_network(
+        points,
+        cameras.cameras,
+        models=cameras.models,
+        camera_of_photo=cameras.index(points.photos),
+        start=knowledge.start,
+    )
+    return solve_from(network, points, ellipses_px2, cameras, knowledge, options)
+
+
+def solve_from(
+    network: Network,
+    points: ImagePoints,
+    ellipses_px2: FloatArray,
+    cameras: NetworkCameras,
+    knowledge: Knowledge,
+    options: SolveOptions,
+) -> Solved:
+    """Solve a photo network from start values.
+
+    Parameters
+    ----------
+    network : Network
+        Start values; its rows are those of the image points.
+    points : ImagePoints
+        All image points, false ones among them.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Ellipses of the targets; NaN where there is none [px^2].
+    cameras : NetworkCameras
+        What of the cameras is free, and whose the photos are.
+    knowledge : Knowledge
+        Scale bars, control points, constraints and datum.
+    options : SolveOptions
+        How to solve.
+
+    Returns
+    -------
+    Solved
+        The adjusted network.
+
+    Raises
+    ------
+    EstimationError
+        Something is not determined, or known lengths contradict each other by more than a fifth; it is named.
+    """
+    rows = _with_suspicious(points, network)
+    table = points.subset(rows).compacted()
+    if (network.observations.photos, network.observations.targets) != (table.photos, table.targets):
+        raise EstimationError("network: photos or targets were lost between start values and adjustment")
+    suspects = ~np.isin(rows, network.rows) & options.reject
+    chosen = BundleOptions(covariance_scale=CovarianceScale.POSTERIOR if options.rescale else CovarianceScale.PRIOR)
+    state, shift = network.state, np.zeros((table.n, 2))
+    if np.isfinite(ellipses_px2[rows]).any():
+        clean = adjust(cameras.problem(table.subset(~suspects)), state, options=chosen)
+        state = clean.state
+        place = cameras.index(table.photos)
+        discs = estimate_discs(table, ellipses_px2[rows], state, place, one_size=knowledge.one_target_size)
+        shift = eccentricities_px(table, discs, state, place)
+        table = replace(table, pixels_px=table.pixels_px - shift)
+    rejected: tuple[Rejected, ...] = ()
+    network = replace(network, suspicious=network.suspicious if options.reject else ())
+    if options.reject:
+        # Without constraints: a wrong scale bar must not make the image points of its targets look wrong.
+        alone, rejected = adjust_and_reject(
+            cameras.problem(table),
+            state,
+            options=chosen,
+            family_significance=options.family_significance,
+            suspects=suspects,
+        )
+        table, state = alone.problem.observations, alone.state
+        network = _without_innocent(network, table)
+        table, state = _without_empty(table, state)
+    problem, unused = _problem(table, cameras, knowledge)
+    placed = _placed(state, table, problem, knowledge)
+    _refuse_gross_lengths(problem, placed)
+    bundle = require(adjust(problem, placed, options=chosen))
+    factor = 1.0
+    if options.rescale:
+        bundle, factor = _rescaled(bundle)
+    largest = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
+    return Solved(network, bundle, rejected, largest, factor, unused)
+
+
+def _with_suspicious(points: ImagePoints, network: Network) -> np.ndarray:
+    """Return the rows of all photos and targets of the network, also those that do not agree with it."""
+    photos = np.isin(np.array(points.photos)[points.photo_index], network.observations.photos)
+    targets = np.isin(np.array(points.targets)[points.target_index], network.observations.targets)
+    return np.nonzero(photos & targets)[0]
+
+
+def _without_empty(table: ImagePoints, state: BundleState) -> tuple[ImagePoints, BundleState]:
+    """Leave out photos and targets of which every image point was rejected."""
+    photos, targets = np.nonzero(table.n_targets_in_photo)[0], np.nonzero(table.n_rays)[0]
+    left = BundleState(state.cameras, state.rotations[photos], state.translations_m[photos], state.points_m[targets])
+    return table.compacted(), left
+
+
+def _without_innocent(network: Network, table: ImagePoints) -> Network:
+    """Take suspicions back of image points that turned out to agree."""
+    used = {table.label(row) for row in range(table.n)} if network.suspicious else set()
+    return replace(network, suspicious=tuple(one for one in network.suspicious if one.name not in used))
+
+
+def _problem(
+    table: ImagePoints, cameras: NetworkCameras, knowledge: Knowledge
+) -> tuple[BundleProblem, tuple[LeftOut, ...]]:
+    """Keep what is known of targets in the network; name the rest."""
+    seen, unused = set(table.targets), []
+    constraints = []
+    for one in knowledge.constraints:
+        missing = [name for name in one.targets if name not in seen]
+        if missing:
+            unused.append(LeftOut(one.name, f"not used: {', '.join(missing)} is not in the network"))
+        else:
+            constraints.append(one)
+    fixed = tuple(name for name in knowledge.fixed_m if name in seen)
+    unused += [LeftOut(f"control point {name}", "not used: not in the network") for name in knowledge.fixed_m
+               if name not in seen]  # fmt: skip
+    datum = knowledge.datum
+    lost = tuple(name for name in datum.targets if name not in seen)
+    if lost and datum.kind is DatumKind.INNER and len(lost) < len(datum.targets):
+        unused += [LeftOut(f"datum target {name}", "not used: not in the network") for name in lost]
+        datum = replace(datum, targets=tuple(name for name in datum.targets if name in seen))
+    free = cameras.problem(table)
+    return replace(free, constraints=tuple(constraints), fixed=fixed, datum=datum), tuple(unused)
+
+
+def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, knowledge: Knowledge) -> BundleState:
+    """Put the network where control points or constraints want it; else round its own middle."""
+    if problem.fixed:
+        control = {name: knowledge.fixed_m[name] for name in problem.fixed}
+        return aligned_to_control(state, table.targets, control)
+    control = {one.target: one.xyz_m for one in problem.constraints if isinstance(one, ControlPoint)}
+    if len(control) >= 3:
+        return aligned_to_control(state, table.targets, control)
+    chosen = problem.datum.targets or table.targets
+    given = {name: knowledge.start.points_m[name] for name in chosen if name in knowledge.start.points_m}
+    lengths_only = all(isinstance(one, Distance) for one in problem.constraints)
+    if lengths_only and len(given) >= 3:
+        # Growing moved the network a little; inner constraints refer to the start. Lengths keep their say in the scale.
+        scaled = aligned_to_constraints(state, table.targets, problem.constraints)
+        return best_fit(scaled, table.targets, given, with_scale=not problem.constraints)
+    placed = aligned_to_constraints(state, table.targets, problem.constraints)
+    if problem.datum.kind is DatumKind.PHOTOS and lengths_only:
+        # The world is the first photo's camera.
+        return transformed(placed, placed.cam_from_world(table.photos.index(problem.datum.photos[0])))
+    return placed
+
+
+def _refuse_gross_lengths(problem: BundleProblem, placed: BundleState) -> None:
+    """Refuse known lengths of another unit or of other targets: no adjustment could follow them and the rest."""
+    place = {name: i for i, name in enumerate(problem.observations.targets)}
+    texts = []
+    for one in problem.constraints:
+        if not isinstance(one, Distance):
+            continue
+        ends = placed.points_m[[place[one.target_a], place[one.target_b]]]
+        own = float(np.linalg.norm(ends[1] - ends[0]))
+        if abs(own - one.distance_m) > max(_GROSS_SHARE * one.distance_m, _GROSS_SIGMAS * one.sigma_m):
+            texts.append(f"{one.name} is given as {one.distance_m:.6g} m and measures {own:.6g} m")
+    if texts:
+        raise EstimationError(
+            f"network: at the scale of all that is known, {'; '.join(texts)}: known lengths (and control points) "
+            "contradict each other; check their units (metres) and targets, and that no photo is mirrored"
+        )
+
+
+def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:
+    """Take the sigmas of the image points from their residuals; what is known otherwise keeps its own.
+
+    One factor for all: a scale bar whose sigma is right must not pay for image points whose sigma is not.
+    """
+    factor = 1.0
+    for _ in range(3):
+        redundancy = float(np.einsum("mii->", examine_image_points(bundle).redundancy))
+        if redundancy < _LEAST_REDUNDANCY:
+            break
+        change = float((bundle.whitened_residuals**2).sum()) / redundancy
+        factor *= change
+        table = bundle.problem.observations
+        scaled = replace(table, covariance_px2=table.covariance_px2 * change)
+        options = replace(bundle.options, covariance_scale=CovarianceScale.PRIOR)
+        bundle = require(adjust(replace(bundle.problem, observations=scaled), bundle.state, options=options))
+        if abs(change - 1) < 1e-3:
+            break
+    return bundle, float(np.sqrt(factor))

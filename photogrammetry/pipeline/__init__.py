@@ -1,0 +1,1 @@
+"""The stages of a photogrammetric measurement, in a row in `measure`."""

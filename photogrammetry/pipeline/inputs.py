@@ -1,0 +1,176 @@
+"""From what measurement.toml says to constraints, start values, a datum and a search."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.measurement.load import PhotogrammetryMeasurement
+from heliogauge.results.folder import read_cameras_json, read_table_csv
+from heliogauge.validate import FloatArray
+from photogrammetry.bundle.adjustment import Datum, DatumKind
+from photogrammetry.bundle.constraints import CommonPlane, Constraint, ControlPoint, Coordinate, Distance, KnownPlane
+from photogrammetry.detection.detect import SearchLimits
+from photogrammetry.detection.photo_targets import TargetSearch
+from photogrammetry.keys.measurement import (
+    CollectorSection,
+    ControlPointSection,
+    CoordinateSection,
+    DistanceSection,
+    PhotogrammetryModel,
+)
+from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.start_values.network import StartValues
+from photogrammetry.targets.coded_targets import Polarity, Sense
+from photogrammetry.targets.store_ring_codes import CodePrint, load_dictionary
+
+_DATUMS = {
+    "inner": DatumKind.INNER,
+    "minimal": DatumKind.MINIMAL,
+    "photos": DatumKind.PHOTOS,
+    "control": DatumKind.CONTROL,
+}
+
+
+def build_search(section: TargetsSection, folder: Path) -> TargetSearch:
+    """Say what circular targets are searched for.
+
+    Parameters
+    ----------
+    section : TargetsSection
+        What measurement.toml says.
+    folder : Path
+        Where a file with ring codes of one's own is.
+
+    Returns
+    -------
+    TargetSearch
+        The search.
+
+    Raises
+    ------
+    InputError
+        No such dictionary, a file of ring codes with faults, or impossible sizes.
+    """
+    polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
+    limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
+    # Square markers are read by others; only dots are searched for beside them.
+    dictionary = None
+    if section.dictionary is not None and not section.has_markers:
+        sense = None if section.sense is None else Sense(section.sense)
+        printed = CodePrint(sense, section.ring_inner_radius, section.ring_outer_radius)
+        dictionary = load_dictionary(section.dictionary, folder, printed)
+    return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots)
+
+
+def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:
+    """Collect scale bars, distances, coordinates, planes and weighted control points.
+
+    Parameters
+    ----------
+    model : PhotogrammetryModel
+        What measurement.toml says.
+
+    Returns
+    -------
+    tuple of Constraint
+        In the order of the file; scale bars for checks only are left out.
+    """
+    found: list[Constraint] = [
+        Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar if not bar.check_only
+    ]
+    for one in model.constraint:
+        sigma_m = 1e-3 * one.sigma_mm
+        if isinstance(one, CoordinateSection):
+            found.append(Coordinate(one.target, one.axis, one.value_m, sigma_m))
+        elif isinstance(one, DistanceSection):
+            found.append(Distance(one.a, one.b, one.distance_m, sigma_m))
+        elif one.normal is None:
+            found.append(CommonPlane(one.targets, sigma_m))
+        else:
+            found.append(KnownPlane(one.targets, np.array(one.normal), one.offset_m, sigma_m))
+    return (*found, *_of_collector(model.collector), *_weighted(model.control_point))
+
+
+def _of_collector(section: CollectorSection | None) -> list[Constraint]:
+    """Return what the shape of a trough says of targets on its rim (spec of the collector: z = w^2 / (16 f))."""
+    if section is None:
+        return []
+    sigma_m, half_m = 1e-3 * section.sigma_mm, 0.5 * section.width_m
+    long_m = 1e-3 * (section.length_sigma_mm or section.sigma_mm)
+    found: list[Constraint] = []
+    for side_m, names in ((-half_m, section.left), (half_m, section.right)):
+        found += [Coordinate(name, "x", side_m, sigma_m) for name in names]
+        found += [Coordinate(name, "z", section.rim_height_m, sigma_m) for name in names]
+    found += [Coordinate(name, "y", 0.0, sigma_m) for name in section.end]
+    found += [Distance(a, b, section.length_m, long_m) for a, b in section.along if section.length_m is not None]
+    return found
+
+
+def _weighted(points: Sequence[ControlPointSection]) -> list[Constraint]:
+    return [
+        ControlPoint(one.target, np.array(one.xyz_m), np.diag(np.square(one.sigma_mm)) * 1e-6)
+        for one in points
+        if any(one.sigma_mm)
+    ]
+
+
+def build_start(measurement: PhotogrammetryMeasurement) -> StartValues:
+    """Read start values, where measurement.toml names some.
+
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        The checked measurement.
+
+    Returns
+    -------
+    StartValues
+        Poses and points; empty without ``[start]``.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read.
+    """
+    section = measurement.model.start
+    if section is None:
+        return StartValues()
+    poses = {} if section.cameras is None else read_cameras_json(measurement.folder / section.cameras)[1]
+    points: dict[str, FloatArray] = {}
+    if section.points is not None:
+        points = _start_points(measurement.folder / section.points)
+    return StartValues({name: one.cam_from_world for name, one in poses.items()}, points)
+
+
+def _start_points(path: Path) -> dict[str, FloatArray]:
+    """Read the columns id, x_m, y_m, z_m; points without numbers are left out."""
+    columns = read_table_csv(path, ("id", "x_m", "y_m", "z_m"))
+    try:
+        rows = [[float(cell or "nan") for cell in columns[name]] for name in ("x_m", "y_m", "z_m")]
+    except ValueError as error:
+        raise InputError(f"{path}: x_m, y_m, z_m must be numbers ({error}); is the decimal sign a point?") from None
+    xyz_m = np.array(rows).T
+    return {name: one for name, one in zip(columns["id"], xyz_m, strict=True) if np.isfinite(one).all()}
+
+
+def build_datum(model: PhotogrammetryModel) -> Datum:
+    """Return the datum.
+
+    Parameters
+    ----------
+    model : PhotogrammetryModel
+        What measurement.toml says.
+
+    Returns
+    -------
+    Datum
+        The datum.
+
+    Raises
+    ------
+    InputError
+        A minimal datum without three targets, or photos held without one or two.
+    """
+    return Datum(_DATUMS[model.datum.kind], model.datum.targets, model.datum.photos)

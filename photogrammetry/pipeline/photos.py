@@ -1,0 +1,349 @@
+"""Photos to image points: read, find targets, measure, several photos at a time."""
+
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.images.photos import Image, read_image
+from heliogauge.running.progress import Progress
+from heliogauge.validate import FloatArray
+from photogrammetry.detection.detections import Detections
+from photogrammetry.detection.markers import find_markers
+from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
+from photogrammetry.image_points import ImagePoints, image_points
+from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.matching.uncertain_rays import Dots
+from photogrammetry.networks.solve_uncoded import LooseDots
+from photogrammetry.targets.coded_targets import Sense
+
+#: Share of overexposed targets from which the user is told.
+_MANY_CLIPPED = 0.2
+#: Why a photo is left out.
+_NO_TARGET = "shows no target that can be used"
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Something in the photos that was not used.
+
+    Parameters
+    ----------
+    name : str
+        Marker, target or photo, and where it is.
+    reason : str
+        Why.
+    """
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPhotos:
+    """Image points of all photos.
+
+    Parameters
+    ----------
+    points : ImagePoints
+        The image points.
+    ellipses_px2 : ndarray, shape (m, 2, 2)
+        Shape of each target's ellipse; NaN for corners [px^2].
+    sizes_px : dict of str to (int, int) or None
+        Width and height of each photo; None where image points were given [px].
+    refused : tuple of Refused
+        False codes, doubled names, photos without targets.
+    warnings : tuple of str
+        What makes the result doubtful.
+    sigma_assumed : bool
+        Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
+    loose : LooseDots or None, optional
+        Dots without a code, to be matched when the photos' poses are known.
+    """
+
+    points: ImagePoints
+    ellipses_px2: FloatArray
+    sizes_px: dict[str, tuple[int, int]] | None
+    refused: tuple[Refused, ...]
+    warnings: tuple[str, ...]
+    sigma_assumed: bool
+    loose: LooseDots | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnePhoto:
+    """What one photo shows.
+
+    Parameters
+    ----------
+    detections : Detections
+        Targets with a name.
+    ellipses_px2 : ndarray, shape (n, 2, 2)
+        Shape of each target's ellipse; NaN for corners [px^2].
+    size_px : (int, int)
+        Width and height [px].
+    refused : tuple of Refused
+        What was not used.
+    dots : Detections
+        Dots without a code.
+    dot_ellipses_px2 : ndarray, shape (k, 2, 2)
+        Their ellipses [px^2].
+    """
+
+    detections: Detections
+    ellipses_px2: FloatArray
+    size_px: tuple[int, int]
+    refused: tuple[Refused, ...]
+    dots: Detections
+    dot_ellipses_px2: FloatArray
+    unread: "UnreadRings | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadRings:
+    """Code rings of a photo that are not in the dictionary as they are seen.
+
+    Parameters
+    ----------
+    mirrored : int
+        Rings whose mirror image is in it.
+    unknown : tuple of str
+        Bits of the others, clockwise.
+    other_sense : str
+        Sense in which the dictionary does not count.
+    """
+
+    mirrored: int
+    unknown: tuple[str, ...]
+    other_sense: str
+
+
+def measure_each(
+    files: Sequence[Path], section: TargetsSection, search: TargetSearch, *, jobs: int | None, progress: Progress
+) -> list[OnePhoto]:
+    """Find and measure the targets of all photos.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The photos.
+    section : TargetsSection
+        What targets they show.
+    search : TargetSearch
+        How circular ones are searched for.
+    jobs : int or None
+        Photos measured side by side.
+    progress : Progress
+        Told of each photo.
+
+    Returns
+    -------
+    list of OnePhoto
+        Each photo's targets and dots, in the order of the files.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, or two have the same name.
+    """
+    twice = [name for name, count in Counter(file.name for file in files).items() if count > 1]
+    if twice:
+        raise InputError(
+            f"images.photos: {len(twice)} names occur in two folders ({twice[0]}); give photos other names"
+        )
+
+    def one(file: Path) -> OnePhoto:
+        return measure_photo(read_image(file), file.name, section, search)
+
+    found: list[OnePhoto] = []
+    with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(one, file) for file in files]
+        try:
+            for future in waiting:
+                found.append(future.result())
+                stage.advance()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return found
+
+
+def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
+    """Find and measure the targets of one photo.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    name : str
+        Its name.
+    section : TargetsSection
+        What targets it shows.
+    search : TargetSearch
+        How circular ones are searched for.
+
+    Returns
+    -------
+    OnePhoto
+        Its targets and dots.
+    """
+    found = _with_markers(image, name, section) if section.has_markers else None
+    if found is not None and not search.with_uncoded:
+        return found
+    rings = measure_targets(image, name, search)
+    shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
+    count = len(rings.readings)
+    dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
+    if found is not None:
+        return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
+    mirrored = [Refused(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in
+                rings.mirrored]  # fmt: skip
+    # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
+    mirrored += [Refused(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
+    coded = rings.detections.chosen(np.arange(count))
+    size = (int(image.shape[1]), int(image.shape[0]))
+    counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
+    other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
+    unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
+    return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
+
+
+def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
+    markers = find_markers(image, photo, section.dictionary or "")
+    refused = [
+        Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
+        for bad in markers.rejected
+    ]
+    detections = markers.detections
+    if section.charuco is not None:
+        detections = _and_board(image, detections, section)
+    shapes = np.full((len(detections), 2, 2), np.nan)
+    size = (int(image.shape[1]), int(image.shape[0]))
+    none = detections.chosen(np.zeros(0, dtype=np.intp))
+    return OnePhoto(detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
+
+
+def _and_board(image: Image, markers: Detections, section: TargetsSection) -> Detections:
+    """Add the inner corners of a ChArUco board, "board.0", "board.1"... row by row from its top left."""
+    # Packages meet in pipelines only, and this one needs the other for boards only.
+    from calibration.camera.boards import CharucoBoard
+    from calibration.camera.corners.detection import find_charuco
+
+    if section.charuco is None or section.dictionary is None:
+        return markers
+    stated = section.charuco
+    share = stated.marker_mm / stated.square_mm
+    board = CharucoBoard(stated.columns, stated.rows, section.dictionary, share, 1e-3 * stated.square_mm)
+    try:
+        corners = find_charuco(markers.photo, image, board)
+    except EstimationError:
+        return markers  # a photo without the board, or with too little of it
+    count = corners.n
+    return Detections(
+        markers.photo,
+        (*markers.names, *(f"board.{number}" for number in corners.index.tolist())),
+        np.concatenate([markers.pixels_px, corners.pixels_px]),
+        np.concatenate([markers.covariance_px2, corners.covariance_px2]),
+        np.concatenate([markers.radius_px, np.full(count, np.nan)]),
+        np.concatenate([markers.flags, np.zeros(count, dtype=np.uint32)]),
+    )
+
+
+def _loose(found: Sequence[OnePhoto]) -> LooseDots:
+    """Put together the dots of all photos."""
+    photo = np.repeat(np.arange(len(found)), [len(one.dots) for one in found])
+    covariance = np.concatenate([one.dots.covariance_px2 for one in found])
+    dots = Dots(
+        photo,
+        np.concatenate([one.dots.pixels_px for one in found]),
+        0.5 * (covariance + np.swapaxes(covariance, 1, 2)),
+        np.concatenate([one.dot_ellipses_px2 for one in found]),
+    )
+    return LooseDots(tuple(one.detections.photo for one in found), dots)
+
+
+def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
+    """Put the targets of all photos together; those that are twice in a photo are not used there.
+
+    Parameters
+    ----------
+    found : sequence of OnePhoto
+        What each photo shows.
+
+    Returns
+    -------
+    MeasuredPhotos
+        Image points with covariances, and what was refused.
+
+    Raises
+    ------
+    EstimationError
+        No photo shows a target.
+    """
+    photos, names, parts, shapes = [], [], [], []
+    refused = [bad for one in found for bad in one.refused]
+    doubled: Counter[str] = Counter()
+    for one in found:
+        twice = set(one.detections.duplicated)
+        # A marker of which one corner is doubled is there twice.
+        twice |= {name for name in one.detections.names if name.split(".")[0] in {t.split(".")[0] for t in twice}}
+        doubled.update({name.split(".")[0] for name in twice})
+        photo = one.detections.photo
+        refused += [Refused(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
+        keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
+        if not keep:
+            refused.append(Refused(photo, _NO_TARGET))
+        photos += [photo] * len(keep)
+        names += [one.detections.names[k] for k in keep]
+        parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))
+        shapes.append(one.ellipses_px2[keep])
+    said = _unread_texts(found, len(names))
+    if not names:
+        raise EstimationError(
+            f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; "
+            + (said[0] if said else "is it the right one, and are the targets large enough ([targets] smallest_px, "
+               "largest_px)?")
+        )  # fmt: skip
+    empty = [bad.name for bad in refused if bad.reason == _NO_TARGET]
+    if empty:
+        listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")
+        said.append(f"{len(empty)} of {len(found)} photos show no target that can be used: {listed}")
+    if doubled:
+        listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
+        said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")
+    clipped = sum(int(np.count_nonzero(part.flags & np.uint32(SampleFlag.CLIPPED))) for part in parts)
+    if clipped > _MANY_CLIPPED * len(names):
+        said.append(
+            f"{clipped} of {len(names)} targets lie on or are overexposed white: their sizes are uncertain and their "
+            "centres less exact than their sigmas say; expose the photos less"
+        )
+    covariance = np.concatenate([part.covariance_px2 for part in parts])
+    # Estimators leave the two halves different in the last bit.
+    covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    sizes = {one.detections.photo: one.size_px for one in found}
+    points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
+    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True, _loose(found))
+
+
+def _unread_texts(found: Sequence[OnePhoto], read: int) -> list[str]:
+    """Say what many rings that are not in the dictionary tell of it, most telling first."""
+    rings = [one.unread for one in found if one.unread is not None]
+    mirrored, unknown = sum(one.mirrored for one in rings), [word for one in rings for word in one.unknown]
+    texts = []
+    if mirrored > read:
+        texts.append(
+            f"{mirrored} of {mirrored + read + len(unknown)} code rings are in the dictionary only as mirror images. "
+            "If the prints are the right way round, the dictionary counts the bits in the other sense: set "
+            f'sense = "{rings[0].other_sense}" in [targets]; else prints or photos are mirrored'
+        )
+    if len(unknown) > max(read, 3):
+        texts.append(
+            f"{len(unknown)} code rings are not in the dictionary, bits clockwise {', '.join(unknown[:3])}...: is it "
+            "another one, or one of your own ([targets] dictionary = a file)?"
+        )
+    return texts

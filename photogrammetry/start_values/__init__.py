@@ -1,0 +1,1 @@
+"""Start values of poses and points from nothing but image points."""

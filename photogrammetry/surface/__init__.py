@@ -1,0 +1,1 @@
+"""Points to surface: fit to the design, slopes, canting, displacement, CAD meshes."""

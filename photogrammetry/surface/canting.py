@@ -1,0 +1,166 @@
+"""Canting and focal length of each facet from the points on it, with the covariance of all points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.validate import BoolArray, FloatArray, freeze
+from photogrammetry.surface.design import DesignSurface
+from photogrammetry.surface.fit import roughness
+from photogrammetry.surface.fitted import SurfaceFit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetPoints:
+    """A facet to examine.
+
+    Parameters
+    ----------
+    facet : Facet
+        Outline and reference point; design and outline in the frame of the fit.
+    design : DesignSurface
+        Its design in the frame of the fit.
+    members : ndarray of bool, shape (n,)
+        Its points.
+    """
+
+    facet: Facet
+    design: DesignSurface
+    members: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetCanting:
+    """How a facet stands against its design.
+
+    Parameters
+    ----------
+    name : str
+        The facet.
+    n_points : int
+        Points used.
+    canting : ndarray, shape (2,)
+        Slope of the facet's normal beyond the design's at its reference point, in x and y: +x means that the surface
+        rises more towards +x, so that the normal leans to -x [rad].
+    covariance_canting : ndarray, shape (2, 2)
+        From errors of measurement and the facet's roughness [rad^2].
+    sigma_canting_measurement : ndarray, shape (2,)
+        From errors of measurement alone [rad].
+    piston_m, sigma_piston_m : float
+        Height over the design along its normal [m].
+    rms_m : float
+        RMS deviation after canting, piston and focal length [m].
+    length_m, sigma_length_m : float
+        Focal length or radius, NaN where the design has none, has two, or the points are too few [m].
+    length_name : str
+        Its name; empty without it.
+    """
+
+    name: str
+    n_points: int
+    canting: FloatArray
+    covariance_canting: FloatArray
+    sigma_canting_measurement: FloatArray
+    piston_m: float
+    sigma_piston_m: float
+    rms_m: float
+    length_m: float
+    sigma_length_m: float
+    length_name: str
+
+    @property
+    def sigma_canting(self) -> FloatArray:
+        """Standard deviation of the canting in x and y, shape (2,) [rad]."""
+        return np.sqrt(np.diag(self.covariance_canting))
+
+
+def facet_canting(fit: SurfaceFit, facet: FacetPoints) -> FacetCanting:
+    """Determine how one facet stands against its design.
+
+    Parameters
+    ----------
+    fit : SurfaceFit
+        All points in the frame of the design, aligned as a whole.
+    facet : FacetPoints
+        The facet.
+
+    Returns
+    -------
+    FacetCanting
+        Tip, tilt and piston, with the focal length free where six points or more allow it.
+
+    Raises
+    ------
+    EstimationError
+        Fewer than three points that are not outliers, or all on one line.
+
+    Notes
+    -----
+    The facet turns about two tangents at its reference point and shifts along its normal: its motion in its own plane
+    is not seen by distances. The estimator is linear in the deviations, whose joint covariance contains the alignment
+    of all facets; roughness as in `photogrammetry.surface.fit.fit_surface`.
+    """
+    members = facet.members & ~fit.outliers
+    count = int(members.sum())
+    points = fit.points.points_m[members]
+    feet = facet.design.feet(points)
+    x, y = facet.facet.reference_point_m.tolist()
+    quadric = facet.design.quadric
+    center, normal = np.array([x, y, float(quadric.height(x, y))]), quadric.normal(x, y)
+    first = np.cross([0.0, 1.0, 0.0], normal)
+    first /= np.linalg.norm(first)
+    tangents = np.stack([first, np.cross(normal, first)])
+    # Distances of points on a facet that turned by w about its center grow by (w x arm) . n.
+    jacobian = np.column_stack([np.cross(points - center, feet.normals) @ tangents.T, feet.normals @ normal])
+    with_length = feet.d_distance_d_curvature.shape[1] == 1 and count >= 6
+    if with_length:
+        # A point on a surface of larger curvature lies where the design's distance is not yet reduced by it.
+        jacobian = np.column_stack([jacobian, -feet.d_distance_d_curvature])
+    _refuse_line(facet.facet.name, jacobian[:, :3], count)
+    covariance = fit.covariance_deviation_m2[np.ix_(members, members)]
+    rough, _ = roughness(feet.distance_m, jacobian, covariance)
+    whole = covariance + (rough**2 + 1e-8 * float(np.trace(covariance)) / count + 1e-24) * np.eye(count)
+    weighted = np.linalg.solve(whole, jacobian)
+    estimator = np.linalg.solve(jacobian.T @ weighted, weighted.T)
+    step = estimator @ feet.distance_m
+    measured = estimator @ covariance @ estimator.T
+    total = measured + rough**2 * estimator @ estimator.T
+    to_slope = _slope_by_turn(normal, tangents)
+    rest = feet.distance_m - jacobian @ step
+    length = _length(facet.design, step, total) if with_length else (float("nan"), float("nan"), "")
+    return FacetCanting(
+        facet.facet.name,
+        count,
+        freeze(to_slope @ step[:2]),
+        freeze(to_slope @ total[:2, :2] @ to_slope.T),
+        freeze(np.sqrt(np.diag(to_slope @ measured[:2, :2] @ to_slope.T))),
+        float(step[2]),
+        float(np.sqrt(total[2, 2])),
+        float(np.sqrt(np.mean(rest**2))),
+        *length,
+    )
+
+
+def _refuse_line(name: str, columns: FloatArray, count: int) -> None:
+    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-12)
+    if count < 3 or np.linalg.svd(columns / scale, compute_uv=False)[-1] < 1e-6:
+        raise EstimationError(
+            f"canting of facet {name}: its {count} points do not determine its normal; three or more that are not on "
+            "one line are needed"
+        )
+
+
+def _slope_by_turn(normal: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Return the change of dz/dx and dz/dy of a surface for turns about the tangents, shape (2, 2)."""
+    turned = np.cross(tangents, normal)
+    # slope = -n_x / n_z, so d slope = -(dn_x n_z - n_x dn_z) / n_z^2.
+    change = -(turned[:, :2] * normal[2] - normal[:2] * turned[:, 2:]) / normal[2] ** 2
+    return np.asarray(change.T)
+
+
+def _length(design: DesignSurface, step: FloatArray, total: FloatArray) -> tuple[float, float, str]:
+    curvature = float(design.curvatures_per_m[0] + step[3])
+    length = 1 / curvature if curvature else float("inf")
+    return length, float(np.sqrt(total[3, 3])) * length**2, design.curvature_names[0]

@@ -1,0 +1,1 @@
+"""Description of coded targets and the sheets to print."""

@@ -1,0 +1,298 @@
+"""OpenCSP files: every trap of the format on files made here, and the published measurement where it is at hand."""
+
+import datetime
+import json
+import tomllib
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from deflectometry.exchange.opencsp import CalculationRecord, CameraRecord, FringeRecord, TableRecord, read_opencsp_file
+from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.pipeline.measure import Options, run
+from heliogauge.errors import InputError, QualityWarning
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.load import load_measurement
+
+CAM_FROM_SCREEN = RigidTransform.from_rotation_vector([0.1, -0.3, 0.05], [1.0, 0.2, 0.3])
+CAM_FROM_MIRROR = RigidTransform.from_rotation_vector([3.0, 0.1, -0.2], [0.1, 0.2, 9.0])
+
+
+def _write_h5(path: Path, content: dict[str, Any]) -> Path:
+    with h5py.File(path, "w") as file:
+        for key, value in content.items():
+            file[key] = value
+    return path
+
+
+def _opencsp_pose(prefix: str, other: str, cam_from_other: RigidTransform) -> dict[str, Any]:
+    """The format's own words: r_cam_x maps camera to x, v_cam_x_cam is the origin of x seen from the camera."""
+    return {
+        f"{prefix}/r_cam_{other}": cam_from_other.inverse().rotation_vector_rad,
+        f"{prefix}/v_cam_{other}_cam": cam_from_other.translation_m.reshape(3, 1),
+    }
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    rng = np.random.default_rng(5)
+    folder = tmp_path / "in"
+    folder.mkdir()
+    measurement = {
+        "fringe_images": rng.integers(0, 255, (6, 8, 12), dtype=np.uint8),
+        "mask_images": rng.integers(0, 255, (6, 8, 2), dtype=np.uint8),
+        "fringe_periods_x": [0.9, 4.0], "fringe_periods_y": [0.8],
+        "dist_optic_screen": 9.5, "v_measure_point_facet": [0.0, 0.1, 0.0],
+        "name": "made here", "date": "2024-02-03T04:05:06",
+    }  # fmt: skip
+    camera = {
+        "intrinsic_mat": np.array([[700.0, 0, 4.0], [0, 690.0, 3.0], [0, 0, 0.25]]),
+        "distortion_coef": [[-0.1, 0.2, 1e-4, 2e-4]], "image_shape_xy": [6, 8], "name": "small",
+    }  # fmt: skip
+    display = {
+        "screen_model": "distorted2D", "name": "wall",
+        "xy_screen_fraction": [[0.0, 1.0, 0.5], [0.0, 0.0, 0.9]],
+        "xy_screen_coords": [[-2.0, 2.1, 0.0], [-1.0, -1.1, 0.8]],
+    }  # fmt: skip
+    corners = {"x": [0.5, -0.5, -0.5, 0.5], "y": [-0.4, -0.4, 0.4, 0.4], "z": [0.0] * 4}
+    facet = {"v_facet_corners": corners, "v_centroid_facet": {"x": [0.01], "y": [0.02], "z": [0.0]}}
+    (folder / "f.json").write_text(json.dumps(facet))
+    return {
+        "measurement": _write_h5(folder / "m.h5", {f"MeasurementSofastFringe/{k}": v for k, v in measurement.items()}),
+        "camera": _write_h5(folder / "c.h5", {f"Camera/{k}": v for k, v in camera.items()}),
+        "display": _write_h5(folder / "d.h5", {f"DisplayShape/{k}": v for k, v in display.items()}),
+        "orientation": _write_h5(folder / "o.h5", _opencsp_pose("SpatialOrientation", "screen", CAM_FROM_SCREEN)),
+        "response": _write_h5(
+            folder / "r.h5",
+            {"ImageCalibration/camera_values": [0.0, 5.0], "ImageCalibration/display_values": [0.0, 255.0]},
+        ),
+        "facet": folder / "f.json",
+    }
+
+
+def _import(files: dict[str, Path], folder: Path, **options: Any) -> dict[str, Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        import_opencsp(list(files.values()), folder, OpencspOptions(**{"focal_length_m": 50.0} | options))
+    return tomllib.loads((folder / "measurement.toml").read_text())
+
+
+def test_folder_holds_everything_in_our_conventions(files: dict[str, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    content = _import(dict(reversed(files.items())), out)
+    assert content["kind"] == "deflectometry"
+    assert content["date"] == datetime.datetime(2024, 2, 3, 4, 5, 6)
+    camera = content["camera"]
+    assert (camera["width_px"], camera["height_px"]) == (8, 6)
+    assert (camera["focal_x_px"], camera["center_x_px"], camera["center_y_px"]) == (700.0, 4.0, 3.0)
+    assert [camera[key] for key in ("k1", "k2", "p1", "p2", "k3")] == [-0.1, 0.2, 1e-4, 2e-4, 0.0]
+    np.testing.assert_allclose(
+        content["screen"]["rotation_vector_rad"], CAM_FROM_SCREEN.rotation_vector_rad, atol=1e-12
+    )
+    np.testing.assert_allclose(content["screen"]["translation_m"], CAM_FROM_SCREEN.translation_m, atol=1e-12)
+    assert [(item["axis"], item["periods"]) for item in content["pattern"]["set"]] == [
+        ("y", 0.8),
+        ("x", 0.9),
+        ("x", 4.0),
+    ]
+    assert all(item["steps_deg"] == [0, 90, 180, 270] for item in content["pattern"]["set"])
+    outline = np.array(content["mirror"]["outline_m"])
+    following = np.roll(outline, -1, axis=0)
+    assert (outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum() / 2 == pytest.approx(0.8)
+    assert content["mirror"]["distance"] == {"distance_m": 9.5, "sigma_mm": 10.0, "point_m": [0.0, 0.1, 0.0]}
+    assert "pose" not in content["mirror"]
+    table = np.loadtxt(out / "screen_points.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table[2], [0.5, 0.1, 0.0, 0.8, 0.0], atol=1e-15)
+    np.testing.assert_array_equal(np.loadtxt(out / "response.csv", delimiter=",", skiprows=1), [[0, 0], [5, 255]])
+
+
+def test_frames_come_back_without_loss_and_in_order(files: dict[str, Path], tmp_path: Path) -> None:
+    _import(files, tmp_path / "out")
+    with h5py.File(files["measurement"]) as file:
+        expected = file["MeasurementSofastFringe/fringe_images"][()]
+        masks = file["MeasurementSofastFringe/mask_images"][()]
+    paths = sorted((tmp_path / "out").glob("fringe_*.png"))
+    frames = np.stack([np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)) for path in paths], axis=-1)
+    np.testing.assert_array_equal(frames, expected)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "out" / "dark.png"), cv2.IMREAD_UNCHANGED), masks[..., 0])
+
+
+def test_principal_point_of_averaged_images_is_corrected_on_request(files: dict[str, Path], tmp_path: Path) -> None:
+    # Averaging 4 x 4: full-size pixel x = 4 * small + 1.5, so small = (x - 1.5) / 4.
+    camera = _import(files, tmp_path / "out", correct_principal_point=True)["camera"]
+    assert camera["center_x_px"] == pytest.approx((4 * 4.0 - 1.5) / 4)
+    with pytest.warns(QualityWarning, match="4 x 4 px.*-0.3750 px"):
+        import_opencsp(list(files.values()), tmp_path / "other", OpencspOptions(focal_length_m=1.0))
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [
+        ("measurement", "MeasurementSofastFringe"),
+        ("camera", "holds a camera"),
+        ("display", "DisplayShape"),
+        ("orientation", "SpatialOrientation"),
+        ("facet", "facet definition"),
+    ],
+)
+def test_missing_kind_is_named_and_nothing_is_written(
+    files: dict[str, Path], tmp_path: Path, missing: str, words: str
+) -> None:
+    rest = {key: path for key, path in files.items() if key != missing}
+    with pytest.raises(InputError, match=words):
+        _import(rest, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_files_of_one_kind_are_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    twin = files["camera"].with_name("twin.h5")
+    twin.write_bytes(files["camera"].read_bytes())
+    with pytest.raises(InputError, match=r"camera: c\.h5, twin\.h5"):
+        _import(files | {"twin": twin}, tmp_path / "out")
+
+
+def test_camera_for_another_image_size_is_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    with h5py.File(files["camera"], "a") as file:
+        file["Camera/image_shape_xy"][...] = [60, 80]
+    with pytest.raises(InputError, match="60 x 80 px, the frames are 8 x 6 px"):
+        _import(files, tmp_path / "out")
+
+
+def test_fixed_pattern_and_foreign_files_are_refused_in_words(files: dict[str, Path], tmp_path: Path) -> None:
+    fixed = _write_h5(tmp_path / "fixed.h5", {"MeasurementSofastFixed/image": np.zeros((3, 3))})
+    with pytest.raises(InputError, match="only fringe measurements can be imported"):
+        read_opencsp_file(fixed)
+    foreign = _write_h5(tmp_path / "foreign.h5", {"Something": 1.0})
+    with pytest.raises(InputError, match="nothing of a fringe measurement"):
+        read_opencsp_file(foreign)
+    (tmp_path / "text.json").write_text("no json")
+    with pytest.raises(InputError, match="neither HDF5 nor JSON"):
+        read_opencsp_file(tmp_path / "text.json")
+    with pytest.raises(InputError, match="no such file"):
+        read_opencsp_file(tmp_path / "absent.h5")
+
+
+def test_wrong_number_of_frames_is_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    with h5py.File(files["measurement"], "a") as file:
+        del file["MeasurementSofastFringe/fringe_periods_y"]
+        file["MeasurementSofastFringe/fringe_periods_y"] = [0.9, 3.9]
+    with pytest.raises(InputError, match=r"12 fringe frames.*need 16"):
+        _import(files, tmp_path / "out")
+
+
+def test_an_existing_measurement_is_not_overwritten(files: dict[str, Path], tmp_path: Path) -> None:
+    _import(files, tmp_path / "out")
+    with pytest.raises(InputError, match="holds files already; give a new folder"):
+        _import(files, tmp_path / "out")
+
+
+def test_without_a_focal_length_the_design_is_a_plane_with_a_warning(files: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.warns(QualityWarning, match="written as a plane"):
+        import_opencsp(list(files.values()), tmp_path / "out", OpencspOptions(correct_principal_point=True))
+
+
+def test_ensemble_places_each_facet(files: dict[str, Path], tmp_path: Path) -> None:
+    turn = [0.0, 0.01, 0.0]
+    ensemble = {
+        "v_facet_locations": {"x": [-0.6, 0.6], "y": [0.0, 0.1], "z": [0.0, 0.02]},
+        "r_facet_ensemble": {"1": turn, "0": [0.0, 0.0, 0.0]},
+        "ensemble_perimeter": {"facet_indices": [0, 1], "corner_indices": [0, 1]},
+        "v_centroid_ensemble": {"x": [0.0], "y": [0.0], "z": [0.0]},
+    }
+    path = tmp_path / "e.json"
+    path.write_text(json.dumps(ensemble))
+    facets = _import(files | {"ensemble": path}, tmp_path / "out")["mirror"]["facet"]
+    assert [facet["position_m"] for facet in facets] == [[-0.6, 0.0, 0.0], [0.6, 0.1, 0.02]]
+    np.testing.assert_allclose(facets[1]["rotation_vector_rad"], turn, atol=1e-15)
+    assert [facet["focal_length_m"] for facet in facets] == [50.0, 50.0]
+
+
+def test_pose_of_a_result_file_is_taken_only_on_request(files: dict[str, Path], tmp_path: Path) -> None:
+    facet = "DataSofastCalculation/facet/facet_000"
+    pose = _opencsp_pose(f"{facet}/CalculationDataGeometryFacet/SpatialOrientation", "optic", CAM_FROM_MIRROR)
+    result = _write_h5(tmp_path / "data.h5", pose)
+    assert "pose" not in _import(files | {"result": result}, tmp_path / "a")["mirror"]
+    found = _import(files, tmp_path / "b", pose_from=result)["mirror"]["pose"]
+    found_pose = RigidTransform.from_rotation_vector(found["rotation_vector_rad"], found["translation_m"])
+    np.testing.assert_allclose(found_pose.rotation, CAM_FROM_MIRROR.rotation, atol=1e-12)
+    np.testing.assert_allclose(found_pose.translation_m, CAM_FROM_MIRROR.translation_m, atol=1e-12)
+    with pytest.raises(InputError, match="no SOFAST result"):
+        _import(files, tmp_path / "c", pose_from=files["camera"])
+
+
+def test_published_result_closes_the_loop_of_frames(shared_data: Path) -> None:
+    # The publisher's own points, once in the screen frame and once in the facet frame, must map into each other.
+    path = shared_data / "opencsp" / "fringe" / "expected_facet" / "data.h5"
+    records = read_opencsp_file(path).records
+    cam_from_screen = next(record for record in records if isinstance(record, RigidTransform))
+    cam_from_mirror = next(record for record in records if isinstance(record, CalculationRecord)).cam_from_mirror
+    table = next(record for record in records if isinstance(record, TableRecord))
+    assert table.v.min() >= 0
+    assert table.v.max() <= 1
+    with h5py.File(path) as file:
+        geometry = file["DataSofastCalculation/facet/facet_000/CalculationDataGeometryFacet"]
+        on_screen = geometry["v_screen_points_screen"][()].T
+        on_facet = geometry["v_screen_points_facet"][()].T
+    mapped = (cam_from_mirror.inverse() @ cam_from_screen).apply(on_screen)
+    np.testing.assert_allclose(mapped, on_facet, atol=1e-9)
+
+
+def test_published_measurement_is_imported_whole(shared_data: Path, tmp_path: Path) -> None:
+    root = shared_data / "opencsp"
+    files = {
+        path.stem: path
+        for path in (
+            root / "common" / "Facet_NSTTF.json",
+            root / "common" / "display_rectangular.h5",
+            root / "common" / "spatial_orientation.h5",
+            root / "fringe" / "measurement_facet.h5",
+            root / "common" / "camera_sofast_downsampled.h5",
+        )
+    }
+    content = _import(files, tmp_path / "out")
+    assert content["screen"]["width_m"] == pytest.approx(8.726678)
+    assert len(list((tmp_path / "out").glob("fringe_*.png"))) == 32
+    fringes = next(r for r in read_opencsp_file(files["measurement_facet"]).records if isinstance(r, FringeRecord))
+    assert fringes.distance_m == 10.232
+    camera = next(
+        r for r in read_opencsp_file(files["camera_sofast_downsampled"]).records if isinstance(r, CameraRecord)
+    )
+    assert camera.averaged == pytest.approx(8.0)
+    assert camera.matrix[2, 2] == 1.0
+
+
+def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data: Path, tmp_path: Path) -> None:
+    """The published facet read as the publisher's ensemble of two halves: each half has the design about its middle."""
+    root = shared_data / "opencsp"
+    common = ("Ensemble_split_NSTTF_facet.json", "Facet_split_NSTTF.json", "display_distorted_2d.h5",
+              "spatial_orientation.h5", "camera_sofast_downsampled.h5")  # fmt: skip
+    files = {name: root / "common" / name for name in common} | {"m": root / "fringe" / "measurement_facet.h5"}
+    result_file = root / "fringe" / "expected_facet" / "data.h5"
+    content = _import(files, tmp_path / "in", focal_length_m=100.0, pose_from=result_file)
+    assert "design" not in content["mirror"]
+    assert [facet["focal_length_m"] for facet in content["mirror"]["facet"]] == [100.0, 100.0]
+    result = run(load_measurement(tmp_path / "in"), Options(grid_step_mm=20.0))
+    left, right = (result.evaluation.maps[name] for name in ("facet_000", "facet_001"))
+    # Each half leans against its own paraboloid by its own mean slope, which the publisher found too. (Against one
+    # paraboloid over both halves, f = 100 m, the means would differ by 0.5 mrad and not by 2.7.) Within 0.25 x 0.5 m
+    # of each middle, clear of the edges where the two programs leave out different pixels.
+    with h5py.File(result_file) as file:
+        solved = file["DataSofastCalculation/facet/facet_000/SlopeSolverData"]
+        x_m, y_m = solved["v_surf_points_facet"][:2]
+        slope_x = solved["slopes_facet_xy"][0]
+    leaning = []
+    for one, middle in ((left, -0.32), (right, 0.32)):
+        inner = (np.abs(one.x_m) < 0.25) & (np.abs(one.y_m) < 0.5)[:, None]
+        published = slope_x[(np.abs(x_m - middle) < 0.25) & (np.abs(y_m) < 0.5)]
+        leaning.append((np.nanmean(one.slope_error_x[inner]), published.mean()))
+    (left_ours, left_theirs), (right_ours, right_theirs) = leaning
+    assert right_ours - left_ours == pytest.approx(right_theirs - left_theirs, abs=0.03e-3)
+    for one in (left, right):
+        assert one.measured_share > 0.9
+        expected = np.broadcast_to(one.x_m / 200, one.shape)
+        np.testing.assert_allclose(one.design_slope_x[one.valid], expected[one.valid], atol=1e-12)

@@ -1,0 +1,219 @@
+"""Figures: the right values at the right place, gaps visible, limits said, nothing shown on a screen."""
+
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from heliogauge.flags import SampleFlag
+from heliogauge.reporting import figures
+from heliogauge.reporting.canvas import (
+    MISSING,
+    MOST_NODES,
+    MapStyle,
+    clipping_words,
+    extent_of,
+    nice_ceiling,
+    robust_limit,
+    thinned,
+)
+from heliogauge.slopes.map import CommonModes, SlopeMap
+from heliogauge.slopes.statistics import Removal
+from heliogauge.sunlight.beam import Illumination, facing_target, trace
+from heliogauge.sunlight.sun_shapes import PillboxSun
+
+FOCAL_M = 10.0
+
+
+def make_map(rows: int = 48, columns: int = 60, height_m: float = 0.8) -> SlopeMap:
+    """A paraboloid with a known wave on it, a hole, and two common modes."""
+    rng = np.random.default_rng(1)
+    x_m, y_m = np.linspace(-0.6, 0.6, columns), np.linspace(-height_m / 2, height_m / 2, rows)
+    x, y = np.meshgrid(x_m, y_m)
+    flags = np.zeros(x.shape, np.uint32)
+    hole = np.hypot(x - 0.2, y - 0.15) < 0.1
+    flags[hole] = int(SampleFlag.SATURATED)
+    aperture = np.abs(x) < 0.55
+    sigma = np.full(x.shape, 2e-5)
+    design = (x / (2 * FOCAL_M), y / (2 * FOCAL_M))
+    wave = 4e-4 * np.sin(6 * x)
+    slope_x = np.where(hole, np.nan, design[0] + wave + rng.normal(0, sigma))
+    slope_y = np.where(hole, np.nan, design[1] + rng.normal(0, sigma))
+    common = CommonModes(("mirror pose", "camera"), rng.normal(0, 2e-5, (2, 2, 3)), np.zeros(2), 0.6)
+    height = (x**2 + y**2) / (4 * FOCAL_M) - 4e-4 / 6 * np.cos(6 * x)
+    return SlopeMap(
+        x_m, y_m, slope_x, slope_y, *design, sigma, sigma, 1.0, common, height, flags, aperture,
+        "paraboloid, f = 10 m", "facet", "nothing",
+    )  # fmt: skip
+
+
+SLOPE_MAP = make_map()
+SPOT = trace(
+    SLOPE_MAP, SLOPE_MAP.height_m, Illumination(PillboxSun()), target=facing_target(FOCAL_M, 0.3), rays=20_000,
+    rng=np.random.default_rng(2),
+)  # fmt: skip
+GEOMETRY_M = {
+    "camera": [0.4, 0.3, 9.6],
+    "camera_axis": [-0.4, -0.3, -9.6],
+    "screen": [[-2, -1, 8], [2, -1, 8.5], [2, 1.5, 9]],
+    "mirror": [[-0.6, -0.5, 0], [0.6, -0.5, 0], [0.6, 0.5, 0]],
+}
+ALL: dict[str, Callable[[], Figure]] = {
+    "error x": lambda: figures.slope_error_map(SLOPE_MAP, "x"),
+    "error y, tilt removed": lambda: figures.slope_error_map(SLOPE_MAP, "y", removed=Removal.TILT),
+    "magnitude": lambda: figures.slope_error_magnitude_map(SLOPE_MAP),
+    "slope": lambda: figures.slope_map_figure(SLOPE_MAP, "y"),
+    "sigma": lambda: figures.sigma_map(SLOPE_MAP, "x"),
+    "sigma random": lambda: figures.sigma_map(SLOPE_MAP, "x", "random"),
+    "sigma common": lambda: figures.sigma_map(SLOPE_MAP, "y", "common"),
+    "curl": lambda: figures.curl_map(SLOPE_MAP),
+    "curvature": lambda: figures.curvature_map(SLOPE_MAP, "x"),
+    "height": lambda: figures.height_map(SLOPE_MAP),
+    "height deviation": lambda: figures.height_deviation_map(SLOPE_MAP),
+    "mode": lambda: figures.common_mode_map(SLOPE_MAP, "camera", "x"),
+    "flags": lambda: figures.flag_map(SLOPE_MAP),
+    "histogram": lambda: figures.histogram(SLOPE_MAP, "x"),
+    "section x": lambda: figures.cross_sections(SLOPE_MAP, "x"),
+    "section y": lambda: figures.cross_sections(SLOPE_MAP, "y"),
+    "shares": lambda: figures.sigma_shares({"noise": (1e-5, 2e-5)}),
+    "image": lambda: figures.camera_image(np.arange(12.0).reshape(3, 4), MapStyle("image", "DN", diverging=False)),
+    "outline": lambda: figures.outline_residuals(np.array([[0.0, 0], [9, 0], [9, 5]]), np.full((3, 2), 0.1)),
+    "setup": lambda: figures.setup_sketch(GEOMETRY_M),
+    "spot": lambda: figures.spot_image(SPOT),
+    "energy": lambda: figures.encircled_energy({"measured": SPOT}),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_figure_draws_and_has_a_title(name: str) -> None:
+    figure = ALL[name]()
+    png = figures.png_of(figure)
+    assert figure.texts[0].get_text()
+    assert Image.open(io.BytesIO(png)).size[0] >= 500
+
+
+def test_figures_need_no_pyplot_xarray_or_pandas() -> None:
+    program = "import sys, heliogauge.reporting.figures; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert "matplotlib.figure" in modules
+    assert not {"matplotlib.pyplot", "xarray", "pandas", "scipy"} & set(modules)
+
+
+def test_a_map_shows_each_value_at_its_place_in_mrad() -> None:
+    values = np.full(SLOPE_MAP.shape, np.nan)
+    row, column = 40, 50
+    values[row, column] = 3e-3
+    figure = figures.map_figure(SLOPE_MAP, values, MapStyle("one node", "mrad", 1e3))
+    axes = figure.axes[0]
+    image = axes.images[0]
+    # Ask the drawn image what it shows under the node's own coordinates: right, and above the middle.
+    event = type("Event", (), {"inaxes": axes})()
+    event.x, event.y = axes.transData.transform((SLOPE_MAP.x_m[column], SLOPE_MAP.y_m[row]))
+    assert image.get_cursor_data(event) == pytest.approx(3.0)
+    event.x, event.y = axes.transData.transform((SLOPE_MAP.x_m[column], -SLOPE_MAP.y_m[row]))
+    assert image.get_cursor_data(event) is np.ma.masked
+    assert event.y < axes.transData.transform((0, 0))[1]
+    assert "seen from the front" in axes.get_xlabel()
+
+
+@pytest.mark.parametrize(("rows", "columns", "height_m"), [(48, 60, 0.8), (30, 300, 0.1), (300, 30, 12.0)])
+def test_maps_keep_the_mirrors_proportions(rows: int, columns: int, height_m: float) -> None:
+    slope_map = make_map(rows, columns, height_m)
+    figure = figures.slope_error_map(slope_map, "x")
+    figures.png_of(figure)
+    axes = figure.axes[0]
+    box = axes.get_window_extent()
+    left, right, low, high = extent_of(slope_map)
+    assert box.height / box.width == pytest.approx((high - low) / (right - left), rel=1e-3)
+    assert figure.get_size_inches()[1] < 6
+
+
+def test_missing_mirror_is_grey_and_outside_is_white() -> None:
+    figure = figures.slope_error_map(SLOPE_MAP, "x")
+    picture = np.asarray(Image.open(io.BytesIO(figures.png_of(figure))).convert("RGB")).astype(int)
+    axes = figure.axes[0]
+
+    def patch(x: float, y: float) -> np.ndarray:
+        column, row = axes.transData.transform((x, y))
+        row = picture.shape[0] - row
+        return picture[int(row) - 5 : int(row) + 5, int(column) - 2 : int(column) + 3].reshape(-1, 3)
+
+    grey = tuple(int(MISSING[i : i + 2], 16) for i in (1, 3, 5))
+    in_the_hole = patch(0.2, 0.15)
+    assert grey in {tuple(pixel) for pixel in in_the_hole}
+    # Hatching: more than one grey.
+    assert len({tuple(pixel) for pixel in in_the_hole}) > 1
+    assert (patch(0.585, 0.0) == 255).all()
+
+
+def test_both_directions_share_their_colours_and_zero_is_in_the_middle() -> None:
+    limits = [figures.slope_error_map(SLOPE_MAP, axis).axes[0].images[0].get_clim() for axis in "xy"]
+    assert limits[0] == limits[1]
+    assert limits[0][0] == -limits[0][1]
+
+
+def test_clipping_is_said() -> None:
+    error = SLOPE_MAP.slope_error_x.copy()
+    error[5, 5:10] = 0.1
+    figure = figures.map_figure(SLOPE_MAP, error, MapStyle("clipped", "mrad", 1e3))
+    assert "beyond the colours" in figure.texts[1].get_text()
+    assert "100" in figure.texts[1].get_text()
+    assert clipping_words(np.array([1.0, -1.0]), 1.0, MapStyle("", "")) == ""
+    assert clipping_words(np.array([np.nan]), 1.0, MapStyle("", "")) == "no value anywhere"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(1.0, 1.0), (1.01, 1.2), (0.00099, 0.001), (9.9, 10), (0, 1), (np.nan, 1), (47, 50)]
+)
+def test_limits_are_round_numbers(value: float, expected: float) -> None:
+    assert nice_ceiling(value) == expected
+
+
+def test_a_few_bad_nodes_do_not_hide_the_map() -> None:
+    values = np.concatenate([np.linspace(-1, 1, 1000), [500.0]])
+    assert robust_limit(values) == 1.0
+
+
+def test_large_maps_are_thinned_by_whole_nodes() -> None:
+    field = np.arange(1200 * 900).reshape(1200, 900)
+    small = thinned(field)
+    assert max(small.shape) <= MOST_NODES
+    assert np.isin(small, field).all()
+
+
+def test_the_histogram_names_sd_of_a_known_wave() -> None:
+    note = figures.histogram(SLOPE_MAP, "x").texts[1].get_text()
+    rms = np.sqrt(np.mean(SLOPE_MAP.slope_error_x[SLOPE_MAP.valid] ** 2)) * 1e3
+    assert f"{rms:.3f} mrad" in note
+    assert rms == pytest.approx(0.4 / np.sqrt(2), rel=0.2)
+
+
+def test_the_curvature_names_the_focal_length() -> None:
+    flat_error = replace(SLOPE_MAP, slope_x=SLOPE_MAP.design_slope_x, slope_y=SLOPE_MAP.design_slope_y)
+    assert "f = 10 m" in figures.curvature_map(flat_error, "y").texts[1].get_text()
+
+
+def test_curl_of_pure_noise_is_as_large_as_its_sigma() -> None:
+    note = figures.curl_map(SLOPE_MAP).texts[1].get_text()
+    assert float(note.split()[1].rstrip(",")) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_legend_of_flags_gives_reasons_and_shares() -> None:
+    figure = figures.flag_map(SLOPE_MAP)
+    labels = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
+    hole = np.count_nonzero(SLOPE_MAP.flags) / np.count_nonzero(SLOPE_MAP.aperture)
+    assert f"at least one frame saturated: {hole:.2%}" in labels
+
+
+def test_a_map_without_any_value_still_draws() -> None:
+    nothing = np.full(SLOPE_MAP.shape, np.nan)
+    empty = replace(SLOPE_MAP, slope_x=nothing, slope_y=nothing, height_m=nothing)
+    for draw in (figures.slope_error_magnitude_map, figures.height_map, figures.height_deviation_map, figures.flag_map):
+        figures.png_of(draw(empty))
+    assert "no value" in figures.slope_error_map(empty, "x").texts[1].get_text()

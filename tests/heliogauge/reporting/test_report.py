@@ -1,0 +1,294 @@
+"""The report: one self-contained page that says what the files say, warnings first."""
+
+import math
+import re
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+from jupyter_client.kernelspec import KernelSpecManager
+
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.reporting import page
+from heliogauge.reporting.build import NOTEBOOK_PACKAGES, OTHER_NOTEBOOKS, build_report
+from heliogauge.reporting.sections import _seen_part
+from heliogauge.results.folder import (
+    PhotoPose,
+    Summary,
+    write_cameras_json,
+    write_pixels,
+    write_slope_map,
+    write_summary,
+    write_table_csv,
+)
+from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
+from heliogauge.slopes.statistics import statistics
+
+FOCAL_M = 10.0
+WARNING = "2.0 % of the mirror was not measured <saturated>"
+
+
+def make_map() -> SlopeMap:
+    """A paraboloid with noise, a wave, a hole and common modes of three sources."""
+    rng = np.random.default_rng(1)
+    x_m, y_m = np.linspace(-0.6, 0.6, 90), np.linspace(-0.4, 0.4, 60)
+    x, y = np.meshgrid(x_m, y_m)
+    flags = np.where(np.hypot(x - 0.2, y) < 0.08, np.uint32(SampleFlag.SATURATED), np.uint32(0))
+    sigma = np.full(x.shape, 2e-5)
+    design = (x / (2 * FOCAL_M), y / (2 * FOCAL_M))
+    errors = (4e-4 * np.sin(6 * x), np.zeros(x.shape))
+    slopes = [np.where(flags, np.nan, d + e + rng.normal(0, sigma)) for d, e in zip(design, errors, strict=True)]
+    common = CommonModes(("mirror pose", "mirror pose", "camera"), rng.normal(0, 2e-5, (3, 2, 3)), np.zeros(2), 0.6)
+    height = (x**2 + y**2) / (4 * FOCAL_M) - 4e-4 / 6 * np.cos(6 * x)
+    return SlopeMap(
+        x_m, y_m, *slopes, *design, sigma, sigma, 1.0, common, height, flags, np.ones(x.shape, bool),
+        "paraboloid, f = 10 m", "facet", "nothing",
+    )  # fmt: skip
+
+
+def make_summary(slope_map: SlopeMap) -> Summary:
+    result = statistics(slope_map)
+    return Summary(
+        kind="deflectometry",
+        name="Facet 7 & friends",
+        numbers={
+            "sdx_rad": result.sdx_rad, "sigma_sdx_rad": result.sigma_sdx_rad,
+            "measured_share": slope_map.measured_share, "focal_length_x_m": None,
+        },
+        texts={"mounting orientation": "hanging, face down"},
+        warnings=(WARNING,),
+        durations_s={"read images": 0.4, "slopes": 0.3},
+        input_sha256={"fringe_00.png": "ab" * 32},
+        not_determined={"focal_length_x_m": "left out here"},
+        geometry_m={
+            "camera": [0.4, 0.3, 9.6], "camera_axis": [-0.4, -0.3, -9.6],
+            "screen": [[-2, -1, 8], [2, -1, 8.5], [2, 1.5, 9]],
+            "mirror": [[-0.6, -0.4, 0], [0.6, -0.4, 0], [0.6, 0.4, 0]],
+        },
+    )  # fmt: skip
+
+
+def write_results(folder: Path) -> SlopeMap:
+    slope_map = make_map()
+    write_slope_map(folder / "slope_map.nc", {"": slope_map})
+    write_summary(folder / "summary.json", make_summary(slope_map))
+    write_pixels(folder / "pixels.nc", {"modulation_dn": np.full((30, 40), 80.0), "u": np.full((30, 40), 0.5)})
+    pose = PhotoPose("camera", RigidTransform.from_rotation_vector([3.1, 0, 0], [0, 0, 9.6]), np.eye(6) * 1e-8, 0.07)
+    write_cameras_json(folder / "cameras.json", {"camera": Camera(40, 30, 90, 90, 19.5, 14.5)}, {"mirror": pose})
+    columns = {name: [1.0, 2.0, 5.0] for name in ("x_px", "y_px", "residual_x_px", "residual_y_px")}
+    write_table_csv(folder / "outline.csv", columns)
+    return slope_map
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of results with its report, made on a machine without any kernel specification."""
+    folder = tmp_path_factory.mktemp("results")
+    write_results(folder)
+
+    def no_kernel(*_: object, **__: object) -> None:
+        raise AssertionError("an installed kernel specification was asked for")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(KernelSpecManager, "get_kernel_spec", no_kernel)
+        build_report(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path) -> str:
+    """The page without the bytes of its images."""
+    whole = (folder / "report.html").read_text(encoding="utf-8")
+    return re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "IMAGE", whole)
+
+
+@pytest.mark.slow
+def test_the_page_loads_nothing_from_elsewhere(text: str) -> None:
+    assert not re.search(r"https?://|//cdn|<script|<link|@import|url\(", text)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
+    assert sources
+    assert all(source == "IMAGE" or source.startswith("#part-") for source in sources)
+
+
+@pytest.mark.slow
+def test_the_page_has_many_figures_and_no_code(text: str) -> None:
+    assert text.count('src="IMAGE"') >= 15
+    for image in re.findall(r"<img [^>]*>", text):
+        assert re.search(r'alt="[^"]{8,}"', image)
+    # Highlighting would split "figures.slope_error_map" into pieces.
+    assert "slope_error_map" not in text
+    assert "Traceback" not in text
+    assert "not traced" not in text
+
+
+@pytest.mark.slow
+def test_warnings_come_before_every_number_and_figure(text: str) -> None:
+    place = text.index("2.0 % of the mirror was not measured &lt;saturated&gt;")
+    assert place < text.index("IMAGE")
+    assert place < text.index("SDx, RMS slope error")
+
+
+@pytest.mark.slow
+def test_the_page_says_what_the_files_say(text: str) -> None:
+    result = statistics(make_map())
+    shown = page.number_text(result.sdx_rad, result.sigma_sdx_rad, "rad")
+    assert " \u00b1 " in shown
+    for words in (
+        shown, "Facet 7 &amp; friends", "not determined: left out here", "paraboloid, f = 10 m", "hanging, face down",
+        "read images", "fringe_00.png", "ab" * 32, "at least one frame saturated", "1500000 rays", "0.070 px",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+@pytest.mark.slow
+def test_every_section_is_linked(text: str) -> None:
+    links = re.findall(r'<a href="#(part-\d+)">([^<]+)</a>', text)
+    assert len(links) >= 8
+    for target, words in links:
+        assert f'<h2 id="{target}">{words}</h2>' in text
+
+
+@pytest.mark.slow
+def test_the_executed_notebook_is_kept_and_nothing_else_is_left(folder: Path) -> None:
+    notebook = nbformat.read(folder / "report.ipynb", as_version=4)
+    assert all(cell.outputs for cell in notebook.cells if cell.cell_type == "code" and "facet_table" not in cell.source)
+    assert not any("execution" in cell.metadata for cell in notebook.cells)
+    own = {"report.html", "report.ipynb"}
+    results = {"summary.json", "slope_map.nc", "pixels.nc", "cameras.json", "outline.csv"}
+    assert {path.name for path in folder.iterdir()} == own | results
+
+
+@pytest.mark.slow
+def test_damaged_results_are_named(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    (tmp_path / "slope_map.nc").unlink()
+    with pytest.raises(InputError, match=r"slope_map\.nc"):
+        build_report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_folders_without_a_report_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"summary\.json"):
+        build_report(tmp_path)
+    write_summary(tmp_path / "summary.json", replace(make_summary(make_map()), kind="astrology"))
+    with pytest.raises(InputError, match="astrology"):
+        build_report(tmp_path)
+
+
+@pytest.mark.parametrize(("kind", "package"), NOTEBOOK_PACKAGES.items())
+def test_the_notebook_in_the_package_is_clean_and_short(kind: str, package: str) -> None:
+    text = resources.files(package).joinpath(OTHER_NOTEBOOKS.get(kind, "report.ipynb")).read_text(encoding="utf-8")
+    notebook = nbformat.reads(text, as_version=4)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        assert len(cell.source.splitlines()) <= 14
+        if cell.cell_type == "code":
+            assert cell.outputs == []
+            assert cell.execution_count is None
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "unit", "name", "expected"),
+    [
+        (1.23456e-3, 1.2e-6, "rad", "sdx", "1.2346 \u00b1 0.0012 mrad"),
+        (9.9876, 0.34, "m", "focal_length_x", "9.99 \u00b1 0.34 m"),
+        (9.9876, 12.0, "m", "focal_length_x", "10 \u00b1 12 m"),
+        (0.0123, None, "m", "miss", "12.3 mm"),
+        (0.07, 0.0, "px", "residual", "0.07 px"),
+        (0.98765, None, "", "measured_share", "98.77 %"),
+        (16, None, "", "frames_count", "16"),
+        (-2.5e-3, math.nan, "rad", "mean_x", "-2.5 mrad"),
+    ],
+)
+def test_numbers_are_printed_to_the_digits_of_their_sigma(
+    value: float, sigma: float | None, unit: str, name: str, expected: str
+) -> None:
+    assert page.number_text(value, sigma, unit, name) == expected
+
+
+def test_no_warnings_are_said_too(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    results = page.open_results(tmp_path)
+    assert "1 warning<" in page.warnings_box(results).text
+    calm = replace(results, summary=replace(results.summary, warnings=()))
+    assert "No warnings" in page.warnings_box(calm).text
+
+
+def test_shares_of_the_uncertainty_add_up() -> None:
+    slope_map = make_map()
+    shares = page.uncertainty_shares(slope_map)
+    assert list(shares) == ["random noise", "mirror pose", "camera"]
+    for axis, sigma in enumerate(slope_map.sigma_slope()):
+        total = np.sqrt(np.mean(sigma[slope_map.valid] ** 2))
+        assert math.hypot(*(share[axis] for share in shares.values())) == pytest.approx(total, rel=1e-12)
+    assert list(page.uncertainty_shares(replace(slope_map, common=no_common_modes()))) == ["random noise"]
+
+
+def test_the_design_spot_is_the_image_of_the_sun(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    spots = page.spots(page.open_results(tmp_path), rays=100_000)
+    design, measured = spots["design"], spots["as measured"]
+    assert design.distance_m == pytest.approx(FOCAL_M, rel=1e-7)  # slopes are stored as float32
+    # A uniform disc holds half of its light within its radius over sqrt(2).
+    assert design.radius_of_share(0.5) == pytest.approx(4.65e-3 * FOCAL_M / math.sqrt(2), rel=0.02)
+    assert measured.radius_of_share(0.99) > design.radius_of_share(0.99)
+    assert measured.rays == 100_000
+
+
+def test_a_summary_can_name_the_target(tmp_path: Path) -> None:
+    slope_map = write_results(tmp_path)
+    summary = make_summary(slope_map)
+    numbers = {**summary.numbers, "target_distance_m": 25.0}
+    write_summary(tmp_path / "summary.json", replace(summary, numbers=numbers))
+    assert page.spots(page.open_results(tmp_path), rays=1000)["design"].distance_m == 25.0
+
+
+def test_facets_get_a_line_each(tmp_path: Path) -> None:
+    slope_map = write_results(tmp_path)
+    facets = {"A1": {"canting_x_rad": 1e-3, "sigma_canting_x_rad": 1e-5}, "A2": {"canting_x_rad": -2e-3}}
+    write_summary(tmp_path / "summary.json", replace(make_summary(slope_map), facets=facets))
+    text = page.facet_table(page.open_results(tmp_path)).text
+    assert "1.000 \u00b1 0.010 mrad" in text
+    assert "-2 mrad" in text
+    assert text.count("<tr>") == 3
+
+
+def test_only_numbers_with_a_name_stand_in_the_headline(tmp_path: Path) -> None:
+    summary = make_summary(write_results(tmp_path))
+    numbers = {**summary.numbers, "alignment_turn_mrad": 3.0, "sigma_random_x_rms_mrad": 0.5}
+    write_summary(tmp_path / "summary.json", replace(summary, numbers=numbers))
+    headline, folded = page.headline_table(page.open_results(tmp_path)).text.split("<details>")
+    assert "SDx, RMS slope error in x" in headline
+    assert "Alignment turn" not in headline
+    assert "Alignment turn" in folded
+    # A number that is itself a sigma, of nothing in the table, is shown.
+    assert "0.5 mrad" in folded
+
+
+def test_the_table_of_removals_says_what_was_removed_before_once() -> None:
+    before = "mean tilt, by turning the frame"
+    text = page.statistics_table(replace(make_map(), removed=before)).text
+    assert text.count(before) == 1
+    assert text.count("<tr>") == 5
+
+
+def test_images_are_cut_to_what_was_seen(tmp_path: Path) -> None:
+    write_results(tmp_path)
+    seen = np.full((200, 300), np.nan)
+    seen[50:90, 100:160] = 80.0
+    write_pixels(tmp_path / "pixels.nc", {"modulation_dn": seen})
+    results = page.open_results(tmp_path)
+    rows, columns = _seen_part(np.isfinite(results.pixels["modulation_dn"]))
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (47, 93, 96, 164)
+    assert page.image_figures(results).text.count("<img") == 1
+    assert "no per-pixel" in page.image_figures(replace(results, pixels={})).text
+
+
+def test_tables_escape_what_they_show() -> None:
+    assert "<b>" not in page.table(("a",), [("<b>",)]).text

@@ -1,0 +1,419 @@
+"""Files on disk: what goes in comes out, other programs read it, and nothing is ever half-written."""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heliogauge import __version__
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.results.folder import (
+    PhotoPose,
+    PointTable,
+    ResultFolder,
+    Summary,
+    facet_names,
+    hash_files,
+    read_camera_json,
+    read_cameras_json,
+    read_pixels,
+    read_points_csv,
+    read_slope_map,
+    read_slope_map_attributes,
+    read_summary,
+    read_table_csv,
+    unit_of,
+    write_camera_json,
+    write_cameras_json,
+    write_pixels,
+    write_points_csv,
+    write_slope_map,
+    write_summary,
+    write_table_csv,
+)
+from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
+
+ARRAYS = (
+    "x_m", "y_m", "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y",
+    "height_m", "flags", "aperture",
+)  # fmt: skip
+
+
+def make_map(common: CommonModes | None = None, rows: int = 7, columns: int = 9, seed: int = 3) -> SlopeMap:
+    """A map with noise in every bit, gaps, flags and two common modes."""
+    rng = np.random.default_rng(seed)
+    x_m, y_m = np.linspace(-0.6, 0.6, columns), np.linspace(-0.4, 0.4, rows)
+    x, y = np.meshgrid(x_m, y_m)
+    slopes = rng.normal(0, 1e-3, (2, rows, columns))
+    flags = np.zeros((rows, columns), np.uint32)
+    flags[2, 3] = int(SampleFlag.SATURATED | SampleFlag.OUTLIER)
+    slopes[:, 2, 3] = np.nan
+    if common is None:
+        common = CommonModes(("mirror pose", "screen; a/b"), rng.normal(0, 1e-5, (2, 2, 6)), np.array([0.1, -0.2]), 0.7)
+    return SlopeMap(
+        x_m, y_m, slopes[0] + x / 20, slopes[1] + y / 20, x / 20, y / 20,
+        rng.uniform(1e-6, 1e-5, x.shape), rng.uniform(1e-6, 1e-5, x.shape), 2.1, common, rng.normal(0, 1e-5, x.shape),
+        flags, np.hypot(x, y) < 0.65, "paraboloid, f = 10 m", "facet", "nothing",
+    )  # fmt: skip
+
+
+def assert_same_map(first: SlopeMap, second: SlopeMap) -> None:
+    for name in ARRAYS:
+        one, other = getattr(first, name), getattr(second, name)
+        if one.ndim == 2 and one.dtype == np.float64:
+            # Fields are stored as float32, axes and bits as they are.
+            one, other = one.astype(np.float32), other.astype(np.float32)
+        np.testing.assert_array_equal(one, other, err_msg=name)
+    for name in ("design", "frame", "removed"):
+        assert getattr(first, name) == getattr(second, name)
+    assert first.noise_correlation == second.noise_correlation
+    assert first.common.sources == second.common.sources
+    np.testing.assert_array_equal(first.common.coefficients, second.common.coefficients)
+    np.testing.assert_array_equal(first.common.center_m, second.common.center_m)
+    assert first.common.scale_m == second.common.scale_m
+
+
+@pytest.mark.parametrize("common", [None, no_common_modes()], ids=["two modes", "no modes"])
+def test_a_slope_map_comes_back_as_float32(tmp_path: Path, common: CommonModes | None) -> None:
+    slope_map = make_map(common)
+    write_slope_map(tmp_path / "slope_map.nc", {"facet": slope_map})
+    assert_same_map(read_slope_map(tmp_path / "slope_map.nc"), slope_map)
+    assert facet_names(tmp_path / "slope_map.nc") == ()
+
+
+def test_xarray_reads_a_slope_map_as_the_contract_says(tmp_path: Path) -> None:
+    slope_map = make_map()
+    hashes = {"fringe_00.png": "ab" * 32}
+    write_slope_map(tmp_path / "slope_map.nc", {"": slope_map}, {"input_sha256": hashes})
+    with xarray.open_dataset(tmp_path / "slope_map.nc", engine="h5netcdf") as data:
+        for name in ("slope", "design_slope", "slope_error", "sigma_slope", "sigma_random_slope"):
+            for axis in "xy":
+                assert data[f"{name}_{axis}"].dims == ("y", "x")
+                assert data[f"{name}_{axis}"].attrs["units"] == "rad"
+        assert data["height"].attrs["units"] == "m"
+        np.testing.assert_array_equal(data.coords["x"], slope_map.x_m)
+        assert data.coords["y"].attrs["units"] == "m"
+        difference = data["slope_x"] - data["design_slope_x"]
+        np.testing.assert_allclose(data["slope_error_x"], difference, rtol=0, atol=4e-9)
+        np.testing.assert_allclose(data["sigma_slope_y"], slope_map.sigma_slope()[1], rtol=1e-6)
+        assert int(np.isnan(data["slope_x"]).sum()) == 1
+        masks = dict(zip(data["flag"].attrs["flag_meanings"].split(), data["flag"].attrs["flag_masks"], strict=True))
+        assert data["flag"].values[2, 3] == masks["saturated"] | masks["outlier"]
+        assert data["flag"].dtype == data["flag"].attrs["flag_masks"].dtype == np.uint32
+        assert data.attrs["design"] == slope_map.design
+        assert data.attrs["removed"] == "nothing"
+        assert data.attrs["software_version"] == __version__
+        assert data.attrs["measured_share"] == slope_map.measured_share
+        assert "seen from the front" in data.attrs["orientation"]
+        assert json.loads(data.attrs["input_sha256"]) == hashes
+    assert read_slope_map_attributes(tmp_path / "slope_map.nc")["input_sha256"] == hashes
+
+
+def test_each_facet_is_a_group_beside_the_assembled_map(tmp_path: Path) -> None:
+    maps = {"": make_map(seed=1), "upper left": make_map(seed=2, rows=5), "B/2": make_map(no_common_modes(), seed=4)}
+    path = tmp_path / "slope_map.nc"
+    write_slope_map(path, maps)
+    assert facet_names(path) == ("upper left", "B_2")
+    for name, slope_map in maps.items():
+        assert_same_map(read_slope_map(path, name or None), slope_map)
+    with xarray.open_dataset(path, engine="h5netcdf", group="upper left") as data:
+        assert data.sizes["y"] == 5
+    with pytest.raises(InputError, match=r"no facet 'C3' .*upper left, B_2"):
+        read_slope_map(path, "C3")
+
+
+def test_several_maps_need_the_assembled_one(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="assembled"):
+        write_slope_map(tmp_path / "slope_map.nc", {"a": make_map(), "b": make_map()})
+
+
+def test_more_hashes_than_an_attribute_holds_become_one(tmp_path: Path) -> None:
+    hashes = {f"image_{number:05d}.png": "0" * 64 for number in range(900)}
+    write_slope_map(tmp_path / "slope_map.nc", {"": make_map()}, {"input_sha256": hashes})
+    digest = hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
+    assert digest in read_slope_map_attributes(tmp_path / "slope_map.nc")["input_sha256"]
+
+
+def test_files_that_are_no_slope_maps_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.nc").write_text("x")
+    for path in (tmp_path / "text.nc", tmp_path / "absent.nc"):
+        with pytest.raises(InputError, match=path.name):
+            read_slope_map(path)
+    xarray.Dataset({"slope_x": ("x", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match="heliogauge_schema 0"):
+        read_slope_map(tmp_path / "other.nc")
+    write_pixels(tmp_path / "pixels.nc", {"x": np.zeros((2, 3))})
+    with pytest.raises(InputError, match="slope_x"):
+        read_slope_map(tmp_path / "pixels.nc")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_slope_map(tmp_path / "absent" / "slope_map.nc", {"": make_map()})
+
+
+def test_pixels_come_back_as_float32_and_open_in_xarray(tmp_path: Path) -> None:
+    arrays = {"u": np.linspace(0, 1, 12).reshape(3, 4), "flag": np.arange(12, dtype=np.uint32).reshape(3, 4)}
+    arrays["facet"] = np.ones((3, 4), np.int16)
+    write_pixels(tmp_path / "pixels.nc", arrays, {"first_row": 100})
+    back = read_pixels(tmp_path / "pixels.nc")
+    assert list(back) == list(arrays)
+    np.testing.assert_array_equal(back["u"], arrays["u"].astype(np.float32))
+    np.testing.assert_array_equal(back["flag"], arrays["flag"])
+    with xarray.open_dataset(tmp_path / "pixels.nc", engine="h5netcdf") as data:
+        assert data["u"].dims == ("row", "column")
+        assert data.attrs["first_row"] == 100
+    with pytest.raises(InputError, match="phase"):
+        write_pixels(tmp_path / "pixels.nc", {"phase": np.zeros((2, 2))})
+    with pytest.raises(InputError, match="shape"):
+        write_pixels(tmp_path / "pixels.nc", {"x": np.zeros((2, 2)), "y": np.zeros((2, 3))})
+
+
+def make_summary(**changes: object) -> Summary:
+    fields: dict[str, object] = {
+        "kind": "deflectometry",
+        "name": "facet 7",
+        "numbers": {"sdx_rad": 1.25e-3, "sigma_sdx_rad": 2e-6, "facets_count": 1, "focal_x_m": None},
+        "texts": {"design": "paraboloid, f = 10 m", "frame": "\u00b5"},
+        "warnings": ("3 frames saturated",),
+        "durations_s": {"read images": 0.123456},
+        "input_sha256": {"a.png": "00"},
+        "not_determined": {"focal_x_m": "the facet is flat"},
+    }
+    return Summary(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def test_the_summary_comes_back(tmp_path: Path) -> None:
+    write_summary(tmp_path / "summary.json", make_summary())
+    for path in (tmp_path, tmp_path / "summary.json"):
+        back = read_summary(path)
+        for name in ("kind", "name", "numbers", "texts", "warnings", "input_sha256", "not_determined", "version"):
+            assert getattr(back, name) == getattr(make_summary(), name)
+        assert back.durations_s == {"read images": 0.1235}
+    assert json.loads((tmp_path / "summary.json").read_text())["numbers"]["focal_x_m"] is None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, None, np.float64("nan")])
+def test_a_number_that_is_none_needs_a_reason(tmp_path: Path, value: float | None) -> None:
+    with pytest.raises(InputError, match=r"sdx_rad is .*reason"):
+        write_summary(tmp_path / "summary.json", make_summary(numbers={"sdx_rad": value}))
+    with pytest.raises(InputError, match="facet A1"):
+        write_summary(tmp_path / "summary.json", make_summary(facets={"A1": {"sdx_rad": value}}))
+    assert not (tmp_path / "summary.json").exists()
+    reason = {"sdx_rad": "nothing measured"}
+    write_summary(tmp_path / "summary.json", make_summary(numbers={"sdx_rad": value}, not_determined=reason))
+    assert read_summary(tmp_path).numbers == {"sdx_rad": None}
+
+
+def test_numbers_name_their_unit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sdx: .*unit"):
+        write_summary(tmp_path / "summary.json", make_summary(numbers={"sdx": 1.0}))
+    assert unit_of("curl_rms_per_m") == ("curl_rms", "1/m")
+    assert unit_of("measured_share") == ("measured_share", "")
+    assert unit_of("area_m2") == ("area", "m\u00b2")
+
+
+def test_a_summary_of_a_newer_version_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text('{"software": "heliogauge", "schema_version": 99}')
+    with pytest.raises(InputError, match="schema_version 99"):
+        read_summary(tmp_path)
+    (tmp_path / "summary.json").write_text("{")
+    with pytest.raises(InputError, match="not valid JSON"):
+        read_summary(tmp_path)
+
+
+def make_camera() -> Camera:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(10, 10)) * np.array([1, 1, 1, 1, 0.1, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3])[:, None]
+    lens = BrownDistortion(k1=-0.1, k2=0.02, p1=1e-4, p2=-2e-4, direction=DistortionDirection.MEASURED_TO_IDEAL)
+    return Camera(1624, 1232, 2000.1, 2001.2, 811.5, 615.5, 0.3, lens, root @ root.T)
+
+
+def assert_same_camera(first: Camera, second: Camera) -> None:
+    np.testing.assert_array_equal(first.parameters, second.parameters)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    assert first.distortion.direction == second.distortion.direction
+    assert (first.width_px, first.height_px) == (second.width_px, second.height_px)
+
+
+def test_cameras_and_poses_come_back(tmp_path: Path) -> None:
+    camera = make_camera()
+    pose = PhotoPose("left", RigidTransform.from_rotation_vector([0.1, 2, -0.3], [1, 2, 3]), np.diag([1e-6] * 6), 0.12)
+    write_cameras_json(tmp_path / "cameras.json", {"left": camera}, {"IMG_1.jpg": pose})
+    cameras, poses = read_cameras_json(tmp_path / "cameras.json")
+    assert_same_camera(cameras["left"], camera)
+    back = poses["IMG_1.jpg"]
+    np.testing.assert_allclose(back.cam_from_world.rotation, pose.cam_from_world.rotation, atol=1e-15)
+    np.testing.assert_array_equal(back.cam_from_world.translation_m, [1, 2, 3])
+    np.testing.assert_array_equal(back.covariance, pose.covariance)
+    assert (back.camera, back.residual_rms_px) == ("left", 0.12)
+    stored = json.loads((tmp_path / "cameras.json").read_text())["poses"]["IMG_1.jpg"]
+    assert stored["sigma_translation_m"] == pytest.approx([1e-3] * 3)
+    assert_same_camera(read_camera_json(tmp_path / "cameras.json"), camera)
+
+
+def test_a_camera_file_comes_back_and_names_its_faults(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    write_camera_json(path, make_camera())
+    assert_same_camera(read_camera_json(path), make_camera())
+    content = json.loads(path.read_text())
+    assert content["parameter_order"] == list(PARAMETER_NAMES)
+    for change, message in (
+        ({"focal": 3}, "focal.* unknown"),
+        ({"k1": "x"}, "numbers"),
+        ({"distortion_direction": "up"}, "distortion_direction 'up'"),
+        ({"parameter_order": ["k1"]}, "parameter_order"),
+        ({"focal_x_px": -1}, "focal_x_px"),
+    ):
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match=message):
+            read_camera_json(path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match=r"width_px.* missing"):
+        read_camera_json(path)
+
+
+def test_a_minimal_camera_file_is_enough(tmp_path: Path) -> None:
+    size_and_pinhole = {"width_px": 8, "height_px": 6, "focal_x_px": 9, "focal_y_px": 9, "center_x_px": 3.5}
+    (tmp_path / "camera.json").write_text(json.dumps(size_and_pinhole | {"center_y_px": 2.5}))
+    np.testing.assert_array_equal(read_camera_json(tmp_path / "camera.json").covariance, 0)
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=False, width=64), min_size=1, max_size=5))
+def test_points_come_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
+    path = tmp_path_factory.mktemp("points") / "points.csv"
+    count = len(values)
+    xyz_m = np.column_stack([values, np.arange(count), np.zeros(count)])
+    points = PointTable(tuple(f"p,{i}" for i in range(count)), xyz_m, xyz_m * 1e-6, np.arange(count), np.ones(count))
+    write_points_csv(path, points)
+    back = read_points_csv(path)
+    np.testing.assert_array_equal(back.xyz_m, points.xyz_m)
+    np.testing.assert_array_equal(back.sigma_m, points.sigma_m)
+    assert back.ids == points.ids
+    assert path.read_text().splitlines()[0] == "id,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,n_rays,flag"
+
+
+def test_tables_name_their_faults(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    with pytest.raises(InputError, match="one length"):
+        write_table_csv(path, {"a": [1], "b": [1, 2]})
+    path.write_text("a,b\n1,2\n3\n")
+    with pytest.raises(InputError, match="line 3"):
+        read_table_csv(path)
+    with pytest.raises(InputError, match="x_px"):
+        read_table_csv(path, ("x_px",))
+    path.write_text("id,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,n_rays,flag\na,1,2,three,1,1,1,2,0\n")
+    with pytest.raises(InputError, match="z_m must hold numbers"):
+        read_points_csv(path)
+
+
+def test_hashes_are_those_of_sha256(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    paths = [tmp_path / "b.bin", tmp_path / "sub" / "a.bin"]
+    for number, path in enumerate(paths):
+        path.write_bytes(bytes([number]) * 100_000)
+    hashes = hash_files(paths, tmp_path)
+    assert list(hashes) == ["b.bin", "sub/a.bin"]
+    assert hashes["sub/a.bin"] == hashlib.sha256(bytes([1]) * 100_000).hexdigest()
+    assert list(hash_files(paths)) == ["b.bin", "a.bin"]
+    with pytest.raises(InputError, match=r"absent\.png"):
+        hash_files([tmp_path / "absent.png"])
+
+
+def put_result(folder: Path, text: str) -> None:
+    (folder / "summary.json").write_text(text)
+
+
+def fail_half_way(target: Path, error: type[BaseException], *, force: bool = False) -> None:
+    with ResultFolder(target, force=force) as folder:
+        put_result(folder, "half")
+        raise error
+
+
+def be_overtaken(target: Path) -> None:
+    with ResultFolder(target) as folder:
+        put_result(folder, "second")
+        target.mkdir()
+        put_result(target, "first")
+
+
+def test_a_result_appears_whole(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "result"
+    with ResultFolder(target) as folder:
+        put_result(folder, "new")
+        assert not target.exists()
+        assert folder.parent == target.parent
+    assert (target / "summary.json").read_text() == "new"
+    assert [path.name for path in target.parent.iterdir()] == ["result"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_a_failed_run_leaves_nothing_and_keeps_the_earlier_result(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "result"
+    with pytest.raises(error):
+        fail_half_way(target, error)
+    assert list(tmp_path.iterdir()) == []
+    with ResultFolder(target) as folder:
+        put_result(folder, "good")
+    with pytest.raises(error):
+        fail_half_way(target, error, force=True)
+    assert (target / "summary.json").read_text() == "good"
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_force_replaces_the_whole_earlier_result(tmp_path: Path) -> None:
+    target = tmp_path / "result"
+    with ResultFolder(target) as folder:
+        put_result(folder, "old")
+        (folder / "left_over.txt").write_text("x")
+    with pytest.raises(InputError, match="--force"), ResultFolder(target):
+        pytest.fail("an existing result must be refused before any work")
+    with ResultFolder(target, force=True) as folder:
+        put_result(folder, "new")
+    assert [path.name for path in target.iterdir()] == ["summary.json"]
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+@pytest.mark.parametrize("names", [["photo.jpg"], ["measurement.toml", "summary.json"]])
+def test_force_never_removes_what_is_no_result(tmp_path: Path, names: list[str]) -> None:
+    for name in names:
+        (tmp_path / name).write_text("precious")
+    with pytest.raises(InputError, match="something else"), ResultFolder(tmp_path, force=True):
+        pytest.fail("must be refused before any work")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+
+
+def test_an_empty_folder_is_a_fine_target(tmp_path: Path) -> None:
+    (tmp_path / "result").mkdir()
+    with ResultFolder(tmp_path / "result") as folder:
+        put_result(folder, "new")
+    assert (tmp_path / "result" / "summary.json").exists()
+
+
+def test_places_that_cannot_hold_a_result_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("x")
+    for target in (tmp_path / "file", tmp_path / "file" / "result", Path("/proc/heliogauge-result")):
+        with pytest.raises(InputError, match="--out"), ResultFolder(target):
+            pytest.fail("must be refused before any work")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(InputError, match="Permission denied"), ResultFolder(tmp_path / "result"):
+        pytest.fail("must be refused before any work")
+
+
+def test_results_that_appeared_meanwhile_are_not_overwritten(tmp_path: Path) -> None:
+    target = tmp_path / "result"
+    with pytest.raises(InputError, match="--force"):
+        be_overtaken(target)
+    assert (target / "summary.json").read_text() == "first"
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]

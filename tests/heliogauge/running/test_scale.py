@@ -1,0 +1,136 @@
+"""Many independent tasks: what fails is an outcome, workers agree with this process, memory does not grow."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.running.scale import Done, Failure, Workers, run_each, usable_processors
+
+
+def halve(context: float, task: int) -> float:
+    """Half of an even number; odd ones fail, seven by a bug, and minus one kills its process."""
+    if task == -1:
+        os._exit(9)
+    if task == 7:
+        return context / (task - 7)
+    if task % 2:
+        raise EstimationError(f"{task} is odd")
+    return context * task
+
+
+def outcomes(done: Iterator[Done[int, float]]) -> dict[int, float | Failure]:
+    return {one.task: one.outcome for one in done}
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_failures_are_outcomes(processes: int) -> None:
+    found = outcomes(run_each(halve, 0.5, range(12), workers=Workers(), processes=processes))
+    assert [found[even] for even in range(0, 12, 2)] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert found[3] == Failure("3 is odd")
+    bug = found[7]
+    assert isinstance(bug, Failure)
+    assert bug.reason.startswith("unexpected ZeroDivisionError")
+    assert "halve" in bug.trace
+
+
+@pytest.mark.slow
+def test_a_killed_process_costs_only_its_task() -> None:
+    found = outcomes(run_each(halve, 1.0, [0, 2, -1, 4, 6, 8, 10, 12], workers=Workers(), processes=2))
+    killed = found.pop(-1)
+    assert isinstance(killed, Failure)
+    assert "killed" in killed.reason
+    assert found == {even: float(even) for even in range(0, 13, 2)}
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_tasks_are_taken_as_needed(processes: int) -> None:
+    """With ten thousand heliostats only a handful may be in memory."""
+    taken = 0
+
+    def tasks() -> Iterator[int]:
+        nonlocal taken
+        for task in range(0, 400, 2):
+            taken += 1
+            yield task
+
+    done = run_each(halve, 1.0, tasks(), workers=Workers(), processes=processes)
+    next(done)
+    assert taken <= 4 * processes + 2
+    done.close()
+
+
+@pytest.mark.slow
+def test_threads_of_the_caller_are_left_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    list(run_each(halve, 1.0, [2, 4], workers=Workers(), processes=2))
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
+SCRIPT = """
+from heliogauge.running.scale import Workers, run_each
+from tests.heliogauge.running.test_scale import halve
+
+print("begin")
+found = {one.task: one.outcome for one in run_each(halve, 0.5, range(0, 12, 2), workers=Workers(), processes=2)}
+print(sorted(found.values()))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_without_a_guard_is_not_run_again(tmp_path: Path, repository: Path) -> None:
+    """Spawned processes import the caller's script, unless they are kept from it."""
+    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")], env=os.environ | {"PYTHONPATH": str(repository)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "begin\n[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]\n", done.stderr
+
+
+def test_how_many_processes() -> None:
+    assert Workers(jobs=3).processes(100, worth=8) == 3
+    assert Workers(jobs=3).processes(20, worth=8) == 2
+    assert Workers(jobs=3).processes(2, worth=8) == 1
+    assert Workers().processes(10_000) == usable_processors()
+
+
+class TestCluster:
+    @pytest.fixture(scope="class")
+    def address(self) -> Iterator[str]:
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+        ) as cluster:
+            yield cluster.scheduler_address
+
+    @pytest.mark.slow
+    def test_agrees_with_this_process(self, address: str) -> None:
+        tasks = range(40)
+        here = outcomes(run_each(halve, 0.5, tasks, workers=Workers()))
+        there = outcomes(run_each(halve, 0.5, tasks, workers=Workers(scheduler=address)))
+        bug = there.pop(7)
+        assert isinstance(bug, Failure)
+        assert "ZeroDivisionError" in bug.reason
+        here.pop(7)
+        assert there == here
+
+    @pytest.mark.slow
+    def test_other_versions_are_refused(self, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("heliogauge.running.scale.__version__", "0.0.0")
+        # The workers are threads of this process, so that the version they tell must be another one than ours.
+        monkeypatch.setattr("heliogauge.running.scale._version_there", lambda: "9.9.9")
+        with pytest.raises(InputError, match=r"9\.9\.9, here is 0\.0\.0"):
+            list(run_each(halve, 0.5, [2], workers=Workers(scheduler=address)))
+
+
+@pytest.mark.slow
+def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("heliogauge.running.scale._CONNECT_S", 1)
+    with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1: no scheduler answers"):
+        list(run_each(halve, 0.5, [2], workers=Workers(scheduler="tcp://127.0.0.1:1")))

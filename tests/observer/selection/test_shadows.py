@@ -1,0 +1,66 @@
+"""Edges of shadows among the tube's: one side alone, or both sides in contradiction, is not believed."""
+
+import numpy as np
+
+from observer.selection.shadows import borne_out, pulled_curves
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+
+GRID = RowGrid(np.linspace(-1.0, 1.0, 80), np.ones(79, dtype=bool), 6)
+SMOOTH = Roughness(1e-4, along_rad=1e-4)
+
+
+def lines_of(x: np.ndarray, row: np.ndarray, error: np.ndarray) -> TouchingLines:
+    """Lines that see a flat mirror with the slope error 2 mrad, and their own error."""
+    n = x.size
+    return TouchingLines(
+        row, x, 4e-3 + error, np.full(n, -2.0), np.zeros(n), np.full(n, 1e-4), np.zeros((n, 0), dtype=int),
+        np.zeros((n, 0)),
+    )  # fmt: skip
+
+
+def test_what_one_side_says_alone_or_both_differently_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
+    row = np.repeat(np.tile(np.arange(6), 2), x.size // 12)
+    side = np.repeat([1.0, -1.0], x.size // 2)
+    # On the left a shadow hides the edges of one side; on the right it shifts those of the other.
+    hidden = (side < 0) & (x < -0.5)
+    shifted = (side > 0) & (x > 0.6)
+    error = rng.normal(0, 1e-4, x.size) + np.where(shifted, 6e-3, 0.0)
+    seen = ~hidden
+    lines = lines_of(x[seen], row[seen], error[seen])
+    edges, nodes = borne_out(lines, side[seen], GRID, SMOOTH)
+    inner = (x[seen] > -0.4) & (x[seen] < 0.5)
+    assert edges[inner].mean() > 0.99
+    assert not edges[(x[seen] < -0.85) | (x[seen] > 0.65)].any()
+    assert nodes[:, np.abs(GRID.x_m - 0.05) < 0.4].all()
+    assert nodes[:, (GRID.x_m < -0.85) | (GRID.x_m > 0.75)].mean() < 0.2
+
+
+def test_edges_of_one_side_only_bear_nothing_out() -> None:
+    """As with a camera that is 20 % wrong: no edge is left of the other side."""
+    x, row = np.tile(np.arange(-0.9, 1.0, 0.1), 6), np.repeat(np.arange(6), 19)
+    edges, nodes = borne_out(lines_of(x, row, np.zeros(x.size)), np.ones(x.size), GRID, SMOOTH)
+    assert not edges.any()
+    assert not nodes.any()
+
+
+def test_clean_edges_of_both_sides_are_all_kept() -> None:
+    rng = np.random.default_rng(1)
+    x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
+    row, side = np.repeat(np.tile(np.arange(6), 2), x.size // 12), np.repeat([1.0, -1.0], x.size // 2)
+    edges, _ = borne_out(lines_of(x, row, rng.normal(0, 1e-4, x.size)), side, GRID, SMOOTH)
+    assert edges.mean() > 0.999
+
+
+def test_a_curve_that_is_off_by_little_everywhere_is_refused_one_that_scatters_is_not() -> None:
+    rng = np.random.default_rng(2)
+    row = np.tile(np.arange(40), 3)
+    curve = np.repeat([0, 1, 5], 40)
+    normalised = rng.normal(0, 1, 120)
+    normalised[(curve == 1) & (row < 20)] -= 5.0
+    normalised[60] = 30.0
+    pulled = pulled_curves(curve, row, normalised, 50)
+    assert pulled[(curve == 1) & (row < 15)].all()
+    assert not pulled[curve != 1].any()
+    assert not pulled_curves(curve[:0], row[:0], normalised[:0], 50).any()

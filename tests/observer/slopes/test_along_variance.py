@@ -1,0 +1,64 @@
+"""How large slopes along the trough are, told from edges of one pass; where it says nothing the assumption stays."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from observer.photo_edges.reflection_edges import Expectation
+from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
+from observer.selection.select_and_solve import Photos, solve_reflector
+from observer.slopes.along_variance import find_along
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+from observer.trough.typical_mirror import TypicalMirror
+from tests.observer.simulated_trough import short_scene, short_trough
+
+ASSUMED = Roughness(1e-3, 2e-3)
+
+
+def found_and_true(along_rad: float) -> tuple[float, float]:
+    """Solve a simulated pass 3 m beside the middle of the trough; return what is found along it and what is true."""
+    mirror = TypicalMirror.drawn(short_trough(), np.random.default_rng(3), 3e-3, along_rad)
+    scene = short_scene(mirror, photos=60, rows=60)
+    turn = rotation_from_vector(np.array([np.arctan(3.0 / 12.0), 0.0, 0.0]))
+    views = []
+    for camera, pose in scene.views:
+        rotation = pose.rotation @ turn
+        views.append((camera, RigidTransform(rotation, -rotation @ (pose.inverse().translation_m + [0.0, 3.0, 0.0]))))
+    scene = replace(scene, views=tuple(views))
+    edges = measured_edges(scene, true_edges(scene, EdgeNoise()), scene.views, np.random.default_rng(4))
+    photos = Photos(tuple(pose for _, pose in views), np.eye(6 * len(views)) * 1e-12)
+    expected = Expectation(scene.truth.collector, scene.truth.absorber, scene.truth.y_m)
+    found = solve_reflector(edges, photos, expected, 0.05, ASSUMED).roughness.along_rad
+    return found, float(np.std(mirror.errors(edges.points_m[:, 0], edges.points_m[:, 1])[1]))
+
+
+def test_one_pass_tells_how_large_slopes_along_the_trough_are() -> None:
+    assert found_and_true(0.0)[0] < 0.5e-3
+    found, true = found_and_true(3e-3)
+    assert true > 1e-3
+    assert 0.6 * true < found < 2 * true
+
+
+def test_where_the_edges_say_nothing_what_was_assumed_stays() -> None:
+    rng = np.random.default_rng(5)
+    grid = RowGrid(np.linspace(-1, 1, 40), np.ones(39, dtype=bool), 3)
+    x, row = rng.uniform(-1, 1, 90), np.repeat(np.arange(3), 30)
+    none = np.zeros((90, 0))
+    # The slope along the trough moves nothing.
+    lines = TouchingLines(
+        row, x, rng.normal(0, 1e-4, 90), np.full(90, -2.0), np.zeros(90), np.full(90, 1e-4), none.astype(int), none
+    )
+    assert find_along(lines, grid, ASSUMED).along_rad == ASSUMED.along_rad
+
+
+def test_the_length_of_slopes_that_hardly_any_edge_tells_stays_as_assumed() -> None:
+    """By chance a length of metres is a little more probable; slopes alike along it would move the whole map."""
+    grid = RowGrid(np.linspace(-1, 1, 40), np.ones(39, dtype=bool), 8)
+    for weak, own_rad, seed in ((0.05, 1e-3, 7), (0.1, 0.5e-3, 7), (0.1, 0.5e-3, 6)):
+        rng = np.random.default_rng(seed)
+        x, row, none = rng.uniform(-1, 1, 200), np.repeat(np.arange(8), 25), np.zeros((200, 0))
+        by_y = rng.choice([-weak, weak], 200)
+        found = rng.normal(0, 1e-4, 200) + by_y * rng.normal(0, own_rad, 200)
+        lines = TouchingLines(row, x, found, np.full(200, -2.0), by_y, np.full(200, 1e-4), none.astype(int), none)
+        assert find_along(lines, grid, ASSUMED).along_length_m == ASSUMED.along_length_m
