@@ -66,20 +66,9 @@ REJECTED = SampleFlag(sum(flag for flag in SampleFlag if flag not in _USABLE))
 def count_flags(flags: FlagArray, within: npt.NDArray[np.bool_] | None = None) -> dict[SampleFlag, int]:
     """Count the samples that carry each flag.
 
-    Parameters
-    ----------
-    flags : ndarray of uint32
-        Bit masks of `SampleFlag`.
-    within : ndarray of bool, optional
-        Count only these samples.
+    flags: Bit masks of `SampleFlag`.
+    within: Count only these samples.
 
-    Returns
-    -------
-    dict of SampleFlag to int
-        Flags that occur, with the number of samples.
-
-    Examples
-    --------
     >>> count_flags(np.array([0, 4, 12], dtype=np.uint32))
     {<SampleFlag.LOW_MODULATION: 4>: 2, <SampleFlag.SATURATED: 8>: 1}
     """

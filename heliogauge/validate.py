@@ -22,29 +22,12 @@ def _shape_text(shape: Sequence[int | None]) -> str:
 def float_array(name: str, values: npt.ArrayLike, shape: Sequence[int | None], *, finite: bool = True) -> FloatArray:
     """Copy values into a read-only float64 array of a given shape.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, used in the message.
-    values : array_like
-        What the caller gave.
-    shape : sequence of int or None
-        Wanted shape; None stands for any length of that axis.
-    finite : bool, optional
-        Refuse NaN and infinity.
+    name: Name of the argument, used in the message.
+    values: What the caller gave.
+    shape: Wanted shape; None stands for any length of that axis.
+    finite: Refuse NaN and infinity.
+    InputError: Not numbers, another shape, or not finite.
 
-    Returns
-    -------
-    ndarray of float64
-        A read-only copy.
-
-    Raises
-    ------
-    InputError
-        Not numbers, another shape, or not finite.
-
-    Examples
-    --------
     >>> float_array("point_m", [1, 2, 3], (3,))
     array([1., 2., 3.])
     """
@@ -66,24 +49,9 @@ def float_array(name: str, values: npt.ArrayLike, shape: Sequence[int | None], *
 def positive(name: str, value: float, unit: str) -> float:
     """Return a number that must be finite and above zero.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, used in the message.
-    value : float
-        What the caller gave.
-    unit : str
-        Its unit, used in the message.
-
-    Returns
-    -------
-    float
-        The same number.
-
-    Raises
-    ------
-    InputError
-        Zero, negative or not finite.
+    name: Name of the argument, used in the message.
+    value: What the caller gave.
+    InputError: Zero, negative or not finite.
     """
     if not (np.isfinite(value) and value > 0):
         raise InputError(f"{name}: a positive number of {unit} is needed, not {value}")
@@ -93,24 +61,10 @@ def positive(name: str, value: float, unit: str) -> float:
 def covariance_matrix(name: str, values: npt.ArrayLike, size: int) -> FloatArray:
     """Copy a covariance matrix, checked to be symmetric and positive semi-definite.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, used in the message.
-    values : array_like, shape (size, size)
-        What the caller gave.
-    size : int
-        Number of parameters.
-
-    Returns
-    -------
-    ndarray of float64, shape (size, size)
-        A read-only copy.
-
-    Raises
-    ------
-    InputError
-        Another shape, not symmetric, or a negative variance along some direction.
+    name: Name of the argument, used in the message.
+    values (size, size): What the caller gave.
+    Returns (size, size): A read-only copy.
+    InputError: Another shape, not symmetric, or a negative variance along some direction.
     """
     matrix = float_array(name, values, (size, size))
     # Parameters of one matrix differ in unit by many powers of ten: judge symmetry and sign on the correlations.

@@ -34,19 +34,7 @@ _Y = "along the trough"
 def write_angles(path: Path, slope_map: SlopeMap, angles: AngleMaps) -> None:
     """Write the angles in which troughs are spoken of.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    slope_map : SlopeMap
-        Gives the nodes and their sigma.
-    angles : AngleMaps
-        The angles.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    slope_map: Gives the nodes and their sigma.
     """
     axes = ("y", "x")
     # d theta_r / d slope = -1 / (1 + slope^2)
@@ -73,20 +61,7 @@ def write_angles(path: Path, slope_map: SlopeMap, angles: AngleMaps) -> None:
 
 
 def write_collector(path: Path, collector: Collector) -> None:
-    """Write the design.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    collector : Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write the design."""
     content: dict[str, Any] = {}
     for name in Collector.__slots__:
         value = getattr(collector, name)
@@ -97,23 +72,7 @@ def write_collector(path: Path, collector: Collector) -> None:
 
 
 def read_collector(path: Path) -> Collector:
-    """Read the design.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        Not such a file.
-    """
+    """Read the design."""
     content = read_json(path)
     try:
         glass = content.pop("glass")
@@ -125,21 +84,7 @@ def read_collector(path: Path) -> Collector:
 def write_slices(path: Path, slices: Slices, eyes_m: FloatArray, names: Sequence[str]) -> None:
     """Write slices of the mirror through all photos.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    slices : Slices
-        The brightness.
-    eyes_m : ndarray, shape (k, 3)
-        The cameras [m].
-    names : sequence of str
-        The photos' names.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Shapes: eyes_m (k, 3).
     """
     # One byte for each sample: more than an eye tells apart. 0 is what a photo does not show.
     brightest = max(float(np.nanmax(slices.brightness_dn, initial=1.0)), 1.0)
@@ -163,16 +108,10 @@ def write_slices(path: Path, slices: Slices, eyes_m: FloatArray, names: Sequence
 class StoredSlices:
     """Slices as read: brightness 255 is the brightest, 0 not seen.
 
-    Parameters
-    ----------
-    y_m, x_m : ndarray
-        Rows and columns [m].
-    eyes_m : ndarray, shape (k, 3)
-        The cameras [m].
-    brightness : ndarray of uint8, shape (s, k, n)
-        By slice, photo, column.
-    photos : list of str
-        Their names.
+    y_m, x_m: Rows and columns [m].
+    eyes_m (k, 3): The cameras [m].
+    brightness (s, k, n): By slice, photo, column.
+    photos: Their names.
     """
 
     y_m: FloatArray
@@ -183,23 +122,7 @@ class StoredSlices:
 
 
 def read_slices(path: Path) -> StoredSlices:
-    """Read slices.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    StoredSlices
-        What it holds.
-
-    Raises
-    ------
-    InputError
-        Not such a file.
-    """
+    """Read slices."""
     found, attributes = read_arrays(path, ("x", "y", "camera_x", "camera_y", "camera_z", "brightness"))
     eyes = np.stack([found[f"camera_{axis}"] for axis in "xyz"], axis=1)
     return StoredSlices(found["y"], found["x"], eyes, found["brightness"], list(attributes["photos"]))
@@ -208,19 +131,8 @@ def read_slices(path: Path) -> StoredSlices:
 def write_overlay(folder: Path, overlay: Overlay, photo: str) -> None:
     """Write a photo and where the reflection is expected in it.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets a JPEG image and a file with the nodes.
-    overlay : Overlay
-        The photo and the predictions.
-    photo : str
-        The photo's name.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Gets a JPEG image and a file with the nodes.
+    photo: The photo's name.
     """
     ny, nx = overlay.beside_design_rad.shape
     axes = ("row", "column")
@@ -253,24 +165,8 @@ def write_overlay(folder: Path, overlay: Overlay, photo: str) -> None:
 def read_overlay(folder: Path) -> tuple[npt.NDArray[Any], dict[str, npt.NDArray[Any]], str]:
     """Read a photo and where the reflection is expected in it.
 
-    Parameters
-    ----------
-    folder : Path
-        The results.
-
-    Returns
-    -------
-    image : ndarray, shape (height, width)
-        Grey.
-    nodes : dict of str to ndarray, shape (ny, nx)
-        ``x_px``, ``y_px``, ``beside_design``, ``beside_measured``.
-    name : str
-        The photo's name.
-
-    Raises
-    ------
-    InputError
-        Not such files.
+    Shapes: image (height, width).
+    nodes (ny, nx): ``x_px``, ``y_px``, ``beside_design``, ``beside_measured``.
     """
     nodes, attributes = read_arrays(folder / OVERLAY, ("x_px", "y_px", "beside_design", "beside_measured"))
     return read_image(folder / OVERLAY_PHOTO), nodes, str(attributes["photo"])

@@ -46,8 +46,8 @@ class TroughSection(Section):
 class ModuleSection(Section):
     """One of several collectors in the same photos: where it is, what targets it has, how it differs from the others.
 
-    ``place_m`` is its origin in the frame of the common list of targets, ``turn_deg`` its turn there by the right hand
-    about +y; with a list of its own, which is in its own frame, they are for pictures only.
+    ``place_m`` is its origin in the frame of the common list of targets, ``turn_deg`` its turn there by the right
+    hand about +y; with a list of its own, which is in its own frame, they are for pictures only.
     """
 
     name: Text
@@ -194,20 +194,12 @@ class ObserverModel(Section):
 class ObserverMeasurement:
     """Checked photos of a trough: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : ObserverModel
-        What measurement.toml says.
-    photo_files : tuple of Path
-        The photos of the pass, or the frames of its video (`heliogauge.images.video`).
-    absorber_files : tuple of Path
-        Photos that are taken for the absorber's position alone.
-    doubts : tuple of str, optional
-        What is wrong with a video and was got round.
-    coordinates : tuple of CoordinateSection or None, optional
-        Known coordinates of targets in the trough's frame; None: as the list has them.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    photo_files: The photos of the pass, or the frames of its video (`heliogauge.images.video`).
+    absorber_files: Photos that are taken for the absorber's position alone.
+    doubts: What is wrong with a video and was got round.
+    coordinates: Known coordinates of targets in the trough's frame; None: as the list has them.
     """
 
     folder: Path

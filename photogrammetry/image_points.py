@@ -16,22 +16,12 @@ IntArray = npt.NDArray[np.intp]
 class ImagePoints:
     """Measured image points, one row each, of named targets in named photos.
 
-    Parameters
-    ----------
-    photos, targets : tuple of str
-        Names; a photo or target without a row is allowed.
-    photo_index, target_index : array_like of int, shape (m,)
-        Which photo and which target each row belongs to.
-    pixels_px : array_like, shape (m, 2)
-        Image points (x, y); the centre of the top-left pixel is (0, 0) [px].
-    covariance_px2 : array_like, shape (m, 2, 2)
-        Their covariances [px^2].
-
-    Raises
-    ------
-    InputError
-        A name is repeated, an index has no name, a target appears twice in one photo, or a covariance is not positive
-        definite.
+    photos, targets: Names; a photo or target without a row is allowed.
+    photo_index, target_index (m,): Which photo and which target each row belongs to.
+    pixels_px (m, 2): Image points (x, y); the centre of the top-left pixel is (0, 0) [px].
+    covariance_px2 (m, 2, 2): Their covariances [px^2].
+    InputError: A name is repeated, an index has no name, a target appears twice in one photo, or a covariance is
+        not positive definite.
     """
 
     photos: tuple[str, ...]
@@ -127,24 +117,8 @@ def image_points(
 ) -> ImagePoints:
     """Build image points from one name of photo and target per row; names keep the order of first appearance.
 
-    Parameters
-    ----------
-    photos, targets : sequence of str, length m
-        Photo and target of each row.
-    pixels_px : array_like, shape (m, 2)
-        Image points [px].
-    covariance_px2 : array_like, shape (m, 2, 2)
-        Their covariances [px^2].
-
-    Returns
-    -------
-    ImagePoints
-        The table.
-
-    Raises
-    ------
-    InputError
-        See `ImagePoints`.
+    Shapes: photos, targets length m, pixels_px (m, 2), covariance_px2 (m, 2, 2).
+    InputError: See `ImagePoints`.
     """
     photo_names, target_names = tuple(dict.fromkeys(photos)), tuple(dict.fromkeys(targets))
     photo_of = {name: i for i, name in enumerate(photo_names)}

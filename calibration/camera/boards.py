@@ -44,20 +44,10 @@ class Board(Protocol):
 class Chessboard:
     """A chessboard.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Inner corners.
-    square_m : float or None, optional
-        Side of a square [m]; None: not known, lengths are in squares.
+    columns, rows: Inner corners.
+    square_m: Side of a square [m]; None: not known, lengths are in squares.
+    InputError: Fewer than 3 corners in a direction, or a side that is not positive.
 
-    Raises
-    ------
-    InputError
-        Fewer than 3 corners in a direction, or a side that is not positive.
-
-    Examples
-    --------
     >>> Chessboard(9, 6, 0.03).points_m[0]
     array([-0.12 ,  0.075,  0.   ])
     """
@@ -113,21 +103,10 @@ class Chessboard:
 class CharucoBoard:
     """A chessboard with markers in its white squares, as OpenCV lays it out since 4.6.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Squares.
-    dictionary : str
-        OpenCV's name of the marker dictionary.
-    marker_share : float
-        Side of a marker over that of a square.
-    square_m : float or None, optional
-        Side of a square [m]; None: not known, lengths are in squares.
-
-    Raises
-    ------
-    InputError
-        Fewer than 4 squares in a direction, or markers that do not fit.
+    dictionary: OpenCV's name of the marker dictionary.
+    marker_share: Side of a marker over that of a square.
+    square_m: Side of a square [m]; None: not known, lengths are in squares.
+    InputError: Fewer than 4 squares in a direction, or markers that do not fit.
     """
 
     columns: int
@@ -174,21 +153,11 @@ class CharucoBoard:
 class CircleGrid:
     """A grid of dots, in rows and columns or with every second row shifted by half a pitch.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Dots in a row, and rows.
-    asymmetric : bool, optional
-        Odd rows are shifted by half a pitch to the right, and rows are half a pitch apart (OpenCV's layout).
-    pitch_known_m : float or None, optional
-        Distance of dots in a row [m]; None: not known, lengths are in pitches.
-    diameter_share : float, optional
-        Diameter of a dot over the pitch.
-
-    Raises
-    ------
-    InputError
-        Fewer than 3 dots in a direction, or dots that touch.
+    asymmetric: Odd rows are shifted by half a pitch to the right, and rows are half a pitch apart (OpenCV's
+        layout).
+    pitch_known_m: Distance of dots in a row [m]; None: not known, lengths are in pitches.
+    diameter_share: Diameter of a dot over the pitch.
+    InputError: Fewer than 3 dots in a direction, or dots that touch.
     """
 
     columns: int
@@ -252,21 +221,10 @@ class CircleGrid:
 class TargetField:
     """A field of coded targets on a plate, with roughly known places.
 
-    Parameters
-    ----------
-    dictionary : str
-        Dictionary of the codes.
-    names : tuple of str, length n
-        Codes.
-    points_m : array_like, shape (n, 3)
-        Rough places, near a plane [m].
-    is_metric : bool, optional
-        Whether these are metres.
-
-    Raises
-    ------
-    InputError
-        Too few targets, or not as many names as places.
+    names length n: Codes.
+    points_m (n, 3): Rough places, near a plane [m].
+    is_metric: Whether these are metres.
+    InputError: Too few targets, or not as many names as places.
     """
 
     dictionary: str
@@ -295,20 +253,8 @@ class TargetField:
 def renumbering(board: Chessboard | CircleGrid, quarter_turns: int) -> npt.NDArray[np.intp]:
     """Return the new number of each point when the board is counted from another corner.
 
-    Parameters
-    ----------
-    board : Chessboard or CircleGrid
-        The board.
-    quarter_turns : int
-        One of its `same_turns`.
+    Returns (n,): ``points_m[new]`` is ``points_m`` turned by so many quarter turns from x to y.
 
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        ``points_m[new]`` is ``points_m`` turned by so many quarter turns from x to y.
-
-    Examples
-    --------
     >>> renumbering(Chessboard(5, 3), 2)[:3]
     array([14, 13, 12])
     """

@@ -39,20 +39,7 @@ _COMPARED = "compared_camera.json"
 
 
 def write_tables(result: Result, folder: Path) -> None:
-    """Write everything but the figures: cameras, points, tables, summary.json.
-
-    Parameters
-    ----------
-    result : Result
-        A calibration.
-    folder : Path
-        An existing folder.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write everything but the figures: cameras, points, tables, summary.json."""
     poses = {
         photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
         for photo in result.photos
@@ -98,20 +85,9 @@ def _write_other_formats(camera: Camera, folder: Path) -> None:
 def opencv_yaml(camera: Camera) -> str:
     """Return a camera as ``cv2.FileStorage`` reads it, with the keys of OpenCV's calibration sample.
 
-    Parameters
-    ----------
-    camera : Camera
-        A camera without skew whose polynomial goes from ideal to measured.
-
-    Returns
-    -------
-    str
-        YAML; ``standard_deviations`` follows ``calibrateCameraExtended``: fx, fy, cx, cy, k1, k2, p1, p2, k3.
-
-    Raises
-    ------
-    InputError
-        OpenCV's model does not hold the camera.
+    camera: A camera without skew whose polynomial goes from ideal to measured.
+    Returns: YAML; ``standard_deviations`` follows ``calibrateCameraExtended``: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+    InputError: OpenCV's model does not hold the camera.
     """
     matrix, distortion = to_opencv(camera)
     deviations = np.delete(camera.sigma_parameters, PARAMETER_NAMES.index("skew"))
@@ -186,20 +162,8 @@ def _write_photos(result: Result, folder: Path) -> None:
 def open_calibration(folder: str | Path = ".") -> Result:
     """Read a folder of results; maps and profile are computed again from the camera with its covariance.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it, where reports run.
-
-    Returns
-    -------
-    Result
-        As it was written, but for the rejected points' residuals and the poses of photos held out.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it, where reports run.
+    Returns: As it was written, but for the rejected points' residuals and the poses of photos held out.
     """
     folder = Path(folder)
     summary = read_summary(folder / "summary.json")

@@ -19,23 +19,14 @@ from heliogauge.validate import BoolArray, FloatArray
 class PhotoResult:
     """One photo.
 
-    Parameters
-    ----------
-    name : str
-        Its file.
-    cam_from_board : RigidTransform
-        Its pose.
-    covariance : ndarray, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved` [rad, m].
-    index : ndarray of int, shape (n,)
-        Points of the board that were measured.
-    pixels_px : ndarray, shape (n, 2)
-        Their places [px].
-    residuals_px : ndarray, shape (n, 2)
-        Predicted minus measured; NaN for rejected points [px].
-    kept_apart_px : float
-        RMS of the residuals of all its points when camera and board come from the other photos and only its pose is
-        fitted; NaN where that was not asked [px].
+    name: Its file.
+    cam_from_board: Its pose.
+    covariance (6, 6): Covariance of the steps of `RigidTransform.moved` [rad, m].
+    index (n,): Points of the board that were measured.
+    pixels_px (n, 2): Their places [px].
+    residuals_px (n, 2): Predicted minus measured; NaN for rejected points [px].
+    kept_apart_px: RMS of the residuals of all its points when camera and board come from the other photos and only
+        its pose is fitted; NaN where that was not asked [px].
     """
 
     name: str
@@ -61,16 +52,9 @@ class PhotoResult:
 class HeldOutPhoto:
     """A photo that did not enter the calibration: camera and board explain it this well, only its pose is fitted.
 
-    Parameters
-    ----------
-    name : str
-        Its file.
-    cam_from_board : RigidTransform
-        Its pose.
-    count : int
-        Points of the board.
-    rms_px : float
-        RMS length of the residuals of all of them [px].
+    name: Its file.
+    count: Points of the board.
+    rms_px: RMS length of the residuals of all of them [px].
     """
 
     name: str
@@ -83,22 +67,14 @@ class HeldOutPhoto:
 class BoardShape:
     """The board as it is.
 
-    Parameters
-    ----------
-    board : Board
-        As it was drawn.
-    seen : ndarray of int, shape (k,)
-        Its points that were measured.
-    points_m : ndarray, shape (k, 3)
-        Where they are [m].
-    sigma_m : ndarray, shape (k, 3)
-        Standard deviations [m].
-    n_rays : ndarray of int, shape (k,)
-        Photos that see each.
-    prior_sigma_m : ndarray, shape (3,)
-        How far points were allowed to be from the drawing, x, y and z; 0: held; infinite: nothing was known [m].
-    datum : str
-        What defines the board's frame.
+    board: As it was drawn.
+    seen (k,): Its points that were measured.
+    points_m (k, 3): Where they are [m].
+    sigma_m (k, 3): Standard deviations [m].
+    n_rays (k,): Photos that see each.
+    prior_sigma_m (3,): How far points were allowed to be from the drawing, x, y and z; 0: held; infinite: nothing
+        was known [m].
+    datum: What defines the board's frame.
     """
 
     board: Board
@@ -136,18 +112,11 @@ class Intrinsic:
 class Quality:
     """How well photos and model agree.
 
-    Parameters
-    ----------
-    rms_px : float
-        RMS length of the residuals with the board's shape estimated [px].
-    rms_as_drawn_px : float
-        The same with the board held as it was drawn [px].
-    sigma_factor_ratio : float
-        Residuals over what the pixels' noise lets expect; the stated sigmas contain it.
-    redundancy : int
-        Residuals and prior knowledge less unknowns.
-    rejected : tuple of str
-        Points that were left out, with their residual.
+    rms_px: RMS length of the residuals with the board's shape estimated [px].
+    rms_as_drawn_px: The same with the board held as it was drawn [px].
+    sigma_factor_ratio: Residuals over what the pixels' noise lets expect; the stated sigmas contain it.
+    redundancy: Residuals and prior knowledge less unknowns.
+    rejected: Points that were left out, with their residual.
     """
 
     rms_px: float
@@ -161,40 +130,20 @@ class Quality:
 class Result:
     """A calibration.
 
-    Parameters
-    ----------
-    name, camera_name : str
-        Of the measurement, and of the camera in cameras.json.
-    camera : Camera
-        With its covariance.
-    intrinsics : tuple of Intrinsic
-        What was estimated.
-    photos : tuple of PhotoResult
-        The photos used.
-    left_out : mapping of str to str
-        Photos that were not, with the reason.
-    shape : BoardShape
-        The board.
-    quality : Quality
-        Residuals.
-    sigma : SigmaMap
-        Uncertainty over the image.
-    profile : RadialProfile
-        Radial distortion.
-    coverage : Coverage
-        Where points were measured.
-    held_out : tuple of HeldOutPhoto
-        Photos to check with.
-    comparison : Comparison or None
-        Against another calibration, if that was asked.
-    compared_with : Camera or None
-        That calibration.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : mapping of str to float
-        Wall time of each stage [s].
-    input_sha256 : mapping of str to str
-        Hash of each file read.
+    name, camera_name: Of the measurement, and of the camera in cameras.json.
+    camera: With its covariance.
+    intrinsics: What was estimated.
+    left_out: Photos that were not, with the reason.
+    shape: The board.
+    quality: Residuals.
+    sigma: Uncertainty over the image.
+    profile: Radial distortion.
+    coverage: Where points were measured.
+    held_out: Photos to check with.
+    comparison: Against another calibration, if that was asked.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -242,17 +191,8 @@ def rms_length(residuals_px: FloatArray) -> float:
 def sigma_of_shape(points_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
     """Return the sigma of points after position, rotation and scale of the whole were taken out.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (k, 3)
-        The points [m].
-    covariance_m2 : ndarray, shape (3 k, 3 k)
-        Their joint covariance [m^2].
-
-    Returns
-    -------
-    ndarray, shape (k, 3)
-        Standard deviations under inner constraints [m].
+    Shapes: points_m (k, 3), covariance_m2 (3 k, 3 k).
+    Returns (k, 3): Standard deviations under inner constraints [m].
     """
     arms = points_m - points_m.mean(axis=0)
     free = np.concatenate([np.tile(np.eye(3), (len(arms), 1, 1)), skew(arms), arms[:, :, None]], axis=2)

@@ -208,14 +208,9 @@ class HeliostatModel(Section):
 class HeliostatMeasurement:
     """Checked observations of heliostats: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : HeliostatModel
-        What measurement.toml says; for a folder of the PAINT database without one, all is default.
-    has_file : bool
-        Whether there is a measurement.toml.
+    folder: The measurement's folder.
+    model: What measurement.toml says; for a folder of the PAINT database without one, all is default.
+    has_file: Whether there is a measurement.toml.
     """
 
     folder: Path
@@ -238,15 +233,7 @@ class HeliostatMeasurement:
 def properties_files(folder: Path) -> Iterator[Path]:
     """Find files with properties of heliostats as the PAINT database has them, in a folder or one or two below.
 
-    Parameters
-    ----------
-    folder : Path
-        Of one heliostat, or of a field.
-
-    Yields
-    ------
-    Path
-        Files such as ``BE36_properties.json`` or ``AA39/Properties/AA39-heliostat-properties.json``.
+    Returns: Files such as ``BE36_properties.json`` or ``AA39/Properties/AA39-heliostat-properties.json``.
     """
     for pattern in ("*properties.json", "*/*properties.json", "*/Properties/*properties.json"):
         for file in sorted(folder.glob(pattern)):
@@ -255,18 +242,7 @@ def properties_files(folder: Path) -> Iterator[Path]:
 
 
 def paint_measurement(folder: Path) -> HeliostatMeasurement | None:
-    """Describe a folder of the PAINT database that has no measurement.toml.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    HeliostatMeasurement or None
-        All by default; None for another folder.
-    """
+    """Describe a folder of the PAINT database that has no measurement.toml."""
     if (folder / "measurement.toml").exists() or next(properties_files(folder), None) is None:
         return None
     model = HeliostatModel(kind="heliostat", name=folder.resolve().name or "field", paint=PaintSection())

@@ -27,15 +27,8 @@ _LEVEL = "display level [share of the range]"
 def response_figure(result: Result) -> "Figure":
     """Draw what the camera reads for each level, and how far that is from a straight line.
 
-    Parameters
-    ----------
-    result : Result
-        What `calibration.screen.pipeline.run` returned.
-
-    Returns
-    -------
-    Figure
-        Two charts: readings [DN], departure from the line between the ends [% of the range].
+    result: What `calibration.screen.pipeline.run` returned.
+    Returns: Two charts: readings [DN], departure from the line between the ends [% of the range].
     """
     figure = new_figure(5.4)
     width = WIDTH_IN - 0.95

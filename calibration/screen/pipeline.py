@@ -29,10 +29,7 @@ _DOUBTFUL_SPREAD = 0.3
 class Options:
     """Choices of the evaluation.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Threads that decode images; None for all processors.
+    jobs: Threads that decode images; None for all processors.
     """
 
     jobs: int | None = None
@@ -42,18 +39,10 @@ class Options:
 class GreyReadings:
     """What the camera read of each level.
 
-    Parameters
-    ----------
-    level : ndarray, shape (n,)
-        Level shown, as a share of the display's range.
-    mean_dn : ndarray, shape (n,)
-        Mean reading of the pixels used [DN].
-    is_saturated : ndarray of bool, shape (n,)
-        Left out of the fit.
-    pixels : int
-        Number of pixels used.
-    gain_spread : float
-        Standard deviation of the pixels' brightness, as a share of its mean.
+    level (n,): Level shown, as a share of the display's range.
+    mean_dn (n,): Mean reading of the pixels used [DN].
+    is_saturated (n,): Left out of the fit.
+    gain_spread: Standard deviation of the pixels' brightness, as a share of its mean.
     """
 
     level: FloatArray
@@ -67,20 +56,12 @@ class GreyReadings:
 class Result:
     """The response and what it rests on.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    response : ScreenResponse
-        The look-up; levels as shares of the display's range.
-    readings : GreyReadings
-        Readings of all levels, also those left out.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of the measurement.
+    response: The look-up; levels as shares of the display's range.
+    readings: Readings of all levels, also those left out.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -94,27 +75,10 @@ class Result:
 def run(measurement: ResponseMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Fit the response of camera and display.
 
-    Parameters
-    ----------
-    measurement : ResponseMeasurement
-        From `heliogauge.measurement.load.load_response`.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        The look-up with its sigma.
-
-    Raises
-    ------
-    InputError
-        Photographs that cannot be used, or a region outside them.
-    EstimationError
-        Nothing brightens, too few steps that are not saturated, readings that fall while the level rises, or levels
-        that the camera cannot tell apart.
+    Returns: The look-up with its sigma.
+    InputError: Photographs that cannot be used, or a region outside them.
+    EstimationError: Nothing brightens, too few steps that are not saturated, readings that fall while the level
+        rises, or levels that the camera cannot tell apart.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with warnings.catch_warnings(record=True) as caught:
@@ -166,20 +130,9 @@ def _fit(measurement: ResponseMeasurement, frames: Frames) -> tuple[ScreenRespon
 def lit_pixels(images_dn: npt.NDArray[Any]) -> BoolArray:
     """Find the pixels that see the display: those that brighten by at least half of what the brightest do.
 
-    Parameters
-    ----------
-    images_dn : ndarray, shape (n, height, width)
-        Photographs, dark to bright [DN].
-
-    Returns
-    -------
-    ndarray of bool, shape (height, width)
-        The pixels.
-
-    Raises
-    ------
-    EstimationError
-        No pixel brightens.
+    Shapes: result (height, width).
+    images_dn (n, height, width): Photographs, dark to bright [DN].
+    EstimationError: No pixel brightens.
     """
     # The median of 5 x 5 pixels takes out hot pixels and glints, so that "the brightest" is an area.
     rise = cv2.medianBlur(images_dn[-1].astype(np.float32) - images_dn[0].astype(np.float32), 5)
@@ -228,17 +181,7 @@ def _say_saturated(is_saturated: BoolArray, files: tuple[Path, ...], saturation_
 def write(result: Result, folder: Path) -> None:
     """Write response.csv, response.png and summary.json into an existing folder.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     from calibration.screen.figures import response_figure
     from heliogauge.reporting.canvas import png_of
@@ -257,15 +200,8 @@ def _sigma_dn(response: ScreenResponse) -> FloatArray:
 def nonlinearity(response: ScreenResponse) -> tuple[FloatArray, FloatArray]:
     """Return how far the readings lie above the straight line between the ends.
 
-    Parameters
-    ----------
-    response : ScreenResponse
-        The look-up.
-
-    Returns
-    -------
-    tuple of ndarray, shape (n,)
-        Departure and its standard deviation, as shares of the readings' range.
+    response: The look-up.
+    Returns (n,): Departure and its standard deviation, as shares of the readings' range.
     """
     reading, level, sigma = response.camera_dn, response.display_level, _sigma_dn(response)
     reach = reading[-1] - reading[0]

@@ -18,19 +18,11 @@ _BLOCK_PIXELS = 65536
 class ScreenResponse:
     """Monotone look-up from camera readings to display levels, linear between its nodes.
 
-    Parameters
-    ----------
-    camera_dn : array_like, shape (n,), n >= 2
-        Camera readings, strictly ascending [DN].
-    display_level : array_like, shape (n,)
-        Display levels that gave them, strictly ascending [display DN, or any unit linear in the level].
-    sigma_camera_dn : array_like, shape (n,), optional
-        Standard deviation of the readings; zeros are taken as exact [DN].
-
-    Raises
-    ------
-    InputError
-        Shapes that differ, values not ascending, a negative sigma.
+    camera_dn (n,): Camera readings, strictly ascending [DN].
+    display_level (n,): Display levels that gave them, strictly ascending [display DN, or any unit linear in the
+        level].
+    sigma_camera_dn (n,): Standard deviation of the readings; zeros are taken as exact [DN].
+    InputError: Shapes that differ, values not ascending, a negative sigma.
     """
 
     camera_dn: FloatArray
@@ -59,17 +51,11 @@ class ScreenResponse:
     def slope(self, camera_dn: FloatArray) -> FloatArray:
         """Return the change of level for one DN of the camera [level / DN].
 
-        Parameters
-        ----------
-        camera_dn : ndarray, shape (...)
-            Readings [DN].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Difference of the levels half a DN above and below: the slope at the scale of rounding and noise, where
-            single segments can be 0.1 DN wide next to black. Beyond the nodes the slope over the DN next to the end
-            (at least the mean slope of the whole look-up): readings held at an end are not free of noise.
+        Shapes: camera_dn (...).
+        Returns (...): Difference of the levels half a DN above and below: the slope at the scale of rounding and
+            noise, where single segments can be 0.1 DN wide next to black. Beyond the nodes the slope over the DN
+            next to the end (at least the mean slope of the whole look-up): readings held at an end are not free of
+            noise.
         """
         readings = np.asarray(camera_dn, dtype=np.float64)
         local = self.linearise(readings + 0.5) - self.linearise(readings - 0.5)
@@ -87,20 +73,9 @@ class ScreenResponse:
     def table(self, dtype: npt.DTypeLike) -> Float32Array:
         """Return the level for each value of an integer type.
 
-        Parameters
-        ----------
-        dtype : dtype
-            uint8 or uint16.
-
-        Returns
-        -------
-        ndarray of float32, shape (256,) or (65536,)
-            Levels; float32 keeps 1e-5 of a display level of 255.
-
-        Raises
-        ------
-        InputError
-            Another type.
+        dtype: uint8 or uint16.
+        Returns (256,) or (65536,): Levels; float32 keeps 1e-5 of a display level of 255.
+        InputError: Another type.
         """
         wanted = np.dtype(dtype)
         if wanted not in (np.dtype(np.uint8), np.dtype(np.uint16)):
@@ -114,28 +89,14 @@ def linearise_frames(
 ) -> Float32Array:
     """Linearise whole frames, without temporaries of their size.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8 or uint16, shape (n, h, w)
-        Camera readings [DN].
-    response : ScreenResponse
-        The look-up.
-    out : ndarray of float32, shape (n, h, w), optional
-        Where to write; allocated without it.
+    frames (n, h, w): Camera readings [DN].
+    response: The look-up.
+    out (n, h, w): Where to write; allocated without it.
+    Returns (n, h, w): Display levels.
+    InputError: Frames of another type or shape, or an `out` that does not fit.
 
-    Returns
-    -------
-    ndarray of float32, shape (n, h, w)
-        Display levels.
-
-    Raises
-    ------
-    InputError
-        Frames of another type or shape, or an `out` that does not fit.
-
-    Notes
-    -----
-    `deflectometry.fringes.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to show them.
+    `deflectometry.fringes.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to
+    show them.
     """
     if frames.ndim != 3:
         raise InputError(f"frames: shape (n, h, w) is needed, not {frames.shape}")
@@ -156,12 +117,8 @@ def linearise_frames(
 class GreyStep:
     """Camera readings of the same pixels for one display level.
 
-    Parameters
-    ----------
-    level : float
-        Display level shown.
-    readings_dn : ndarray, shape (n,), n >= 2
-        Readings of the pixels that see the display [DN].
+    level: Display level shown.
+    readings_dn (n,): Readings of the pixels that see the display [DN].
     """
 
     level: float
@@ -179,29 +136,14 @@ def fit_response(
 ) -> ScreenResponse:
     """Fit the response to images of uniform grey levels.
 
-    Parameters
-    ----------
-    steps : sequence of GreyStep
-        One for each level, in any order; the same pixels in all.
-    noise_dn : float, optional
-        Noise of one reading; from the spread of each pixel's departure from the level's mean without it [DN].
-    saturation_dn : float, optional
-        Levels whose mean reading reaches this are left out [DN].
+    steps: One for each level, in any order; the same pixels in all.
+    noise_dn: Noise of one reading; from the spread of each pixel's departure from the level's mean without it [DN].
+    saturation_dn: Levels whose mean reading reaches this are left out [DN].
+    Returns: Nodes with sigma; levels that the camera cannot tell apart (within two sigma) are joined.
+    InputError: Fewer than 3 steps, a level twice, or different numbers of readings.
+    EstimationError: Readings that fall by more than five sigma while the level rises, or fewer than 3 levels told
+        apart.
 
-    Returns
-    -------
-    ScreenResponse
-        Nodes with sigma; levels that the camera cannot tell apart (within two sigma) are joined.
-
-    Raises
-    ------
-    InputError
-        Fewer than 3 steps, a level twice, or different numbers of readings.
-    EstimationError
-        Readings that fall by more than five sigma while the level rises, or fewer than 3 levels told apart.
-
-    Notes
-    -----
     Mean reading of the pixels for each level. Pixels differ by a fixed pattern (vignetting, reflectance) that is the
     same share in all levels, so the sigma of a mean rests on the readings divided by that pattern.
     """

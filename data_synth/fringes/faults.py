@@ -41,17 +41,12 @@ _FRAME_FAULTS = (FaultKind.REPEATED, FaultKind.STALE, FaultKind.SWAPPED, FaultKi
 class Fault:
     """One fault.
 
-    Parameters
-    ----------
-    kind : FaultKind
-        What happens. repeated: the frame is a copy of the one before; stale: the display still showed the one before
-        (the noise is new);
-        swapped: the frame and the next changed places; corrupt: its lower third is missing;
-        wrong-step: the n steps of each set were 2 pi / (n - 1) apart instead of 2 pi / n;
-        saturated: exposure times the amount; gamma: the display's exponent; drift: relative change of the exposure
-        from the first to the last frame.
-    amount : float
-        Number of the frame (repeated, stale, swapped, corrupt) or size of the fault.
+    kind: What happens. repeated: the frame is a copy of the one before; stale: the display still showed the one
+        before (the noise is new); swapped: the frame and the next changed places; corrupt: its lower third is
+        missing; wrong-step: the n steps of each set were 2 pi / (n - 1) apart instead of 2 pi / n; saturated:
+        exposure times the amount; gamma: the display's exponent; drift: relative change of the exposure from the
+        first to the last frame.
+    amount: Number of the frame (repeated, stale, swapped, corrupt) or size of the fault.
     """
 
     kind: FaultKind
@@ -61,23 +56,9 @@ class Fault:
     def parse(cls, text: str) -> "Fault":
         """Read a fault as typed on the command line.
 
-        Parameters
-        ----------
-        text : str
-            Kind, optionally with a frame or amount: ``swapped:7``, ``gamma:1.8``.
+        text: Kind, optionally with a frame or amount: ``swapped:7``, ``gamma:1.8``.
+        InputError: An unknown kind, or an amount that is not a number.
 
-        Returns
-        -------
-        Fault
-            The fault.
-
-        Raises
-        ------
-        InputError
-            An unknown kind, or an amount that is not a number.
-
-        Examples
-        --------
         >>> Fault.parse("swapped:7")
         Fault(kind=<FaultKind.SWAPPED: 'swapped'>, amount=7.0)
         """
@@ -101,17 +82,8 @@ class Fault:
 def shown_pattern(pattern: FringePattern, faults: Sequence[Fault]) -> FringePattern:
     """Return the pattern that was really shown.
 
-    Parameters
-    ----------
-    pattern : FringePattern
-        The declared pattern.
-    faults : sequence of Fault
-        All faults; only a wrong step changes the pattern.
-
-    Returns
-    -------
-    FringePattern
-        The declared pattern, or the one with wrong steps.
+    faults: All faults; only a wrong step changes the pattern.
+    Returns: The declared pattern, or the one with wrong steps.
     """
     if not any(fault.kind is FaultKind.WRONG_STEP for fault in faults):
         return pattern
@@ -126,22 +98,8 @@ def shown_pattern(pattern: FringePattern, faults: Sequence[Fault]) -> FringePatt
 def frame_sources(n_frames: int, faults: Sequence[Fault]) -> list[int]:
     """Return which expected image each frame shows.
 
-    Parameters
-    ----------
-    n_frames : int
-        Number of fringe frames.
-    faults : sequence of Fault
-        All faults; stale and swapped ones count here.
-
-    Returns
-    -------
-    list of int
-        The image for each frame.
-
-    Raises
-    ------
-    InputError
-        A fault names a frame that does not exist.
+    faults: All faults; stale and swapped ones count here.
+    InputError: A fault names a frame that does not exist.
     """
     sources = list(range(n_frames))
     for fault in faults:
@@ -161,12 +119,8 @@ def frame_sources(n_frames: int, faults: Sequence[Fault]) -> list[int]:
 def damage_frames(frames: UnsignedArray, faults: Sequence[Fault]) -> None:
     """Apply the faults that happen after the exposure.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8 or uint16, shape (n, h, w)
-        Frames, changed in place.
-    faults : sequence of Fault
-        All faults; repeated and corrupt frames count here.
+    frames (n, h, w): Frames, changed in place.
+    faults: All faults; repeated and corrupt frames count here.
     """
     for fault in faults:
         if fault.kind not in _FRAME_FAULTS:

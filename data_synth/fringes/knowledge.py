@@ -16,20 +16,11 @@ from heliogauge.geometry.rigid import RigidTransform
 class Knowledge:
     """How well the measurement file knows the set-up: stated values are the true ones plus errors of these sigmas.
 
-    Parameters
-    ----------
-    pose_known : bool, optional
-        Give the mirror's pose; otherwise its outline and the measured distance.
-    sigma_pose_rotation_mrad, sigma_pose_translation_mm : float, optional
-        Errors of that pose.
-    sigma_distance_mm : float, optional
-        Error of the distance between the origins of mirror and screen.
-    sigma_screen_rotation_mrad, sigma_screen_translation_mm : float, optional
-        Errors of the screen's pose.
-    sigma_focal_px, sigma_center_px : float, optional
-        Errors of the camera, independent in x and y as measurement.toml has it.
-    response : bool, optional
-        Give the response of camera and display (as measured with grey steps) in response.csv.
+    pose_known: Give the mirror's pose; otherwise its outline and the measured distance.
+    sigma_distance_mm: Error of the distance between the origins of mirror and screen.
+    sigma_screen_rotation_mrad, sigma_screen_translation_mm: Errors of the screen's pose.
+    sigma_focal_px, sigma_center_px: Errors of the camera, independent in x and y as measurement.toml has it.
+    response: Give the response of camera and display (as measured with grey steps) in response.csv.
     """
 
     pose_known: bool = False
@@ -55,21 +46,10 @@ def measurement_content(
 ) -> dict[str, Any]:
     """Return the tables of measurement.toml.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        The scene.
-    fringe_files : list of str
-        Names of the frames, in order.
-    knowledge : Knowledge
-        How well the set-up is known.
-    rng : numpy.random.Generator
-        Draws the errors of what is known.
-
-    Returns
-    -------
-    dict
-        Content for `heliogauge.measurement.writer.write_measurement`.
+    fringe_files: Names of the frames, in order.
+    knowledge: How well the set-up is known.
+    rng: Draws the errors of what is known.
+    Returns: Content for `heliogauge.measurement.writer.write_measurement`.
     """
     return {
         "kind": "deflectometry",
@@ -178,17 +158,8 @@ def _design(facet: SyntheticFacet) -> dict[str, Any]:
 def screen_table(wall: Wall, nodes: int = 81) -> dict[str, list[float]]:
     """Return the wall as a table of measured points.
 
-    Parameters
-    ----------
-    wall : Wall
-        The screen.
-    nodes : int, optional
-        Points per side; with 81 the chords of a wall that bulges by 0.12 m are wrong by 0.02 mm.
-
-    Returns
-    -------
-    dict of str to list of float
-        Columns u, v, x_m, y_m, z_m.
+    nodes: Points per side; with 81 the chords of a wall that bulges by 0.12 m are wrong by 0.02 mm.
+    Returns: Columns u, v, x_m, y_m, z_m.
     """
     v, u = (values.ravel() for values in np.mgrid[0 : 1 : nodes * 1j, 0 : 1 : nodes * 1j])
     x, y, z = wall.points_m(u, v).T
@@ -199,17 +170,7 @@ def screen_table(wall: Wall, nodes: int = 81) -> dict[str, list[float]]:
 def response_table(scene: FringeScene, steps: int = 33) -> dict[str, list[float]]:
     """Return what the camera reads for grey steps of the display.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        The scene with display and sensor.
-    steps : int, optional
-        Number of grey steps.
-
-    Returns
-    -------
-    dict of str to list of float
-        Columns camera_dn and display_level (fraction).
+    Returns: Columns camera_dn and display_level (fraction).
     """
     level = np.linspace(0.0, 1.0, steps)
     light = scene.lighting.light(level.astype(np.float32)) + np.float32(scene.lighting.ambient)

@@ -42,15 +42,7 @@ def rectangle(width_m: float, height_m: float) -> FloatArray:
 def standard_errors(width_m: float = 1.2, height_m: float = 1.2) -> SurfaceErrors:
     """Return deviations as of a good glass facet: about 0.4 mrad RMS, from the whole facet down to 0.2 m.
 
-    Parameters
-    ----------
-    width_m, height_m : float, optional
-        Size of the facet [m].
-
-    Returns
-    -------
-    SurfaceErrors
-        Twist and astigmatism, coma, a ripple, a dimple over a pad, turned-down edges.
+    Returns: Twist and astigmatism, coma, a ripple, a dimple over a pad, turned-down edges.
     """
     size = float(np.hypot(width_m, height_m))
     terms: tuple[ErrorTerm, ...] = (
@@ -66,20 +58,11 @@ def standard_errors(width_m: float = 1.2, height_m: float = 1.2) -> SurfaceError
 def on_design_at_origin(errors: SurfaceErrors) -> SurfaceErrors:
     """Lift deviations so that the surface meets its design at the facet's origin.
 
-    Parameters
-    ----------
-    errors : SurfaceErrors
-        The deviations.
+    Returns: The same with a constant added.
 
-    Returns
-    -------
-    SurfaceErrors
-        The same with a constant added.
-
-    Notes
-    -----
-    Slopes do not change, but where the rays meet the surface does. A mirror's pose says where its origin is; a surface
-    that stands 20 um in front of it would be seen with a slope bias of 0.4 urad that no slope measurement can avoid.
+    Slopes do not change, but where the rays meet the surface does. A mirror's pose says where its origin is; a
+    surface that stands 20 um in front of it would be seen with a slope bias of 0.4 urad that no slope measurement can
+    avoid.
     """
     height = float(errors.evaluate(np.array(0.0), np.array(0.0))[0])
     return SurfaceErrors((*errors.terms, Polynomial([(0, 0, -height)])))
@@ -94,21 +77,10 @@ def aim(
 ) -> RigidTransform:
     """Turn a mirror so that the camera sees a target in the mirror's origin.
 
-    Parameters
-    ----------
-    place_m : tuple of float
-        The mirror's origin in the camera's frame [m].
-    target_cam_m : ndarray, shape (3,)
-        The point to be seen, in the camera's frame [m].
-    normal : ndarray, shape (3,)
-        The surface normal at the mirror's origin, in the mirror's frame.
-    roll_rad : float, optional
-        Turn about the normal; edges parallel to pixel rows would hide errors of the outline [rad].
-
-    Returns
-    -------
-    RigidTransform
-        ``cam_from_mirror``; the mirror's x points right and its y up in the image.
+    target_cam_m (3,): The point to be seen, in the camera's frame [m].
+    normal (3,): The surface normal at the mirror's origin, in the mirror's frame.
+    roll_rad: Turn about the normal; edges parallel to pixel rows would hide errors of the outline [rad].
+    Returns: ``cam_from_mirror``; the mirror's x points right and its y up in the image.
     """
     place = float_array("place_m", place_m, (3,))
     to_camera, to_target = -place / np.linalg.norm(place), target_cam_m - place
@@ -132,30 +104,10 @@ def facet_scene(
 ) -> FringeScene:
     """Put a mirror into the standard laboratory and aim it at the middle of the screen.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    facets : tuple of SyntheticFacet
-        The mirror; a single facet's pose in the mirror is the identity.
-    camera : PinholeCamera, optional
-        The camera.
-    wall : Wall, optional
-        The screen.
-    place_m : tuple of float, optional
-        The mirror's origin in the camera's frame [m].
-    blur_sigma_px : float, optional
-        Blur of the lens; 0.1 px of the small camera are 0.8 px of the full one [px].
-
-    Returns
-    -------
-    FringeScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        A reflected ray misses the screen: the message says which size is needed.
+    facets: The mirror; a single facet's pose in the mirror is the identity.
+    place_m: The mirror's origin in the camera's frame [m].
+    blur_sigma_px: Blur of the lens; 0.1 px of the small camera are 0.8 px of the full one [px].
+    InputError: A reflected ray misses the screen: the message says which size is needed.
     """
     normal = np.array([0.0, 0.0, 1.0])
     if len(facets) == 1:
@@ -172,15 +124,7 @@ def facet_scene(
 def check_screen_covers(scene: FringeScene) -> None:
     """Refuse a scene in which part of the mirror does not see the display.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        The display is too small, or in the wrong place; the message names the size that is needed.
+    InputError: The display is too small, or in the wrong place; the message names the size that is needed.
     """
     worst = np.zeros(2)
     for facet in scene.facets:
@@ -221,21 +165,8 @@ def off_axis_scene(
 ) -> FringeScene:
     """Return a facet cut from a paraboloid beside its vertex.
 
-    Parameters
-    ----------
-    focal_length_m : float, optional
-        Focal length of the paraboloid [m].
-    off_axis_m : float, optional
-        Distance of the facet's origin from the axis, along x [m].
-    orientation : str, optional
-        "axis": the facet's axes are the paraboloid's; "normal": its z is the local normal.
-    camera : PinholeCamera, optional
-        The camera.
-
-    Returns
-    -------
-    FringeScene
-        The scene.
+    off_axis_m: Distance of the facet's origin from the axis, along x [m].
+    orientation: "axis": the facet's axes are the paraboloid's; "normal": its z is the local normal.
     """
     lengths = {"focal_length_m": focal_length_m}
     design = Design.on_optic("paraboloid", lengths, (off_axis_m, 0.0), orientation=orientation)
@@ -245,17 +176,7 @@ def off_axis_scene(
 def trough_scene(*, orientation: str = "axis", camera: PinholeCamera = SMALL_CAMERA) -> FringeScene:
     """Return a panel of a trough, f = 1.71 m, between 0.5 m and 1.5 m from its vertex line.
 
-    Parameters
-    ----------
-    orientation : str, optional
-        "axis": the panel's axes are the trough's; "normal": its z is the normal in its middle.
-    camera : PinholeCamera, optional
-        The camera.
-
-    Returns
-    -------
-    FringeScene
-        The scene.
+    orientation: "axis": the panel's axes are the trough's; "normal": its z is the normal in its middle.
     """
     design = Design.on_optic("trough", {"focal_length_m": 1.71}, (1.0, 0.0), orientation=orientation)
     return _single("panel of a trough f = 1.71 m", design, 1.0, camera)
@@ -285,17 +206,7 @@ def curved_screen_scene() -> FringeScene:
 def ensemble_scene(*, columns: int = 6, rows: int = 4, camera: PinholeCamera | None = None) -> FringeScene:
     """Return a mirror of many facets in one image, each with its own canting error of up to 0.5 mrad.
 
-    Parameters
-    ----------
-    columns, rows : int, optional
-        Number of facets across and up.
-    camera : PinholeCamera, optional
-        The camera; 812 x 616 px without.
-
-    Returns
-    -------
-    FringeScene
-        The scene.
+    camera: The camera; 812 x 616 px without.
     """
     pitch, size, focal_length_m = 0.43, 0.40, 60.0
     # Facets lie on the sphere that focuses at 60 m; each is a paraboloid of that focal length about its own centre.
@@ -331,20 +242,7 @@ PRESETS: Mapping[str, Callable[[], FringeScene]] = {
 def preset_scene(name: str) -> FringeScene:
     """Return a ready scene by name.
 
-    Parameters
-    ----------
-    name : str
-        One of `PRESETS`.
-
-    Returns
-    -------
-    FringeScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset.
+    InputError: No such preset.
     """
     if name not in PRESETS:
         raise InputError(f"preset {name!r}: one of {', '.join(PRESETS)} is needed")

@@ -25,28 +25,16 @@ _RAYS_PER_BLOCK = 1 << 16
 class Lighting:
     """What the display and the room send, relative to a white display.
 
-    Parameters
-    ----------
-    gamma : float, optional
-        Light of the display is its level to this power.
-    level_min, level_max : float, optional
-        Display levels of the dark and the bright fringe.
-    display_bits : int or None, optional
-        The display rounds levels to this depth; None: it does not.
-    black : float, optional
-        Light of a black display.
-    falloff : float, optional
-        Loss of light at the corners of the screen (quadratic).
-    ambient : float, optional
-        Light of the room on screen and walls.
-    indirect : float, optional
-        Share of the display's mean light that the room throws back on everything.
-    background_albedo : float, optional
-        Brightness of what stands around the mirror.
-    reflectivity : float, optional
-        Mean reflectivity of the mirror.
-    soiling : float, optional
-        Relative amplitude of its smooth variation over the facet.
+    gamma: Light of the display is its level to this power.
+    level_min, level_max: Display levels of the dark and the bright fringe.
+    display_bits: The display rounds levels to this depth; None: it does not.
+    black: Light of a black display.
+    falloff: Loss of light at the corners of the screen (quadratic).
+    ambient: Light of the room on screen and walls.
+    indirect: Share of the display's mean light that the room throws back on everything.
+    background_albedo: Brightness of what stands around the mirror.
+    reflectivity: Mean reflectivity of the mirror.
+    soiling: Relative amplitude of its smooth variation over the facet.
     """
 
     gamma: float = 1.0
@@ -81,24 +69,13 @@ class Lighting:
 class FringeScene:
     """Everything that determines a fringe measurement.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    bench : Bench
-        Camera, mirror pose and screen.
-    facets : tuple of SyntheticFacet
-        The mirror.
-    pattern : FringePattern
-        The fringes as declared to the evaluation.
-    lighting : Lighting, optional
-        Display and room.
-    sensor : Sensor, optional
-        Exposure, noise, bit depth.
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
-    faults : tuple of Fault, optional
-        What goes wrong.
+    bench: Camera, mirror pose and screen.
+    facets: The mirror.
+    pattern: The fringes as declared to the evaluation.
+    lighting: Display and room.
+    sensor: Exposure, noise, bit depth.
+    blur_sigma_px: Gaussian blur of the lens [px].
+    faults: What goes wrong.
     """
 
     name: str
@@ -120,14 +97,9 @@ class FringeScene:
 class SyntheticFringes:
     """A synthetic measurement in memory.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8 or uint16, shape (n, h, w)
-        The fringe frames in the order of the pattern.
-    dark, bright : ndarray of uint8 or uint16, shape (h, w)
-        Black and white display.
-    truth : FringeTruth
-        What they show.
+    frames (n, h, w): The fringe frames in the order of the pattern.
+    dark, bright (h, w): Black and white display.
+    truth: What they show.
     """
 
     frames: UnsignedArray
@@ -139,22 +111,7 @@ class SyntheticFringes:
 def render_fringes(scene: FringeScene, rng: np.random.Generator) -> SyntheticFringes:
     """Draw all frames of a scene.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        What to draw.
-    rng : numpy.random.Generator
-        Source of the noise.
-
-    Returns
-    -------
-    SyntheticFringes
-        Frames and truth.
-
-    Raises
-    ------
-    InputError
-        The mirror is not in view, or a distortion or surface error cannot be traced.
+    InputError: The mirror is not in view, or a distortion or surface error cannot be traced.
     """
     n = scene.pattern.n_frames
     sources = [*frame_sources(n, scene.faults), n, n + 1]
@@ -171,20 +128,7 @@ def render_fringes(scene: FringeScene, rng: np.random.Generator) -> SyntheticFri
 def trace_truth(scene: FringeScene) -> FringeTruth:
     """Trace the pixel centres only: the truth of a scene without its images.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        The scene.
-
-    Returns
-    -------
-    FringeTruth
-        What the pixel centres see, and the exact surfaces.
-
-    Raises
-    ------
-    InputError
-        The mirror is not in view.
+    InputError: The mirror is not in view.
     """
     pixels = PixelTruth.empty(scene.shape)
     for index in range(len(scene.facets)):
@@ -205,24 +149,10 @@ def _exposure_factors(scene: FringeScene, n: int) -> FloatArray:
 def expected_light(scene: FringeScene, rng: np.random.Generator) -> tuple[Float32Array, PixelTruth]:
     """Integrate the light on every pixel for every frame, without noise.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        What to draw.
-    rng : numpy.random.Generator
-        Shifts the sample lattices of pixels that an edge crosses.
-
-    Returns
-    -------
-    light : ndarray of float32, shape (n + 2, h, w)
-        Light on the pixels for the fringe frames, the dark and the bright one; 1 for a fully reflected white display.
-    pixels : PixelTruth
-        What the pixel centres see.
-
-    Raises
-    ------
-    InputError
-        The mirror is not in view.
+    rng: Shifts the sample lattices of pixels that an edge crosses.
+    light (n + 2, h, w): Light on the pixels for the fringe frames, the dark and the bright one; 1 for a fully
+        reflected white display.
+    InputError: The mirror is not in view.
     """
     shader = _Shader.of(scene)
     light = np.zeros((shader.n_images, *scene.shape), dtype=np.float32)
@@ -376,19 +306,10 @@ class _Shader:
     def shade(self, seen: Traced, facet: SyntheticFacet, weights: Float32Array) -> Float32Array:
         """Sum the rays of each pixel.
 
-        Parameters
-        ----------
-        seen : Traced, arrays of shape (n, m)
-            The m rays of n pixels.
-        facet : SyntheticFacet
-            Whose reflectivity applies.
-        weights : ndarray of float32, shape (n, m)
-            Weights of the rays, 0 beside the mirror.
-
-        Returns
-        -------
-        ndarray of float32, shape (1 + n_images, n)
-            Coverage of the pixels by the mirror, then the light it sends them in each image.
+        Shapes: seen (n, m).
+        facet: Whose reflectivity applies.
+        weights (n, m): Weights of the rays, 0 beside the mirror.
+        Returns (1 + n_images, n): Coverage of the pixels by the mirror, then the light it sends them in each image.
         """
         out = np.empty((1 + self.n_images, len(weights)), dtype=np.float32)
         out[0] = weights.sum(axis=1)
@@ -446,15 +367,7 @@ def _background_albedo(scene: FringeScene) -> Float32Array:
 def scene_to_json(scene: FringeScene) -> dict[str, Any]:
     """Return all parameters of a scene as plain values: the content of truth.json.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        The scene.
-
-    Returns
-    -------
-    dict
-        Camera, poses, screen, facets with their error terms, pattern, lighting, sensor and faults.
+    Returns: Camera, poses, screen, facets with their error terms, pattern, lighting, sensor and faults.
     """
     bench = scene.bench
     return {

@@ -34,20 +34,12 @@ PIXEL_ARRAYS = {
 class PixelTruth:
     """What the centre of each pixel sees.
 
-    Parameters
-    ----------
-    facet_index : ndarray of int16, shape (h, w)
-        Number of the facet, -1 beside the mirror.
-    x_m, y_m : ndarray, shape (h, w)
-        Point of the mirror in the facet's frame, NaN beside it [m].
-    height_m : ndarray, shape (h, w)
-        True height there [m].
-    slope_x, slope_y : ndarray, shape (h, w)
-        True slopes there [rad].
-    slope_error_x, slope_error_y : ndarray, shape (h, w)
-        True slope minus design slope at the same x, y [rad].
-    u, v : ndarray, shape (h, w)
-        Display coordinates seen there; outside 0..1 or NaN where the ray misses the display.
+    facet_index (h, w): Number of the facet, -1 beside the mirror.
+    x_m, y_m (h, w): Point of the mirror in the facet's frame, NaN beside it [m].
+    height_m (h, w): True height there [m].
+    slope_x, slope_y (h, w): True slopes there [rad].
+    slope_error_x, slope_error_y (h, w): True slope minus design slope at the same x, y [rad].
+    u, v (h, w): Display coordinates seen there; outside 0..1 or NaN where the ray misses the display.
     """
 
     facet_index: npt.NDArray[np.int16]
@@ -65,15 +57,7 @@ class PixelTruth:
     def empty(cls, shape: tuple[int, int]) -> "PixelTruth":
         """Return arrays that see no mirror yet.
 
-        Parameters
-        ----------
-        shape : tuple of int
-            Rows and columns.
-
-        Returns
-        -------
-        PixelTruth
-            NaN everywhere.
+        shape: Rows and columns.
         """
         return cls(np.full(shape, -1, dtype=np.int16), *(np.full(shape, np.nan) for _ in PIXEL_ARRAYS))
 
@@ -82,14 +66,9 @@ class PixelTruth:
 class FringeTruth:
     """Truth of a synthetic fringe measurement.
 
-    Parameters
-    ----------
-    facets : tuple of SyntheticFacet
-        The mirror's facets with their exact surfaces.
-    pixels : PixelTruth
-        What each pixel centre sees.
-    parameters : mapping
-        Everything that went into the images, as plain values (the content of truth.json).
+    facets: The mirror's facets with their exact surfaces.
+    pixels: What each pixel centre sees.
+    parameters: Everything that went into the images, as plain values (the content of truth.json).
     """
 
     facets: tuple[SyntheticFacet, ...]
@@ -99,17 +78,8 @@ class FringeTruth:
     def slopes(self, x_m: FloatArray, y_m: FloatArray, *, facet: int = 0) -> tuple[FloatArray, FloatArray]:
         """Evaluate the true slopes anywhere on a facet.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points in the facet's frame [m].
-        facet : int, optional
-            Which facet.
-
-        Returns
-        -------
-        tuple of ndarray
-            slope_x and slope_y [rad].
+        x_m, y_m (...): Points in the facet's frame [m].
+        Returns: slope_x and slope_y [rad].
         """
         _, slope_x, slope_y = self.facets[facet].surface(np.asarray(x_m), np.asarray(y_m))
         return slope_x, slope_y
@@ -117,17 +87,7 @@ class FringeTruth:
     def slope_errors(self, x_m: FloatArray, y_m: FloatArray, *, facet: int = 0) -> tuple[FloatArray, FloatArray]:
         """Evaluate the true slope errors (true minus design) anywhere on a facet.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points in the facet's frame [m].
-        facet : int, optional
-            Which facet.
-
-        Returns
-        -------
-        tuple of ndarray
-            Errors of slope_x and slope_y [rad].
+        x_m, y_m (...): Points in the facet's frame [m].
         """
         _, error_x, error_y = self.facets[facet].errors.evaluate(np.asarray(x_m), np.asarray(y_m))
         return error_x, error_y
@@ -135,17 +95,8 @@ class FringeTruth:
     def height(self, x_m: FloatArray, y_m: FloatArray, *, facet: int = 0) -> FloatArray:
         """Evaluate the true height anywhere on a facet.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points in the facet's frame [m].
-        facet : int, optional
-            Which facet.
-
-        Returns
-        -------
-        ndarray
-            Height over the facet's x, y plane [m].
+        x_m, y_m (...): Points in the facet's frame [m].
+        Returns: Height over the facet's x, y plane [m].
         """
         return self.facets[facet].surface(np.asarray(x_m), np.asarray(y_m))[0]
 
@@ -153,15 +104,7 @@ class FringeTruth:
 def facet_to_json(facet: SyntheticFacet) -> dict[str, Any]:
     """Return a facet as plain values.
 
-    Parameters
-    ----------
-    facet : SyntheticFacet
-        The facet.
-
-    Returns
-    -------
-    dict
-        Name, outline, design, error terms and pose.
+    Returns: Name, outline, design, error terms and pose.
     """
     return {
         "name": facet.name,
@@ -175,20 +118,7 @@ def facet_to_json(facet: SyntheticFacet) -> dict[str, Any]:
 def facet_from_json(values: Mapping[str, Any]) -> SyntheticFacet:
     """Rebuild the facet that `facet_to_json` wrote.
 
-    Parameters
-    ----------
-    values : mapping
-        The plain values.
-
-    Returns
-    -------
-    SyntheticFacet
-        The same facet.
-
-    Raises
-    ------
-    InputError
-        A key is missing.
+    InputError: A key is missing.
     """
     try:
         design = values["design"]
@@ -204,16 +134,5 @@ def facet_from_json(values: Mapping[str, Any]) -> SyntheticFacet:
 
 
 def transform_from_json(values: Mapping[str, Any]) -> RigidTransform:
-    """Rebuild a transform from ``rotation_vector_rad`` and ``translation_m``.
-
-    Parameters
-    ----------
-    values : mapping
-        The plain values.
-
-    Returns
-    -------
-    RigidTransform
-        The transform.
-    """
+    """Rebuild a transform from ``rotation_vector_rad`` and ``translation_m``."""
     return RigidTransform.from_rotation_vector(values["rotation_vector_rad"], values["translation_m"])

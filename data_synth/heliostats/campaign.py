@@ -23,12 +23,8 @@ _MINUTES = 10
 class Plant:
     """Where heliostats stand and what they are aimed at.
 
-    Parameters
-    ----------
-    site : Site
-        Latitude, longitude, altitude, air.
-    targets : tuple of PlaneTarget
-        Calibration targets.
+    site: Latitude, longitude, altitude, air.
+    targets: Calibration targets.
     """
 
     site: Site
@@ -39,16 +35,10 @@ class Plant:
 class Schedule:
     """When beams are looked at.
 
-    Parameters
-    ----------
-    days : tuple of str
-        Dates (ISO), in the order in which they come.
-    per_day : int
-        Observations of each heliostat on each day.
-    lowest_sun_rad : float, optional
-        No observations with a lower sun [rad].
-    whole_day : bool, optional
-        Spread them evenly over the day instead of drawing their times.
+    days: Dates (ISO), in the order in which they come.
+    per_day: Observations of each heliostat on each day.
+    lowest_sun_rad: No observations with a lower sun [rad].
+    whole_day: Spread them evenly over the day instead of drawing their times.
     """
 
     days: tuple[str, ...]
@@ -59,20 +49,7 @@ class Schedule:
     def at(self, site: Site) -> "Campaign":
         """Return the schedule with the hours at which the sun is up at a place.
 
-        Parameters
-        ----------
-        site : Site
-            Where the sun is seen.
-
-        Returns
-        -------
-        Campaign
-            For all heliostats there.
-
-        Raises
-        ------
-        InputError
-            The sun does not rise high enough on a day.
+        InputError: The sun does not rise high enough on a day.
         """
         minutes = np.arange(-12 * 60, 12 * 60, _MINUTES)
         noons, hours = [], []
@@ -92,14 +69,9 @@ class Schedule:
 class Campaign:
     """A schedule and the hours of its days.
 
-    Parameters
-    ----------
-    schedule : Schedule
-        Days and number of observations.
-    noon : ndarray of datetime64[ms], shape (d,)
-        Noon of each day (UTC).
-    hours_min : ndarray, shape (d, 2)
-        First and last minute from noon at which the sun is high enough.
+    schedule: Days and number of observations.
+    noon (d,): Noon of each day (UTC).
+    hours_min (d, 2): First and last minute from noon at which the sun is high enough.
     """
 
     schedule: Schedule
@@ -122,30 +94,17 @@ class Campaign:
 class Disturbances:
     """What stands between a perfect beam and the number in the table; one standard deviation each, 0 leaves it out.
 
-    Parameters
-    ----------
-    spot_m : tuple of float, optional
-        Of the measured spot, right and up on the target [m].
-    wind_rad : float, optional
-        Of the normal, about each of the mirror's axes, anew at each observation [rad].
-    aim_m : float, optional
-        Of the aim point about the target's centre, along each direction [m].
-    hold_s : float, optional
-        The drives are set for the sun at most this long ago [s].
-    clock_s : float, optional
-        Of the time that is noted down, anew at each observation [s].
-    count : tuple of float, optional
-        Readings are whole multiples of this; 0 leaves them as they are [readings].
-    logged : tuple of float, optional
-        The log rounds readings to whole multiples of this [readings].
-    outliers : float, optional
-        Share of observations whose spot is wrong by `outlier_m`.
-    outlier_m : float, optional
-        Of such an error, along each direction [m].
-    rtk_m : tuple of float, optional
-        Of a drone's position: east, north, up [m].
-    stated : float, optional
-        Sigmas are stated this many times as large as they are.
+    spot_m: Of the measured spot, right and up on the target [m].
+    wind_rad: Of the normal, about each of the mirror's axes, anew at each observation [rad].
+    aim_m: Of the aim point about the target's centre, along each direction [m].
+    hold_s: The drives are set for the sun at most this long ago [s].
+    clock_s: Of the time that is noted down, anew at each observation [s].
+    count: Readings are whole multiples of this; 0 leaves them as they are [readings].
+    logged: The log rounds readings to whole multiples of this [readings].
+    outliers: Share of observations whose spot is wrong by `outlier_m`.
+    outlier_m: Of such an error, along each direction [m].
+    rtk_m: Of a drone's position: east, north, up [m].
+    stated: Sigmas are stated this many times as large as they are.
     """
 
     spot_m: tuple[float, float] = (0.02, 0.02)
@@ -165,14 +124,9 @@ class Disturbances:
 class Changes:
     """How a heliostat's numbers change with time.
 
-    Parameters
-    ----------
-    jumps : mapping
-        Added to these values from `date` on.
-    date : str, optional
-        When (ISO).
-    per_year : mapping
-        Added to these values in a year, from the first observation on.
+    jumps: Added to these values from `date` on.
+    date: When (ISO).
+    per_year: Added to these values in a year, from the first observation on.
     """
 
     jumps: Mapping[str, float] = field(default_factory=dict)
@@ -201,28 +155,17 @@ class Changes:
 class Beams:
     """Beams of one heliostat that were looked at.
 
-    Parameters
-    ----------
-    times : ndarray of datetime64[ms], shape (n,)
-        When each was really looked at (UTC).
-    noted : ndarray of datetime64[ms], shape (n,)
-        What the clock said.
-    sun : ndarray, shape (n, 3)
-        True unit vectors to the sun.
-    target : ndarray of int, shape (n,)
-        Index of the target.
-    readings, logged : ndarray, shape (n, 2)
-        Readings of the drives, as they were and as noted down.
-    approach : ndarray, shape (n, 2)
-        Direction of each drive's last move.
-    poses : Poses
-        True poses of the mirror.
-    spot_m, measured_m : ndarray, shape (n, 2)
-        Where the beam's middle ray met the target, and what was measured: right, up from the centre [m].
-    sigma_m : ndarray, shape (n, 2)
-        Stated sigmas [m].
-    outlier : ndarray of bool, shape (n,)
-        Measured spots that are wrong.
+    times (n,): When each was really looked at (UTC).
+    noted (n,): What the clock said.
+    sun (n, 3): True unit vectors to the sun.
+    target (n,): Index of the target.
+    readings, logged (n, 2): Readings of the drives, as they were and as noted down.
+    approach (n, 2): Direction of each drive's last move.
+    poses: True poses of the mirror.
+    spot_m, measured_m (n, 2): Where the beam's middle ray met the target, and what was measured: right, up from the
+        centre [m].
+    sigma_m (n, 2): Stated sigmas [m].
+    outlier (n,): Measured spots that are wrong.
     """
 
     times: Times
@@ -244,17 +187,7 @@ class Beams:
     def rows(self, targets: tuple[PlaneTarget, ...], unit: str) -> dict[str, list[Any]]:
         """Return the table of observations without the heliostat's name.
 
-        Parameters
-        ----------
-        targets : tuple of PlaneTarget
-            The targets that `target` counts.
-        unit : {"counts", "rad"}
-            Unit of the readings.
-
-        Returns
-        -------
-        dict of str to list
-            Columns as `observations.csv` has them.
+        Returns: Columns as `observations.csv` has them.
         """
         digits = 1 if unit == "counts" else 9
         return {
@@ -282,35 +215,12 @@ def observe(
 ) -> Beams:
     """Aim a heliostat at the targets over a campaign and measure its beams.
 
-    Parameters
-    ----------
-    heliostat : TrueHeliostat
-        As it is at first.
-    plant : Plant
-        Site and targets.
-    campaign : Campaign
-        When.
-    disturbances : Disturbances
-        What goes wrong.
-    rng : numpy.random.Generator
-        Draws everything.
-    changes : Changes, optional
-        What becomes of the heliostat.
+    disturbances: What goes wrong.
+    Returns: One entry for each observation; sun positions that the heliostat cannot serve are left out.
+    InputError: It cannot serve any of them.
 
-    Returns
-    -------
-    Beams
-        One entry for each observation; sun positions that the heliostat cannot serve are left out.
-
-    Raises
-    ------
-    InputError
-        It cannot serve any of them.
-
-    Notes
-    -----
-    The readings are those that put the beam on the target, as an operator does who sees it there: solved with the true
-    numbers, rounded to whole counts, and then everything acts on them. Play is not foreseen.
+    The readings are those that put the beam on the target, as an operator does who sees it there: solved with the
+    true numbers, rounded to whole counts, and then everything acts on them. Play is not foreseen.
     """
     times = campaign.times(rng)
     target = rng.integers(0, len(plant.targets), len(times))
@@ -351,19 +261,8 @@ def observe(
 def spots(poses: Poses, sun: FloatArray, targets: list[PlaneTarget]) -> FloatArray:
     """Return where the ray that leaves the middle of each mirror meets its target.
 
-    Parameters
-    ----------
-    poses : Poses
-        n mirrors.
-    sun : ndarray, shape (n, 3)
-        Unit vectors to the sun.
-    targets : list of PlaneTarget
-        n targets.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Right and up from the target's centre [m].
+    sun (n, 3): Unit vectors to the sun.
+    Returns (n, 2): Right and up from the target's centre [m].
     """
     normals = poses.normals
     beam = 2 * np.einsum("ni,ni->n", normals, sun)[:, None] * normals - sun
@@ -378,17 +277,7 @@ def spots(poses: Poses, sun: FloatArray, targets: list[PlaneTarget]) -> FloatArr
 def shaken(poses: Poses, angles_rad: FloatArray) -> Poses:
     """Turn mirrors a little about their own axes.
 
-    Parameters
-    ----------
-    poses : Poses
-        n mirrors.
-    angles_rad : ndarray, shape (n, 2)
-        About the mirror's right and its up [rad].
-
-    Returns
-    -------
-    Poses
-        The turned mirrors, their middles where they were.
+    angles_rad (n, 2): About the mirror's right and its up [rad].
     """
     rotation = poses.rotation
     for axis in (0, 1):

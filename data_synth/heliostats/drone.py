@@ -18,14 +18,10 @@ _MOST_INCIDENCE_RAD = np.radians(80.0)
 class Flight:
     """Where a drone looks from: random directions of a dome about the heliostat.
 
-    Parameters
-    ----------
-    radius_m : tuple of float
-        Least and greatest distance from the heliostat's reference point, drawn evenly [m].
-    points : int
-        Sightings.
-    center_m : float, optional
-        Standard deviation with which the target's centre is brought to the middle of a flat mirror, on the mirror [m].
+    radius_m: Least and greatest distance from the heliostat's reference point, drawn evenly [m].
+    points: Sightings.
+    center_m: Standard deviation with which the target's centre is brought to the middle of a flat mirror, on the
+        mirror [m].
     """
 
     radius_m: tuple[float, float] = (32.0, 32.0)
@@ -37,14 +33,9 @@ class Flight:
 class Sightings:
     """Sightings of one heliostat by a drone.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, 2)
-        Readings of the drives.
-    drone_m, measured_m : ndarray, shape (n, 3)
-        Where the drone was, and where its RTK-GPS said it was [m].
-    poses : Poses
-        True poses of the mirror.
+    readings (n, 2): Readings of the drives.
+    drone_m, measured_m (n, 3): Where the drone was, and where its RTK-GPS said it was [m].
+    poses: True poses of the mirror.
     """
 
     readings: FloatArray
@@ -58,14 +49,8 @@ class Sightings:
     def rows(self, target: PlaneTarget, unit: str, sigma_m: tuple[float, float, float]) -> dict[str, list[Any]]:
         """Return the table of observations without the heliostat's name.
 
-        Parameters
-        ----------
-        target : PlaneTarget
-            Whose centre was seen.
-        unit : {"counts", "rad"}
-            Unit of the readings.
-        sigma_m : tuple of float
-            Stated sigmas of the drone's position [m].
+        target: Whose centre was seen.
+        sigma_m: Stated sigmas of the drone's position [m].
         """
         columns: dict[str, list[Any]] = {
             "kind": ["drone"] * len(self),
@@ -89,28 +74,11 @@ def fly(
 ) -> Sightings:
     """Let a drone look for the target in a mirror.
 
-    Parameters
-    ----------
-    heliostat : TrueHeliostat
-        The heliostat.
-    target : PlaneTarget
-        Its centre is looked for.
-    flight : Flight
-        Distances and number of sightings.
-    sigma_m : tuple of float
-        Noise of the drone's position, east, north, up [m].
-    rngs : tuple of numpy.random.Generator
-        One draws the places, the other the noise: either can be kept while the other changes.
-
-    Returns
-    -------
-    Sightings
-        As many as asked for; more of them keep the first ones.
-
-    Raises
-    ------
-    InputError
-        Hardly any direction lets the heliostat show the target.
+    flight: Distances and number of sightings.
+    sigma_m: Noise of the drone's position, east, north, up [m].
+    rngs: One draws the places, the other the noise: either can be kept while the other changes.
+    Returns: As many as asked for; more of them keep the first ones.
+    InputError: Hardly any direction lets the heliostat show the target.
     """
     places, noise = rngs
     aim = target.center_m
@@ -143,19 +111,9 @@ def rtk_log(
 ) -> dict[str, list[Any]]:
     """Draw the log of an RTK-GPS receiver at rest, 3.3 m from its base, ten epochs a second (Gouws, section 3.3).
 
-    Parameters
-    ----------
-    sigma_m : tuple of float
-        White noise, east, north, up [m].
-    rng : numpy.random.Generator
-        Draws it.
-    epochs : int, optional
-        Length of the log; the first 3 % are not fixed yet and ten times as noisy.
-
-    Returns
-    -------
-    dict of str to list
-        Columns gps_time_s, north_mm, east_mm, down_mm (whole millimetres), fix_mode, n_sat.
+    sigma_m: White noise, east, north, up [m].
+    epochs: Length of the log; the first 3 % are not fixed yet and ten times as noisy.
+    Returns: Columns gps_time_s, north_mm, east_mm, down_mm (whole millimetres), fix_mode, n_sat.
     """
     east, north, up = sigma_m
     errors = rng.standard_normal((epochs, 3)) * [north, east, up]

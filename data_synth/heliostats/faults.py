@@ -40,18 +40,11 @@ Columns = dict[str, list[Any]]
 class Unit:
     """A heliostat as it is, as it is described, and what befalls it.
 
-    Parameters
-    ----------
-    true : TrueHeliostat
-        As it is at first.
-    stated : mapping
-        Its numbers as heliostats.csv has them.
-    disturbances : Disturbances
-        Of its measurements.
-    changes : Changes, optional
-        In time.
-    faults : tuple of str, optional
-        Names of its faults.
+    true: As it is at first.
+    stated: Its numbers as heliostats.csv has them.
+    disturbances: Of its measurements.
+    changes: In time.
+    faults: Names of its faults.
     """
 
     true: TrueHeliostat
@@ -64,24 +57,7 @@ class Unit:
 def spoiled(unit: Unit, fault: str, days: tuple[str, ...]) -> Unit:
     """Give a heliostat a fault.
 
-    Parameters
-    ----------
-    unit : Unit
-        The heliostat.
-    fault : str
-        One of `FAULTS`.
-    days : tuple of str
-        Days of the campaign.
-
-    Returns
-    -------
-    Unit
-        With the fault.
-
-    Raises
-    ------
-    InputError
-        There is no such fault, or this kind of heliostat cannot have it.
+    InputError: There is no such fault, or this kind of heliostat cannot have it.
     """
     if fault not in FAULTS:
         raise InputError(f"fault {fault!r} of a heliostat: {', '.join(FAULTS)} are known")
@@ -116,23 +92,8 @@ def spoil_rows(
 ) -> tuple[Columns, dict[str, list[int]]]:
     """Spoil the records of a heliostat.
 
-    Parameters
-    ----------
-    columns : dict of str to list
-        Its rows.
-    faults : tuple of str
-        Its faults; those that leave the records as they are are passed over.
-    targets : tuple of str
-        Names of all targets.
-    rng : numpy.random.Generator
-        Chooses the rows.
-
-    Returns
-    -------
-    dict of str to list
-        The rows.
-    dict of str to list of int
-        For each of these faults the rows concerned, counted from 0 among those of the heliostat.
+    faults: Its faults; those that leave the records as they are are passed over.
+    Returns: For each of these faults the rows concerned, counted from 0 among those of the heliostat.
     """
     touched: dict[str, list[int]] = {}
     for fault in faults:

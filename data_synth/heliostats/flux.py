@@ -1,7 +1,7 @@
 """The beam of one heliostat on a plane: the sun's disc through canted, curved facets with slope errors.
 
-Written apart from `heliogauge.sunlight.beam`, which traces rays of measured slope maps; here each point of the plane looks back
-at each patch of the mirror and asks how bright the sun is in the direction that it sees there.
+Written apart from `heliogauge.sunlight.beam`, which traces rays of measured slope maps; here each point of the plane
+looks back at each patch of the mirror and asks how bright the sun is in the direction that it sees there.
 """
 
 from dataclasses import dataclass
@@ -28,23 +28,13 @@ class Facets:
 
     Frame of the mirror: x along the width and y along the height as seen from the front, z out of the mirror.
 
-    Parameters
-    ----------
-    centers_m : ndarray, shape (k, 3)
-        Middle of each facet [m].
-    normals : ndarray, shape (k, 3)
-        Unit normal of each facet's middle.
-    width_m, height_m : float
-        Size of each facet [m].
-    curvature_1pm : ndarray, shape (k, 2)
-        Curvature of each facet along x and y, 1 / (2 f) of a focusing one, 0 where it is flat [1/m].
-    sigma_slope_rad : float
-        Random slope error of the normal, one component, smaller than what the patches resolve [rad].
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, a size that is not positive, a negative slope error.
+    centers_m (k, 3): Middle of each facet [m].
+    normals (k, 3): Unit normal of each facet's middle.
+    width_m, height_m: Size of each facet [m].
+    curvature_1pm (k, 2): Curvature of each facet along x and y, 1 / (2 f) of a focusing one, 0 where it is flat
+        [1/m].
+    sigma_slope_rad: Random slope error of the normal, one component, smaller than what the patches resolve [rad].
+    InputError: Wrong shapes, a size that is not positive, a negative slope error.
     """
 
     centers_m: FloatArray
@@ -74,10 +64,7 @@ class Facets:
     def patches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return points, unit normals and areas of the patches that stand for the surface.
 
-        Returns
-        -------
-        tuple of ndarray, shape (p, 3), (p, 3) and (p,)
-            Points [m], normals, areas [m^2], in the mirror's frame.
+        Returns (p, 3): Points [m], normals, areas [m^2], in the mirror's frame.
         """
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         along_x, along_y = (0.5 * nodes * size for size in (self.width_m, self.height_m))
@@ -96,14 +83,9 @@ class Facets:
 class FacetErrors:
     """How far from ideal the facets are, one standard deviation each.
 
-    Parameters
-    ----------
-    cant_rad : float, optional
-        Tilt of a facet's normal about each of its axes [rad].
-    focus : float, optional
-        Relative error of a facet's curvature along each axis.
-    slope_rad : float, optional
-        Random slope error of the normal, one component [rad].
+    cant_rad: Tilt of a facet's normal about each of its axes [rad].
+    focus: Relative error of a facet's curvature along each axis.
+    slope_rad: Random slope error of the normal, one component [rad].
     """
 
     cant_rad: float = 0.0
@@ -122,25 +104,12 @@ def canted_facets(
 ) -> Facets:
     """Return facets of one paraboloid that focuses at a distance, with drawn errors.
 
-    Parameters
-    ----------
-    counts : tuple of int
-        Facets along the width and along the height.
-    size_m : tuple of float
-        Width and height of the whole mirror; 4 % between facets is gap [m].
-    distance_m : float
-        Focal length [m].
-    errors : FacetErrors
-        Sizes of the errors.
-    rng : numpy.random.Generator
-        Draws them.
-    flat : bool, optional
-        Each facet is flat; canted all the same.
-
-    Returns
-    -------
-    Facets
-        The mirror; the area-weighted mean of the normals is +z exactly, so that canting errors do not turn the beam.
+    counts: Facets along the width and along the height.
+    size_m: Width and height of the whole mirror; 4 % between facets is gap [m].
+    distance_m: Focal length [m].
+    flat: Each facet is flat; canted all the same.
+    Returns: The mirror; the area-weighted mean of the normals is +z exactly, so that canting errors do not turn the
+        beam.
     """
     positive("distance_m", distance_m, "metres")
     pitch = np.array(size_m) / counts
@@ -162,12 +131,8 @@ def canted_facets(
 class ReflectedSun:
     """The sun as a point of the mirror scatters it: radiance over the angle from the reflected centre.
 
-    Parameters
-    ----------
-    step_rad : float
-        Step of the table [rad].
-    radiance : ndarray, shape (n,)
-        Radiance from angle 0 on, such that its integral over solid angle is 1; 0 beyond [1/sr].
+    step_rad: Step of the table [rad].
+    radiance (n,): Radiance from angle 0 on, such that its integral over solid angle is 1; 0 beyond [1/sr].
     """
 
     step_rad: float
@@ -190,21 +155,11 @@ class ReflectedSun:
 def reflected_sun(sun: SunShape, sigma_rad: float) -> ReflectedSun:
     """Convolve a sun shape with a Gaussian of the beam.
 
-    Parameters
-    ----------
-    sun : SunShape
-        The sun.
-    sigma_rad : float
-        Standard deviation of the beam's direction, one component [rad].
+    sigma_rad: Standard deviation of the beam's direction, one component [rad].
+    Returns: The blurred sun, cut where it is fainter than 0.1 % of its centre.
 
-    Returns
-    -------
-    ReflectedSun
-        The blurred sun, cut where it is fainter than 0.1 % of its centre.
-
-    Notes
-    -----
-    ``B(q) = int S(r) r / s^2 exp(-(q - r)^2 / 2 s^2) I0e(q r / s^2) dr``, the convolution of two shapes that are round.
+    ``B(q) = int S(r) r / s^2 exp(-(q - r)^2 / 2 s^2) I0e(q r / s^2) dr``, the convolution of two shapes that are
+    round.
     """
     from scipy.special import i0e
 
@@ -226,14 +181,9 @@ def reflected_sun(sun: SunShape, sigma_rad: float) -> ReflectedSun:
 class Beam:
     """Irradiance on a grid of a plane that covers the whole beam.
 
-    Parameters
-    ----------
-    x_m : ndarray, shape (nx,)
-        Coordinates along the plane's right [m].
-    y_m : ndarray, shape (ny,)
-        Coordinates along its up [m].
-    suns : ndarray, shape (ny, nx)
-        Irradiance, in multiples of the direct normal irradiance times the reflectance.
+    x_m (nx,): Coordinates along the plane's right [m].
+    y_m (ny,): Coordinates along its up [m].
+    suns (ny, nx): Irradiance, in multiples of the direct normal irradiance times the reflectance.
     """
 
     x_m: FloatArray
@@ -268,33 +218,14 @@ def beam_on_target(
 ) -> Beam:
     """Compute the irradiance that a heliostat throws on a target.
 
-    Parameters
-    ----------
-    facets : Facets
-        The mirror.
-    world_from_mirror : RigidTransform
-        Pose of the mirror's frame, its origin in the middle of the mirror.
-    sun_direction : ndarray, shape (3,)
-        Unit vector to the sun.
-    target : PlaneTarget
-        Plane that catches the beam; also what passes its edges is returned.
-    sun : SunShape, optional
-        The sun; a darkened disc with 2 % circumsolar light without.
-    pixels : int, optional
-        Points of the grid along each side.
+    world_from_mirror: Pose of the mirror's frame, its origin in the middle of the mirror.
+    sun_direction (3,): Unit vector to the sun.
+    target: Plane that catches the beam; also what passes its edges is returned.
+    sun: The sun; a darkened disc with 2 % circumsolar light without.
+    pixels: Points of the grid along each side.
+    Returns: The irradiance on a window that holds the whole beam.
+    InputError: The sun is behind the mirror, or the beam does not meet the target.
 
-    Returns
-    -------
-    Beam
-        The irradiance on a window that holds the whole beam.
-
-    Raises
-    ------
-    InputError
-        The sun is behind the mirror, or the beam does not meet the target.
-
-    Notes
-    -----
     ``E(P) = sum_k A_k cos(theta_k) B(angle(P - X_k, r_k)) cos(theta_P) / |P - X_k|^2`` over patches k at X_k with the
     reflected direction r_k. The slope error scatters the beam by ``2 sigma`` in the plane of incidence and by
     ``2 sigma cos(theta)`` across it; a round Gaussian of the same mean square is taken. No shading, no blocking.

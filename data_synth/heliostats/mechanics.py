@@ -24,12 +24,9 @@ _STEP_RAD = 1e-6
 class Poses:
     """Where mirrors are and how they are turned.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (n, 3, 3)
-        World from mirror; mirror axes are x to the right and y up as seen from the front, z out of the mirror.
-    center_m : ndarray, shape (n, 3)
-        Middle of the mirror [m].
+    rotation (n, 3, 3): World from mirror; mirror axes are x to the right and y up as seen from the front, z out of
+        the mirror.
+    center_m (n, 3): Middle of the mirror [m].
     """
 
     rotation: FloatArray
@@ -44,17 +41,7 @@ class Poses:
 def rotation_about(axis: FloatArray, angle_rad: FloatArray | float) -> FloatArray:
     """Return right-handed rotations about an axis (Rodrigues).
 
-    Parameters
-    ----------
-    axis : ndarray, shape (3,) or (n, 3)
-        Unit axis.
-    angle_rad : ndarray, shape (n,), or float
-        Angles [rad].
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3) or (3, 3)
-        Matrices.
+    Shapes: axis (3,) or (n, 3), angle_rad (n,), result (n, 3, 3) or (3, 3).
     """
     axis = np.asarray(axis, dtype=np.float64)
     x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
@@ -69,18 +56,12 @@ def rotation_about(axis: FloatArray, angle_rad: FloatArray | float) -> FloatArra
 class DriveFlaws:
     """What a drive does beside what its reading says.
 
-    Parameters
-    ----------
-    worm_ratio : float, optional
-        Turns of the worm for one turn of the axis.
-    worm_rad : tuple of float, optional
-        Periodic error: coefficients of sin, cos of the first harmonic, sin, cos of the second [rad].
-    sag_rad : float, optional
-        Bending by weight: ``sag_rad * cos(angle - sag_zero_rad)`` [rad].
-    sag_zero_rad : float, optional
-        Angle at which the weight's lever is longest [rad].
-    backlash_rad : float, optional
-        Play; half of it ahead after a move to larger readings, half behind after one to smaller readings [rad].
+    worm_ratio: Turns of the worm for one turn of the axis.
+    worm_rad: Periodic error: coefficients of sin, cos of the first harmonic, sin, cos of the second [rad].
+    sag_rad: Bending by weight: ``sag_rad * cos(angle - sag_zero_rad)`` [rad].
+    sag_zero_rad: Angle at which the weight's lever is longest [rad].
+    backlash_rad: Play; half of it ahead after a move to larger readings, half behind after one to smaller readings
+        [rad].
     """
 
     worm_ratio: float = 0.0
@@ -92,14 +73,10 @@ class DriveFlaws:
     def added(self, turning: FloatArray, angle: FloatArray, approach: FloatArray) -> FloatArray:
         """Return what is added to the angle [rad].
 
-        Parameters
-        ----------
-        turning : ndarray, shape (n,)
-            Phase of the worm's motion: angle of the axis [rad], or stroke [m] in whose cycles the ratio counts.
-        angle : ndarray, shape (n,)
-            Angle of the axis [rad].
-        approach : ndarray, shape (n,)
-            Direction of the last move: -1, 0 or +1.
+        Shapes: angle (n,).
+        turning (n,): Phase of the worm's motion: angle of the axis [rad], or stroke [m] in whose cycles the ratio
+            counts.
+        approach (n,): Direction of the last move: -1, 0 or +1.
         """
         first_sine, first_cosine, second_sine, second_cosine = self.worm_rad
         phase = self.worm_ratio * turning
@@ -181,27 +158,12 @@ def _linear_actuators(values: Values, first: FloatArray, second: FloatArray) -> 
 class TrueHeliostat:
     """A heliostat as it really is.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat.
-    kind : str
-        One of `KINDS`.
-    values : mapping
-        Every number of its kind, by name.
-    flaws : tuple of DriveFlaws, optional
-        What the two drives do beside.
-    rad_per_reading : tuple of float, optional
-        Angle of one count of a rotary drive [rad].
-    clockwise : tuple of bool, optional
-        Sense of each linear actuator.
-    limits : tuple of tuple of float, optional
-        Lowest and highest reading of each drive; azimuth and elevation by default [rad].
-
-    Raises
-    ------
-    InputError
-        There is no such kind.
+    values: Every number of its kind, by name.
+    flaws: What the two drives do beside.
+    rad_per_reading: Angle of one count of a rotary drive [rad].
+    clockwise: Sense of each linear actuator.
+    limits: Lowest and highest reading of each drive; azimuth and elevation by default [rad].
+    InputError: There is no such kind.
     """
 
     name: str
@@ -233,17 +195,8 @@ class TrueHeliostat:
     def angles(self, readings: FloatArray, approach: FloatArray | None = None) -> FloatArray:
         """Return the angles of both axes.
 
-        Parameters
-        ----------
-        readings : ndarray, shape (n, 2)
-            Readings of the drives.
-        approach : ndarray, shape (n, 2), optional
-            Direction of the last move of each drive: -1, 0 or +1.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Angles [rad].
+        Shapes: readings (n, 2), result (n, 2).
+        approach (n, 2): Direction of the last move of each drive: -1, 0 or +1.
         """
         moves = np.zeros_like(readings) if approach is None else approach
         angles = []
@@ -261,19 +214,9 @@ class TrueHeliostat:
     def aim(self, source: FloatArray, aim_points_m: FloatArray, *, at_infinity: bool = True) -> FloatArray:
         """Find the readings that throw the light of a source to a point, the drives at rest (approach 0).
 
-        Parameters
-        ----------
-        source : ndarray, shape (n, 3)
-            Unit vectors to the sun, or points [m].
-        aim_points_m : ndarray, shape (n, 3)
-            Where the beam shall go [m].
-        at_infinity : bool, optional
-            Whether `source` are directions.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Readings; NaN where the heliostat cannot reach.
+        source (n, 3): Unit vectors to the sun, or points [m].
+        aim_points_m (n, 3): Where the beam shall go [m].
+        Returns (n, 2): Readings; NaN where the heliostat cannot reach.
         """
         readings = self._near(source, aim_points_m, at_infinity)
         span = np.array([high - low for low, high in self.limits])

@@ -21,23 +21,13 @@ _ROWS_AT_ONCE = 64
 class TargetSurface:
     """What a calibration target looks like without a beam.
 
-    Parameters
-    ----------
-    width_m, height_m : float, optional
-        The white rectangle [m].
-    mark_arm_m, mark_width_m, mark_inset_m : float, optional
-        L-shaped dark marks in the corners: length and width of their arms, distance of their outer corner from the
-        target's edges [m].
-    seam_columns, seam_rows : int, optional
-        Panels along width and height; their seams are dark lines.
-    seam_width_m : float, optional
-        Width of a seam [m].
-    white, mark, seam, tower : float, optional
-        Reflectances.
-    panel_spread : float, optional
-        Standard deviation of the panels' reflectance, relative.
-    seed : int, optional
-        Of the panels' reflectances.
+    width_m, height_m: The white rectangle [m].
+    mark_arm_m, mark_width_m, mark_inset_m: L-shaped dark marks in the corners: length and width of their arms,
+        distance of their outer corner from the target's edges [m].
+    seam_columns, seam_rows: Panels along width and height; their seams are dark lines.
+    white, mark, seam, tower: Reflectances.
+    panel_spread: Standard deviation of the panels' reflectance, relative.
+    seed: Of the panels' reflectances.
     """
 
     width_m: float = 7.0
@@ -76,15 +66,8 @@ class TargetSurface:
     def reflectance(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the reflectance of points of the plane.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points, from the target's centre [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            0 where there is sky.
+        x_m, y_m (...): Points, from the target's centre [m].
+        Returns (...): 0 where there is sky.
         """
         across = (x_m / self.width_m + 0.5) * self.seam_columns
         down = (0.5 - y_m / self.height_m) * self.seam_rows
@@ -108,20 +91,12 @@ class TargetSurface:
 class Light:
     """Light on the target, in suns, and how the camera takes it.
 
-    Parameters
-    ----------
-    ambient_suns : float, optional
-        Light on the target without a beam, as a share of the direct sun.
-    gradient : tuple of float, optional
-        Relative change of it from the middle to the right edge and to the upper edge.
-    sky : float, optional
-        Brightness of the sky, as white of this irradiance [suns].
-    full_scale_suns : float, optional
-        Irradiance on white of reflectance 1 that fills the sensor at exposure 1.
-    vignetting : float, optional
-        Share of the light that is lost in the corners of the photo.
-    blur_px : float, optional
-        Gaussian blur of the lens [px].
+    ambient_suns: Light on the target without a beam, as a share of the direct sun.
+    gradient: Relative change of it from the middle to the right edge and to the upper edge.
+    sky: Brightness of the sky, as white of this irradiance [suns].
+    full_scale_suns: Irradiance on white of reflectance 1 that fills the sensor at exposure 1.
+    vignetting: Share of the light that is lost in the corners of the photo.
+    blur_px: Gaussian blur of the lens [px].
     """
 
     ambient_suns: float = 0.5
@@ -135,17 +110,7 @@ class Light:
 def look_at(camera_m: FloatArray, aim_m: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
     """Return the pose of a camera that looks at a point, turned about its line of sight.
 
-    Parameters
-    ----------
-    camera_m, aim_m : ndarray, shape (3,)
-        Camera and point, in the world (z up) [m].
-    roll_rad : float, optional
-        Turn of the camera about its line of sight [rad].
-
-    Returns
-    -------
-    RigidTransform
-        cam_from_world.
+    camera_m, aim_m (3,): Camera and point, in the world (z up) [m].
     """
     forward = np.asarray(aim_m, dtype=np.float64) - camera_m
     forward = forward / np.linalg.norm(forward)
@@ -161,20 +126,11 @@ def look_at(camera_m: FloatArray, aim_m: FloatArray, roll_rad: float = 0.0) -> R
 class TargetCamera:
     """A fixed camera before a target; what each pixel sees is computed once.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The lens.
-    cam_from_world : RigidTransform
-        Its pose.
-    target : PlaneTarget
-        Where the target is.
-    surface : TargetSurface, optional
-        What it looks like.
-    sensor : Sensor, optional
-        Noise, bits, black level.
-    light : Light, optional
-        Ambient light and exposure.
+    camera: The lens.
+    cam_from_world: Its pose.
+    surface: What it looks like.
+    sensor: Noise, bits, black level.
+    light: Ambient light and exposure.
     """
 
     camera: PinholeCamera
@@ -208,15 +164,8 @@ class TargetCamera:
     def seen(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the points of the target's plane that image points show.
 
-        Parameters
-        ----------
-        x_px, y_px : ndarray, shape (...)
-            Image points [px].
-
-        Returns
-        -------
-        tuple of ndarray
-            Right and up from the target's centre; 1e9 where the sight line passes by the plane [m].
+        Shapes: x_px, y_px (...).
+        Returns: Right and up from the target's centre; 1e9 where the sight line passes by the plane [m].
         """
         world_from_cam = self.cam_from_world.inverse()
         rays = self.camera.rays(x_px, y_px) @ world_from_cam.rotation.T
@@ -229,34 +178,17 @@ class TargetCamera:
     def image_points(self, points_m: FloatArray) -> FloatArray:
         """Return where points of the plane appear.
 
-        Parameters
-        ----------
-        points_m : ndarray, shape (n, 2)
-            Right and up from the target's centre [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Image points [px].
+        Shapes: result (n, 2).
+        points_m (n, 2): Right and up from the target's centre [m].
         """
         return self.camera.project(self.cam_from_world.apply(self.target.points(points_m)))
 
     def take(self, beam: Beam | None, rng: np.random.Generator, ambient_factor: float = 1.0) -> UnsignedArray:
         """Take a photo.
 
-        Parameters
-        ----------
-        beam : Beam or None
-            The beam; None for an empty target.
-        rng : numpy.random.Generator
-            Source of the noise.
-        ambient_factor : float, optional
-            How bright the ambient light is at this moment, relative to the usual.
-
-        Returns
-        -------
-        ndarray of uint8 or uint16, shape (height, width)
-            The photo.
+        Shapes: result (height, width).
+        beam: The beam; None for an empty target.
+        ambient_factor: How bright the ambient light is at this moment, relative to the usual.
         """
         return self.sensor.expose(self.expected_light(beam, ambient_factor), rng)
 

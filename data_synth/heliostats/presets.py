@@ -56,24 +56,13 @@ _STELLENBOSCH = Site(-33.9281, 18.8654, 120.0)
 class PhotoPlan:
     """Photos of the beams instead of spots in the table.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        Lens.
-    place_m : tuple of float
-        Where the camera stands [m].
-    mirror_m : tuple of float
-        Width and height of each heliostat's mirror of 2 by 2 facets [m].
-    facets : FacetErrors
-        Of the facets.
-    light : Light
-        Ambient light and exposure.
-    sensor : Sensor
-        Noise and bits.
-    empty : int, optional
-        Photos of the empty target.
-    corner_sigma_px : float, optional
-        With which the target's corners in the photos are stated [px].
+    camera: Lens.
+    place_m: Where the camera stands [m].
+    mirror_m: Width and height of each heliostat's mirror of 2 by 2 facets [m].
+    light: Ambient light and exposure.
+    sensor: Noise and bits.
+    empty: Photos of the empty target.
+    corner_sigma_px: With which the target's corners in the photos are stated [px].
     """
 
     camera: PinholeCamera
@@ -96,26 +85,15 @@ class PhotoPlan:
 class HeliostatScene:
     """Everything that a synthetic measurement of heliostats is made from.
 
-    Parameters
-    ----------
-    name : str
-        What measurement.toml calls it.
-    plant : Plant
-        Site and targets.
-    units : tuple of Unit
-        The heliostats, all of one kind.
-    schedule : Schedule
-        When beams are looked at.
-    flight : Flight, optional
-        A drone that looks at the target in the mirrors, instead of beams.
-    photos : PhotoPlan, optional
-        Photos of the beams, instead of spots in the table.
-    priors : mapping, optional
-        Sigmas that measurement.toml states.
-    counts_per_turn : tuple of float, optional
-        Of rotary drives whose readings are counts.
-    states_sun : bool, optional
-        The table holds the sun's azimuth and elevation.
+    name: What measurement.toml calls it.
+    plant: Site and targets.
+    units: The heliostats, all of one kind.
+    schedule: When beams are looked at.
+    flight: A drone that looks at the target in the mirrors, instead of beams.
+    photos: Photos of the beams, instead of spots in the table.
+    priors: Sigmas that measurement.toml states.
+    counts_per_turn: Of rotary drives whose readings are counts.
+    states_sun: The table holds the sun's azimuth and elevation.
     """
 
     name: str
@@ -152,10 +130,7 @@ class HeliostatScene:
     def with_faults(self, faults: tuple[str, ...]) -> "HeliostatScene":
         """Return the scene with faults, each ``FAULT`` (of the next heliostat) or ``FAULT:NAME``.
 
-        Raises
-        ------
-        InputError
-            An unknown fault or heliostat, or more faults than heliostats.
+        InputError: An unknown fault or heliostat, or more faults than heliostats.
         """
         units = list(self.units)
         names = [unit.true.name for unit in units]
@@ -175,14 +150,8 @@ class HeliostatScene:
 class HeliostatChoice:
     """What a person may change about a preset; None leaves it.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Of the heliostats' errors and places.
-    heliostats : int or None, optional
-        How many.
-    observations : int or None, optional
-        Of each heliostat.
+    seed: Of the heliostats' errors and places.
+    observations: Of each heliostat.
     """
 
     seed: int = 0
@@ -193,22 +162,8 @@ class HeliostatChoice:
 def heliostat_scene(preset: str, choice: HeliostatChoice | None = None) -> HeliostatScene:
     """Return a scene by name.
 
-    Parameters
-    ----------
-    preset : str
-        One of `PRESETS`.
-    choice : HeliostatChoice, optional
-        Seed and sizes.
-
-    Returns
-    -------
-    HeliostatScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        There is no such preset.
+    choice: Seed and sizes.
+    InputError: There is no such preset.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: {', '.join(PRESETS)} are known")

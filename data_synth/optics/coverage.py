@@ -11,15 +11,9 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array
 class Footprint:
     """A square cell of the image, seen on a printed sheet as a parallelogram.
 
-    Parameters
-    ----------
-    sheet_from_cell_m : array_like, shape (2, 2)
-        Change of the sheet's (x, y) for a step of one cell along image x (first column) and y (second) [m].
-
-    Attributes
-    ----------
-    reach_m : float
-        An edge farther than this from the cell's centre does not cross the cell [m].
+    sheet_from_cell_m (2, 2): Change of the sheet's (x, y) for a step of one cell along image x (first column) and y
+        (second) [m].
+    reach_m: An edge farther than this from the cell's centre does not cross the cell [m].
     """
 
     sheet_from_cell_m: FloatArray
@@ -33,17 +27,9 @@ class Footprint:
     def covered(self, distance_m: Float32Array, across: Float32Array | float, up: Float32Array | float) -> Float32Array:
         """Return the share of each cell on the inner side of an edge that is straight within the cell.
 
-        Parameters
-        ----------
-        distance_m : ndarray of float32, shape (n,)
-            Distance of the cell's centre from the edge, positive inside [m].
-        across, up : ndarray of float32, shape (n,), or float
-            The edge's inward normal on the sheet, of unit length.
-
-        Returns
-        -------
-        ndarray of float32, shape (n,)
-            Shares, 0 to 1.
+        distance_m (n,): Distance of the cell's centre from the edge, positive inside [m].
+        across, up (n,): The edge's inward normal on the sheet, of unit length.
+        Returns (n,): Shares, 0 to 1.
         """
         (a, b), (c, d) = self.sheet_from_cell_m.tolist()
         along_x, along_y = np.abs(across * a + up * c), np.abs(across * b + up * d)
@@ -63,21 +49,9 @@ def disc_coverage(
 ) -> Float32Array:
     """Return the share of each cell inside a circle about the origin.
 
-    Parameters
-    ----------
-    x_m, y_m : ndarray of float32, shape (h, w)
-        Cell centres on the sheet [m].
-    distance_m : ndarray of float32, shape (h, w)
-        Their distance from the origin [m].
-    radius_m : float
-        Radius of the circle [m].
-    cell : Footprint
-        The cell.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        Shares, 0 to 1.
+    Shapes: distance_m (h, w).
+    x_m, y_m (h, w): Cell centres on the sheet [m].
+    Returns (h, w): Shares, 0 to 1.
     """
     inward = np.float32(radius_m) - distance_m
     share = (inward > 0).astype(np.float32)
@@ -93,21 +67,9 @@ def strip_coverage(
 ) -> Float32Array:
     """Return the share of each cell between two parallel lines of the sheet.
 
-    Parameters
-    ----------
-    position_m : ndarray of float32, shape (h, w)
-        The cells' x or y on the sheet [m].
-    limits_m : tuple of float
-        Lower and upper limit [m].
-    along_x : bool
-        Whether the position is x.
-    cell : Footprint
-        The cell.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        Shares, 0 to 1.
+    position_m (h, w): The cells' x or y on the sheet [m].
+    limits_m: Lower and upper limit [m].
+    Returns (h, w): Shares, 0 to 1.
     """
     inward = np.minimum(position_m - np.float32(limits_m[0]), np.float32(limits_m[1]) - position_m)
     share = (inward > 0).astype(np.float32)

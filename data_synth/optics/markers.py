@@ -14,22 +14,9 @@ _CORNERS = ((-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5))
 def marker_cells(dictionary: str, number: int) -> BoolArray:
     """Return the cells of a square marker, its black border included.
 
-    Parameters
-    ----------
-    dictionary : str
-        OpenCV's name: ``DICT_4X4_50``, ``DICT_APRILTAG_36h11``...
-    number : int
-        The marker's number.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n)
-        True where it is black, rows from the top.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or number.
+    dictionary: OpenCV's name: ``DICT_4X4_50``, ``DICT_APRILTAG_36h11``...
+    Returns (n, n): True where it is black, rows from the top.
+    InputError: No such dictionary or number.
     """
     if not dictionary.startswith("DICT_") or not hasattr(cv2.aruco, dictionary):
         raise InputError(f"marker dictionary {dictionary!r}: OpenCV's name is needed, e.g. DICT_4X4_100")
@@ -43,24 +30,8 @@ def marker_cells(dictionary: str, number: int) -> BoolArray:
 def marker_print(dictionary: str, number: int, side_m: float) -> LatticePrint:
     """Return a square marker; its points are ``.0`` to ``.3``, the corners in the marker's own order.
 
-    Parameters
-    ----------
-    dictionary : str
-        OpenCV's name of the dictionary.
-    number : int
-        The marker's number.
-    side_m : float
-        Side of the black square [m].
-
-    Returns
-    -------
-    LatticePrint
-        The marker.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or number, or an impossible size.
+    dictionary: OpenCV's name of the dictionary.
+    InputError: No such dictionary or number, or an impossible size.
     """
     cells = marker_cells(dictionary, number)
     edges = np.linspace(-0.5, 0.5, cells.shape[0] + 1) * positive("marker side_m", side_m, "metres")
@@ -69,20 +40,7 @@ def marker_print(dictionary: str, number: int, side_m: float) -> LatticePrint:
 
 
 def chessboard_print(columns: int, rows: int, square_m: float) -> LatticePrint:
-    """Return a chessboard; its points are the inner corners, row by row from the top left, the first square black.
-
-    Parameters
-    ----------
-    columns, rows : int
-        Squares.
-    square_m : float
-        Side of a square [m].
-
-    Returns
-    -------
-    LatticePrint
-        The board.
-    """
+    """Return a chessboard; its points are the inner corners, row by row from the top left, the first square black."""
     x, y = _square_edges(columns, rows, square_m)
     cells = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
     return LatticePrint(x, y, cells, square_m, _inner_corners(columns, rows, square_m))
@@ -91,24 +49,9 @@ def chessboard_print(columns: int, rows: int, square_m: float) -> LatticePrint:
 def charuco_print(columns: int, rows: int, square_m: float, marker_m: float, dictionary: str) -> LatticePrint:
     """Return a ChArUco board as OpenCV lays it out since 4.6; its points are the inner corners.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Squares.
-    square_m, marker_m : float
-        Side of a square and of the marker in each white one [m].
-    dictionary : str
-        OpenCV's name of the marker dictionary.
-
-    Returns
-    -------
-    LatticePrint
-        The board.
-
-    Raises
-    ------
-    InputError
-        The markers do not fit into the squares, or the dictionary has too few.
+    square_m, marker_m: Side of a square and of the marker in each white one [m].
+    dictionary: OpenCV's name of the marker dictionary.
+    InputError: The markers do not fit into the squares, or the dictionary has too few.
     """
     if not 0 < marker_m < square_m:
         raise InputError(f"ChArUco board: markers of {marker_m} m do not fit into squares of {square_m} m")

@@ -25,19 +25,11 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 class Design:
     """A design surface ``p S p + l p + c = 0``, seen from a facet's frame; z > 0 is the reflecting side.
 
-    Parameters
-    ----------
-    shape : str
-        One of plane, sphere, paraboloid, paraboloid_xy or trough (curved along x); its vertex is the optic's origin.
-    parameters : mapping of str to float
-        The lengths the shape needs [m].
-    optic_from_facet : RigidTransform, optional
-        Where on the optic the facet sits; its origin must lie on the surface. `on_optic` makes one.
-
-    Raises
-    ------
-    InputError
-        Unknown shape, missing or extra parameter, or an origin that is not on the surface.
+    shape: One of plane, sphere, paraboloid, paraboloid_xy or trough (curved along x); its vertex is the optic's
+        origin.
+    parameters: The lengths the shape needs [m].
+    optic_from_facet: Where on the optic the facet sits; its origin must lie on the surface. `on_optic` makes one.
+    InputError: Unknown shape, missing or extra parameter, or an origin that is not on the surface.
     """
 
     shape: str
@@ -66,27 +58,11 @@ class Design:
     ) -> "Design":
         """Put a facet somewhere on the optic.
 
-        Parameters
-        ----------
-        shape : str
-            The design surface.
-        parameters : mapping of str to float
-            Its lengths [m].
-        center_m : tuple of float
-            Where on the optic (x, y) the facet's origin is [m].
-        orientation : str, optional
-            "normal": the facet's z is the surface normal there, by the smallest turn from the optic's axes;
-            "axis": the facet's axes are parallel to the optic's.
-
-        Returns
-        -------
-        Design
-            The surface seen from the facet.
-
-        Raises
-        ------
-        InputError
-            Another orientation, or no surface over that place.
+        shape: The design surface.
+        center_m: Where on the optic (x, y) the facet's origin is [m].
+        orientation: "normal": the facet's z is the surface normal there, by the smallest turn from the optic's
+            axes; "axis": the facet's axes are parallel to the optic's.
+        InputError: Another orientation, or no surface over that place.
         """
         vertex = cls(shape, parameters)
         height, slope_x, slope_y = vertex.evaluate(np.array(center_m[0]), np.array(center_m[1]))
@@ -139,15 +115,7 @@ def _coefficients(shape: str, lengths: Mapping[str, float]) -> tuple[FloatArray,
 def transform_to_json(transform: RigidTransform) -> dict[str, Any]:
     """Return a transform as plain values.
 
-    Parameters
-    ----------
-    transform : RigidTransform
-        The transform.
-
-    Returns
-    -------
-    dict
-        ``rotation_vector_rad`` and ``translation_m``.
+    Returns: ``rotation_vector_rad`` and ``translation_m``.
     """
     return {
         "rotation_vector_rad": transform.rotation_vector_rad.tolist(),
@@ -159,18 +127,10 @@ def transform_to_json(transform: RigidTransform) -> dict[str, Any]:
 class SyntheticFacet:
     """One facet of the synthetic mirror: design plus analytic errors, cut out by its outline.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    outline_m : array_like, shape (n, 2)
-        Corners in the facet's x, y, counter-clockwise from the front [m].
-    design : Design
-        The design surface in the facet's frame.
-    errors : SurfaceErrors, optional
-        What is added to the height of the design.
-    mirror_from_facet : RigidTransform, optional
-        Where the facet should sit in the mirror (nominal; canting errors are tilts among `errors`).
+    outline_m (n, 2): Corners in the facet's x, y, counter-clockwise from the front [m].
+    design: The design surface in the facet's frame.
+    errors: What is added to the height of the design.
+    mirror_from_facet: Where the facet should sit in the mirror (nominal; canting errors are tilts among `errors`).
     """
 
     name: str
@@ -221,22 +181,10 @@ class SyntheticFacet:
     def intersect(self, origin_m: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Find where rays meet the true surface, continued beyond the outline.
 
-        Parameters
-        ----------
-        origin_m : ndarray, shape (3,)
-            Common origin of the rays in the facet's frame [m].
-        directions : ndarray, shape (..., 3)
-            Unit directions in the facet's frame.
-
-        Returns
-        -------
-        tuple of ndarray
-            Points, shape (..., 3) [m]; slope_x and slope_y there, shape (...) [rad].
-
-        Raises
-        ------
-        InputError
-            Newton's method does not settle: the surface errors are steeper than the rays.
+        origin_m (3,): Common origin of the rays in the facet's frame [m].
+        directions (..., 3): Unit directions in the facet's frame.
+        Returns: Points, shape (..., 3) [m]; slope_x and slope_y there, shape (...) [rad].
+        InputError: Newton's method does not settle: the surface errors are steeper than the rays.
         """
         dx, dy, dz = directions[..., 0], directions[..., 1], directions[..., 2]
         path = -origin_m[2] / dz
@@ -256,20 +204,9 @@ class SyntheticFacet:
 def reflect(directions: FloatArray, slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
     """Reflect directions on a surface of known slope.
 
-    Parameters
-    ----------
-    directions : ndarray, shape (..., 3)
-        Directions towards the surface.
-    slope_x, slope_y : ndarray, shape (...)
-        Slope of the surface [rad].
+    Shapes: directions (..., 3), slope_x, slope_y (...).
+    Returns (..., 3): Directions after the reflection.
 
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Directions after the reflection.
-
-    Examples
-    --------
     >>> reflect(np.array([0.0, 0.0, -1.0]), np.array(1.0), np.array(0.0))
     array([-1., 0., 0.])
     """

@@ -31,14 +31,8 @@ _BLUR_REACH_SIGMA = 4.0
 class View:
     """A camera in its place.
 
-    Parameters
-    ----------
-    name : str
-        Name of the photo.
-    camera : PinholeCamera
-        The camera.
-    cam_from_world : RigidTransform
-        World frame to camera frame.
+    name: Name of the photo.
+    cam_from_world: World frame to camera frame.
     """
 
     name: str
@@ -77,16 +71,10 @@ class _Tile:
 def draw_sheets(light: Float32Array, view: View, sheets: Sequence[Sheet], blur_sigma_px: float = 0.0) -> None:
     """Draw printed sheets over what is already in the image.
 
-    Parameters
-    ----------
-    light : ndarray of float32, shape (height_px, width_px)
-        Light on the pixels, changed in place; what it holds lies behind the sheets.
-    view : View
-        Camera and pose.
-    sheets : sequence of Sheet
-        The sheets; nearer ones hide farther ones.
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
+    light (height_px, width_px): Light on the pixels, changed in place; what it holds lies behind the sheets.
+    view: Camera and pose.
+    sheets: The sheets; nearer ones hide farther ones.
+    blur_sigma_px: Gaussian blur of the lens [px].
     """
     depth = [view.cam_from_world.apply(sheet.world_from_sheet.translation_m)[2] for sheet in sheets]
     for index in np.argsort(depth)[::-1]:

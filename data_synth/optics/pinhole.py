@@ -15,17 +15,12 @@ _MOST_STEPS = 50
 class PinholeCamera:
     """A camera that draws: pixel centre (0, 0) top left, x right, y down, z forward.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        Size of the image [px].
-    focal_x_px, focal_y_px : float
-        Focal lengths [px].
-    center_x_px, center_y_px : float
-        Principal point [px].
-    k1, k2, k3, p1, p2 : float, optional
-        Brown coefficients from the ideal to the measured image, on coordinates divided by the focal length:
-        ``xd = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`` (the order of OpenCV's p1 and p2).
+    width_px, height_px: Size of the image [px].
+    focal_x_px, focal_y_px: Focal lengths [px].
+    center_x_px, center_y_px: Principal point [px].
+    k1, k2, k3, p1, p2: Brown coefficients from the ideal to the measured image, on coordinates divided by the focal
+        length: ``xd = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)`` (the order of OpenCV's p1
+        and p2).
     """
 
     width_px: int
@@ -47,15 +42,7 @@ class PinholeCamera:
     def distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Move ideal image coordinates to where the lens shows them.
 
-        Parameters
-        ----------
-        x, y : ndarray, shape (...)
-            Ideal coordinates (x/z, y/z).
-
-        Returns
-        -------
-        tuple of ndarray
-            Measured coordinates.
+        x, y (...): Ideal coordinates (x/z, y/z).
         """
         square = x * x + y * y
         radial = 1 + square * (self.k1 + square * (self.k2 + square * self.k3))
@@ -66,20 +53,8 @@ class PinholeCamera:
     def undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Invert `distort` by Newton's method to round-off.
 
-        Parameters
-        ----------
-        xd, yd : ndarray, shape (...)
-            Measured coordinates.
-
-        Returns
-        -------
-        tuple of ndarray
-            Ideal coordinates.
-
-        Raises
-        ------
-        InputError
-            The lens folds the image over inside the frame: no inverse exists.
+        xd, yd (...): Measured coordinates.
+        InputError: The lens folds the image over inside the frame: no inverse exists.
         """
         x, y = np.array(xd, dtype=np.float64), np.array(yd, dtype=np.float64)
         if not any((self.k1, self.k2, self.k3, self.p1, self.p2)):
@@ -110,15 +85,8 @@ class PinholeCamera:
     def rays(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Return the unit directions in which points of the image look.
 
-        Parameters
-        ----------
-        x_px, y_px : ndarray, shape (...)
-            Image points [px].
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            Unit directions in the camera frame.
+        Shapes: x_px, y_px (...).
+        Returns (..., 3): Unit directions in the camera frame.
         """
         x, y = self.undistort(
             (np.asarray(x_px, dtype=np.float64) - self.center_x_px) / self.focal_x_px,
@@ -130,15 +98,8 @@ class PinholeCamera:
     def project(self, points_cam_m: FloatArray) -> FloatArray:
         """Return the image points of points in front of the camera.
 
-        Parameters
-        ----------
-        points_cam_m : ndarray, shape (..., 3)
-            Points in the camera frame [m].
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            Image points (x, y); NaN behind the camera [px].
+        Shapes: points_cam_m (..., 3).
+        Returns (..., 2): Image points (x, y); NaN behind the camera [px].
         """
         depth = np.where(points_cam_m[..., 2] > 0, points_cam_m[..., 2], np.nan)
         x, y = self.distort(points_cam_m[..., 0] / depth, points_cam_m[..., 1] / depth)
@@ -147,15 +108,8 @@ class PinholeCamera:
     def scaled(self, factor: float) -> "PinholeCamera":
         """Return the same lens on a sensor with finer or coarser pixels.
 
-        Parameters
-        ----------
-        factor : float
-            Pixels per old pixel.
-
-        Returns
-        -------
-        PinholeCamera
-            The camera; the corner of the image stays where it is.
+        factor: Pixels per old pixel.
+        Returns: The camera; the corner of the image stays where it is.
         """
         return PinholeCamera(
             round(self.width_px * factor),

@@ -14,12 +14,8 @@ from photogrammetry.targets.coded_targets import RingCode
 class Print(Protocol):
     """A figure on a sheet: x right and y up as seen from the front, origin in the middle.
 
-    Attributes
-    ----------
-    half_size_m : tuple of float
-        Half width and half height of the paper, the quiet zone included [m].
-    bends_m : float
-        Radius of the figure's sharpest curve, which decides how finely it must be sampled [m].
+    half_size_m: Half width and half height of the paper, the quiet zone included [m].
+    bends_m: Radius of the figure's sharpest curve, which decides how finely it must be sampled [m].
     """
 
     @property
@@ -46,14 +42,8 @@ class Print(Protocol):
 class RingPrint:
     """A ring-coded target.
 
-    Parameters
-    ----------
-    code : RingCode
-        The code.
-    diameter_m : float
-        Diameter of the dot [m].
-    mirrored : bool, optional
-        Printed the wrong way round.
+    diameter_m: Diameter of the dot [m].
+    mirrored: Printed the wrong way round.
     """
 
     code: RingCode
@@ -110,12 +100,7 @@ class RingPrint:
 class DotPrint:
     """A plain dot.
 
-    Parameters
-    ----------
-    diameter_m : float
-        Diameter of the dot [m].
-    paper_factor : float, optional
-        Side of the square paper, in diameters.
+    paper_factor: Side of the square paper, in diameters.
     """
 
     diameter_m: float
@@ -145,16 +130,11 @@ class DotPrint:
 class DotGridPrint:
     """A circle grid for camera calibration.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Circles of a row, and rows; in the asymmetric grid every second row is shifted by half a pitch.
-    pitch_m : float
-        Distance of neighbours in a row; the rows are half of it apart in the asymmetric grid, all of it otherwise [m].
-    diameter_m : float
-        Diameter of the circles [m].
-    asymmetric : bool, optional
-        Whether every second row is shifted.
+    columns, rows: Circles of a row, and rows; in the asymmetric grid every second row is shifted by half a pitch.
+    pitch_m: Distance of neighbours in a row; the rows are half of it apart in the asymmetric grid, all of it
+        otherwise [m].
+    diameter_m: Diameter of the circles [m].
+    asymmetric: Whether every second row is shifted.
     """
 
     columns: int
@@ -206,18 +186,11 @@ class DotGridPrint:
 class LatticePrint:
     """Rectangular cells of ink or paper: chessboards and square markers.
 
-    Parameters
-    ----------
-    x_edges_m : array_like, shape (n + 1,)
-        Edges of the columns from left to right [m].
-    y_edges_m : array_like, shape (m + 1,)
-        Edges of the rows from the top down, decreasing [m].
-    cells : array_like of bool, shape (m, n)
-        Whether a cell is inked, rows from the top.
-    margin_m : float
-        Width of the paper around the cells [m].
-    points_m : dict, optional
-        Points that are measured, by what follows the sheet's name in theirs [m].
+    x_edges_m (n + 1,): Edges of the columns from left to right [m].
+    y_edges_m (m + 1,): Edges of the rows from the top down, decreasing [m].
+    cells (m, n): Whether a cell is inked, rows from the top.
+    margin_m: Width of the paper around the cells [m].
+    points_m: Points that are measured, by what follows the sheet's name in theirs [m].
     """
 
     x_edges_m: FloatArray
@@ -278,19 +251,8 @@ def _nearest_edge(
 def paper_share(print_: Print, x_m: Float32Array, y_m: Float32Array, cell: Footprint) -> Float32Array:
     """Return the share of each cell that the sheet's paper covers.
 
-    Parameters
-    ----------
-    print_ : Print
-        What is printed.
-    x_m, y_m : ndarray of float32, shape (h, w)
-        Cell centres on the sheet [m].
-    cell : Footprint
-        The cell.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        Shares, 0 to 1.
+    Shapes: x_m, y_m (h, w).
+    Returns (h, w): Shares, 0 to 1.
     """
     wide, high = print_.half_size_m
     return strip_coverage(x_m, (-wide, wide), True, cell) * strip_coverage(y_m, (-high, high), False, cell)

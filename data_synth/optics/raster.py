@@ -22,12 +22,8 @@ _BLUR_REACH_SIGMA = 4.0
 class SmoothRule:
     """Ray offsets with weights for pixels on which no edge falls.
 
-    Parameters
-    ----------
-    offsets_px : ndarray, shape (n * n, 2)
-        Offsets from the pixel's centre [px].
-    weights : ndarray, shape (n * n,)
-        Their weights; they sum to 1.
+    offsets_px (n * n, 2): Offsets from the pixel's centre [px].
+    weights (n * n,): Their weights; they sum to 1.
     """
 
     offsets_px: FloatArray
@@ -38,20 +34,11 @@ class SmoothRule:
 class PixelKernel:
     """The response of one pixel over the image: a square of 1 px convolved with a Gaussian.
 
-    Parameters
-    ----------
-    blur_sigma_px : float
-        Standard deviation of the lens blur, 0 for none [px].
+    blur_sigma_px: Standard deviation of the lens blur, 0 for none [px].
+    reach_px: The response is zero farther than this from the pixel's centre, in any direction [px].
 
-    Attributes
-    ----------
-    reach_px : float
-        The response is zero farther than this from the pixel's centre, in any direction [px].
-
-    Notes
-    -----
-    Smooth content is integrated by a product of two Gauss rules built for the kernel itself, with as many nodes as the
-    finest fringe needs. Where an edge crosses the pixel, equal weights at quantiles of the kernel are used, on a
+    Smooth content is integrated by a product of two Gauss rules built for the kernel itself, with as many nodes as
+    the finest fringe needs. Where an edge crosses the pixel, equal weights at quantiles of the kernel are used, on a
     lattice shifted at random for each pixel so that no error is common to an edge.
     """
 
@@ -68,15 +55,8 @@ class PixelKernel:
     def smooth_rule(self, phase_per_px: float) -> SmoothRule:
         """Return the rule that integrates a cosine over the pixel within 1e-5 (1e-4 where no contrast is left).
 
-        Parameters
-        ----------
-        phase_per_px : float
-            Largest change of the phase from pixel to pixel along x or y [rad].
-
-        Returns
-        -------
-        SmoothRule
-            Offsets and weights, 3 x 3 to 12 x 12.
+        phase_per_px: Largest change of the phase from pixel to pixel along x or y [rad].
+        Returns: Offsets and weights, 3 x 3 to 12 x 12.
         """
         spread = phase_per_px * sqrt(1 / 12 + self.blur_sigma_px**2)
         # Error of n Gauss nodes for a Gaussian weight and cos(s t): n! s^(2 n) / (2 n)!; a box has less.
@@ -88,17 +68,7 @@ class PixelKernel:
     def scattered_offsets(self, n_pixels: int, rng: np.random.Generator) -> FloatArray:
         """Draw offsets of equal weight for pixels that an edge crosses.
 
-        Parameters
-        ----------
-        n_pixels : int
-            Number of pixels.
-        rng : numpy.random.Generator
-            Shifts the lattice of each pixel.
-
-        Returns
-        -------
-        ndarray, shape (n_pixels, EDGE_RAYS, 2)
-            Offsets from the pixels' centres [px].
+        Shapes: result (n_pixels, EDGE_RAYS, 2).
         """
         index = np.arange(EDGE_RAYS)
         lattice = np.stack([(index + 0.5) / EDGE_RAYS, index * _FIBONACCI_STEP / EDGE_RAYS % 1.0], axis=-1)

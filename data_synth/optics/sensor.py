@@ -15,23 +15,14 @@ UnsignedArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 class Sensor:
     """A sensor with a linear response.
 
-    Parameters
-    ----------
-    bits : int, optional
-        Bit depth of the files, 8 or 16 (or less than 16, stored in 16).
-    exposure : float, optional
-        Share of the full range that light of 1 (a white display, fully reflected) fills; above 1 it saturates.
-    offset_dn : float, optional
-        Black level [DN].
-    read_noise_dn : float, optional
-        Noise that does not depend on the signal [DN].
-    shot_gain_dn : float, optional
-        Digital numbers per electron; variance ``shot_gain_dn * signal_dn`` is added. 0: no shot noise [DN].
-
-    Raises
-    ------
-    InputError
-        A bit depth that no file has, or a negative number.
+    bits: Bit depth of the files, 8 or 16 (or less than 16, stored in 16).
+    exposure: Share of the full range that light of 1 (a white display, fully reflected) fills; above 1 it
+        saturates.
+    offset_dn: Black level [DN].
+    read_noise_dn: Noise that does not depend on the signal [DN].
+    shot_gain_dn: Digital numbers per electron; variance ``shot_gain_dn * signal_dn`` is added. 0: no shot noise
+        [DN].
+    InputError: A bit depth that no file has, or a negative number.
     """
 
     bits: int = 8
@@ -56,17 +47,8 @@ class Sensor:
     def expected_dn(self, light: Float32Array, exposure_factor: float = 1.0) -> Float32Array:
         """Return the digital numbers without noise, rounding and clipping.
 
-        Parameters
-        ----------
-        light : ndarray of float32
-            Light on the pixels, 1 for a fully reflected white display.
-        exposure_factor : float, optional
-            Relative exposure of this frame.
-
-        Returns
-        -------
-        ndarray of float32
-            Expected values [DN].
+        light: Light on the pixels, 1 for a fully reflected white display.
+        exposure_factor: Relative exposure of this frame.
         """
         scale = np.float32(self.exposure * exposure_factor * self.saturation_dn)
         return np.asarray(light * scale + np.float32(self.offset_dn), dtype=np.float32)
@@ -74,22 +56,9 @@ class Sensor:
     def expose(self, light: Float32Array, rng: np.random.Generator, exposure_factor: float = 1.0) -> UnsignedArray:
         """Take one frame.
 
-        Parameters
-        ----------
-        light : ndarray of float32, shape (h, w)
-            Light on the pixels, 1 for a fully reflected white display.
-        rng : numpy.random.Generator
-            Source of the noise.
-        exposure_factor : float, optional
-            Relative exposure of this frame.
+        light (h, w): Light on the pixels, 1 for a fully reflected white display.
+        Returns (h, w): The frame as a file holds it.
 
-        Returns
-        -------
-        ndarray of uint8 or uint16, shape (h, w)
-            The frame as a file holds it.
-
-        Notes
-        -----
         Shot noise is taken as Gaussian: at 20 electrons, 0.2 % of full well, its skewness is already below 0.23.
         """
         dn = self.expected_dn(light, exposure_factor)

@@ -19,14 +19,9 @@ _EXACT_M = 1e-9
 class SheetShape:
     """How a sheet differs from what was drawn: the printer's scale and shear, and the paper's bending.
 
-    Parameters
-    ----------
-    sheet_from_print : array_like, shape (2, 2), optional
-        Where the printer put what was drawn at (x, y).
-    bending_per_m : array_like, shape (3,), optional
-        Height ``z = a x^2 + b x y + c y^2`` over the sheet's plane [1/m].
-    ripple_per_m2 : array_like, shape (2,), optional
-        Height ``d x^3 + e y^3`` in addition [1/m^2].
+    sheet_from_print (2, 2): Where the printer put what was drawn at (x, y).
+    bending_per_m (3,): Height ``z = a x^2 + b x y + c y^2`` over the sheet's plane [1/m].
+    ripple_per_m2 (2,): Height ``d x^3 + e y^3`` in addition [1/m^2].
     """
 
     sheet_from_print: FloatArray = field(default_factory=lambda: np.eye(2))
@@ -61,15 +56,8 @@ class SheetShape:
     def points_m(self, print_m: FloatArray) -> FloatArray:
         """Return where points of the drawing are on the sheet.
 
-        Parameters
-        ----------
-        print_m : ndarray, shape (..., 2)
-            Points as drawn, x right and y up [m].
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            Points in the sheet's frame [m].
+        print_m (..., 2): Points as drawn, x right and y up [m].
+        Returns (..., 3): Points in the sheet's frame [m].
         """
         plane = print_m @ self.sheet_from_print.T
         return np.concatenate([plane, self.height_m(plane[..., 0], plane[..., 1])[..., None]], axis=-1)
@@ -79,20 +67,10 @@ class SheetShape:
 class Sheet:
     """A printed sheet in space: x right and y up as seen from the front, z towards the viewer, origin in its middle.
 
-    Parameters
-    ----------
-    name : str
-        What the points on it are called after.
-    figure : Print
-        What is printed.
-    world_from_sheet : RigidTransform
-        Where it is.
-    ink, paper : float, optional
-        Their brightness, 0 to 1; ink brighter than paper is a light-on-dark print.
-    shape : SheetShape, optional
-        How it differs from a flat and true print.
-    transparent : bool, optional
-        Only the ink is there, on whatever lies behind: a retro-reflective sticker.
+    name: What the points on it are called after.
+    ink, paper: Their brightness, 0 to 1; ink brighter than paper is a light-on-dark print.
+    shape: How it differs from a flat and true print.
+    transparent: Only the ink is there, on whatever lies behind: a retro-reflective sticker.
     """
 
     name: str
@@ -117,17 +95,9 @@ class Sheet:
     def hit(self, sheet_from_cam: RigidTransform, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find which point of the drawing lines of sight meet.
 
-        Parameters
-        ----------
-        sheet_from_cam : RigidTransform
-            Camera frame to the sheet's frame.
-        x, y : ndarray, shape (...)
-            Directions (x, y, 1) in the camera's frame.
-
-        Returns
-        -------
-        tuple of ndarray
-            x and y as drawn; far away where the line of sight does not meet the sheet's front [m].
+        sheet_from_cam: Camera frame to the sheet's frame.
+        x, y (...): Directions (x, y, 1) in the camera's frame.
+        Returns: x and y as drawn; far away where the line of sight does not meet the sheet's front [m].
         """
         r, origin = sheet_from_cam.rotation, sheet_from_cam.translation_m
         across, up, out = (r[k, 0] * x + r[k, 1] * y + r[k, 2] for k in range(3))

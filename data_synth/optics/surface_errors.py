@@ -24,10 +24,7 @@ class ErrorTerm(Protocol):
 class Polynomial:
     """Sum of ``coefficient * x**i * y**j``: tilt, defocus, astigmatism, coma.
 
-    Parameters
-    ----------
-    terms : sequence of (int, int, float)
-        Powers i, j and the coefficient [m**(1 - i - j)].
+    terms: Powers i, j and the coefficient [m**(1 - i - j)].
     """
 
     KIND: ClassVar[str] = "polynomial"
@@ -55,14 +52,8 @@ class Polynomial:
 class Zernike:
     """One Zernike polynomial on a circle, amplitude 1 at its rim (Born and Wolf); continued smoothly outside.
 
-    Parameters
-    ----------
-    n, m : int
-        Radial order and azimuthal frequency; negative m is the sine. ``n >= |m|``, ``n - |m|`` even.
-    amplitude_m : float
-        Height at the rim where the azimuthal factor is 1 [m].
-    radius_m : float
-        Radius of the circle [m].
+    n, m: Radial order and azimuthal frequency; negative m is the sine. ``n >= |m|``, ``n - |m|`` even.
+    amplitude_m: Height at the rim where the azimuthal factor is 1 [m].
     """
 
     KIND: ClassVar[str] = "zernike"
@@ -79,8 +70,6 @@ class Zernike:
     def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m].
 
-        Notes
-        -----
         ``R(rho) cos(m phi) = Re[(x + i y)^m] Q(x^2 + y^2)`` with a polynomial Q, so there is no singular point.
         """
         order, half = abs(self.m), (self.n - abs(self.m)) // 2
@@ -111,16 +100,10 @@ class Zernike:
 class Ripple:
     """A plane wave of the surface, as from rolling or a rib pattern.
 
-    Parameters
-    ----------
-    slope_amplitude_rad : float
-        Largest slope of the wave [rad].
-    period_m : float
-        Wavelength [m].
-    direction_rad : float, optional
-        Direction in which the surface varies, from x towards y [rad].
-    phase_rad : float, optional
-        Phase of the slope's cosine at the origin [rad].
+    slope_amplitude_rad: Largest slope of the wave [rad].
+    period_m: Wavelength [m].
+    direction_rad: Direction in which the surface varies, from x towards y [rad].
+    phase_rad: Phase of the slope's cosine at the origin [rad].
     """
 
     KIND: ClassVar[str] = "ripple"
@@ -145,14 +128,8 @@ class Ripple:
 class Dimple:
     """A Gaussian bump (positive) or dent (negative), as over a mounting pad.
 
-    Parameters
-    ----------
-    height_m : float
-        Height at the centre [m].
-    sigma_m : float
-        Width of the Gaussian [m].
-    center_x_m, center_y_m : float, optional
-        Where it is [m].
+    height_m: Height at the centre [m].
+    sigma_m: Width of the Gaussian [m].
     """
 
     KIND: ClassVar[str] = "dimple"
@@ -175,14 +152,9 @@ class Dimple:
 class EdgeTurnDown:
     """The rim of a rectangular facet bends back (negative slope amplitude: forward), decaying exponentially inwards.
 
-    Parameters
-    ----------
-    slope_rad : float
-        Outward slope at the middle of each edge; positive bends the rim back [rad].
-    length_m : float
-        Distance over which the slope decays by e [m].
-    half_width_m, half_height_m : float
-        Half the size of the facet [m].
+    slope_rad: Outward slope at the middle of each edge; positive bends the rim back [rad].
+    length_m: Distance over which the slope decays by e [m].
+    half_width_m, half_height_m: Half the size of the facet [m].
     """
 
     KIND: ClassVar[str] = "edge_turn_down"
@@ -211,14 +183,9 @@ class EdgeTurnDown:
 class HeightGrid:
     """Heights on a grid, as from a file, joined by a bicubic spline whose own gradient is the slope.
 
-    Parameters
-    ----------
-    x_m : array_like, shape (n,)
-        Ascending grid positions [m].
-    y_m : array_like, shape (m,)
-        Ascending grid positions [m].
-    height_m : array_like, shape (m, n)
-        Heights at the grid points [m].
+    x_m (n,): Ascending grid positions [m].
+    y_m (m,): Ascending grid positions [m].
+    height_m (m, n): Heights at the grid points [m].
     """
 
     KIND: ClassVar[str] = "height_grid"
@@ -253,13 +220,8 @@ _KINDS: dict[str, type[Any]] = {
 class SurfaceErrors:
     """Sum of analytic deviations of one facet.
 
-    Parameters
-    ----------
-    terms : tuple of ErrorTerm, optional
-        What is added to the design; nothing: a perfect facet.
+    terms: What is added to the design; nothing: a perfect facet.
 
-    Examples
-    --------
     >>> errors = SurfaceErrors((Polynomial([(1, 0, 1e-3)]),))
     >>> [float(value) for value in errors.evaluate(np.array(0.5), np.array(0.0))]
     [0.0005, 0.001, 0.0]
@@ -270,15 +232,8 @@ class SurfaceErrors:
     def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the deviation from the design.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points in the facet frame [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            Height [m], slope_x, slope_y [rad].
+        x_m, y_m (...): Points in the facet frame [m].
+        Returns (...): Height [m], slope_x, slope_y [rad].
         """
         height, slope_x, slope_y = np.zeros((3, *np.shape(x_m)))
         for term in self.terms:
@@ -296,20 +251,8 @@ class SurfaceErrors:
     def from_json(cls, values: Sequence[Mapping[str, Any]]) -> "SurfaceErrors":
         """Rebuild the terms that `to_json` wrote.
 
-        Parameters
-        ----------
-        values : sequence of mapping
-            One entry per term with its kind and parameters.
-
-        Returns
-        -------
-        SurfaceErrors
-            The same deviations.
-
-        Raises
-        ------
-        InputError
-            A kind that does not exist, or a missing parameter.
+        values: One entry per term with its kind and parameters.
+        InputError: A kind that does not exist, or a missing parameter.
         """
         terms: list[ErrorTerm] = []
         for value in values:

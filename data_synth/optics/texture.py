@@ -14,17 +14,9 @@ from heliogauge.validate import Float32Array, float_array, positive
 class TexturePrint:
     """Shares of ink on a grid, linear in between.
 
-    Parameters
-    ----------
-    shares : array_like, shape (h, w)
-        Shares of ink, 0 to 1, rows from the top.
-    pitch_m : float
-        Distance of neighbours on the grid [m].
-
-    Raises
-    ------
-    InputError
-        Shares beyond 0 to 1, or a grid of fewer than two rows or columns.
+    shares (h, w): Shares of ink, 0 to 1, rows from the top.
+    pitch_m: Distance of neighbours on the grid [m].
+    InputError: Shares beyond 0 to 1, or a grid of fewer than two rows or columns.
     """
 
     shares: Float32Array
@@ -76,21 +68,9 @@ def random_texture(
 ) -> TexturePrint:
     """Draw a texture whose spots have all sizes, as gravel and lichen have.
 
-    Parameters
-    ----------
-    size_m : tuple of float
-        Width and height [m].
-    pitch_m : float
-        Distance of neighbours on the grid; the finest spots are about three of it wide [m].
-    rng : numpy.random.Generator
-        Chance.
-    coarsest : float, optional
-        Standard deviation of the largest spots, in pitches.
-
-    Returns
-    -------
-    TexturePrint
-        The texture.
+    size_m: Width and height [m].
+    pitch_m: Distance of neighbours on the grid; the finest spots are about three of it wide [m].
+    coarsest: Standard deviation of the largest spots, in pitches.
     """
     rows, columns = (round(side / pitch_m) + 1 for side in size_m[::-1])
     total = np.zeros((rows, columns))

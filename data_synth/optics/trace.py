@@ -15,14 +15,9 @@ from heliogauge.validate import FloatArray
 class Traced:
     """Where rays met the mirror and the wall.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (..., 3)
-        Points on the true surface, in the facet's frame, also beyond its outline [m].
-    slope_x, slope_y : ndarray, shape (...)
-        True slopes there [rad].
-    u, v : ndarray, shape (...)
-        Display coordinates; outside 0..1 beyond the image, NaN where the ray leaves the wall.
+    points_m (..., 3): Points on the true surface, in the facet's frame, also beyond its outline [m].
+    slope_x, slope_y (...): True slopes there [rad].
+    u, v (...): Display coordinates; outside 0..1 beyond the image, NaN where the ray leaves the wall.
     """
 
     points_m: FloatArray
@@ -36,16 +31,9 @@ class Traced:
 class Bench:
     """Camera, mirror and wall as they really stand.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    cam_from_mirror : RigidTransform
-        Mirror frame to camera frame.
-    wall : Wall
-        The screen.
-    cam_from_wall : RigidTransform
-        Screen frame to camera frame.
+    cam_from_mirror: Mirror frame to camera frame.
+    wall: The screen.
+    cam_from_wall: Screen frame to camera frame.
     """
 
     camera: PinholeCamera
@@ -56,17 +44,8 @@ class Bench:
     def trace(self, facet: SyntheticFacet, x_px: FloatArray, y_px: FloatArray) -> Traced:
         """Follow the line of sight of image points over a facet to the wall.
 
-        Parameters
-        ----------
-        facet : SyntheticFacet
-            The facet, continued beyond its outline.
-        x_px, y_px : ndarray, shape (...)
-            Image points [px].
-
-        Returns
-        -------
-        Traced
-            What they see.
+        Shapes: x_px, y_px (...).
+        facet: The facet, continued beyond its outline.
         """
         cam_from_facet = self.cam_from_mirror @ facet.mirror_from_facet
         facet_from_cam = cam_from_facet.inverse()
@@ -81,17 +60,8 @@ class Bench:
     def project_outline(self, facet: SyntheticFacet, points_per_edge: int = 32) -> FloatArray:
         """Return where the facet's outline appears in the image.
 
-        Parameters
-        ----------
-        facet : SyntheticFacet
-            The facet.
-        points_per_edge : int, optional
-            Points on each edge, its first corner included.
-
-        Returns
-        -------
-        ndarray, shape (n_corners * points_per_edge, 2)
-            Image points [px].
+        Shapes: result (n_corners * points_per_edge, 2).
+        points_per_edge: Points on each edge, its first corner included.
         """
         share = np.arange(points_per_edge)[:, None] / points_per_edge
         ends = np.roll(facet.outline_m, -1, axis=0)

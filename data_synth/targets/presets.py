@@ -30,14 +30,9 @@ BAR_SIGMA_M = 1e-5
 class PrintChoice:
     """How ring codes are printed.
 
-    Parameters
-    ----------
-    dictionary : str or None, optional
-        Name of the dictionary; the preset's if absent.
-    light_on_dark : bool, optional
-        White ink on black paper.
-    mirrored : bool, optional
-        Printed the wrong way round.
+    dictionary: Name of the dictionary; the preset's if absent.
+    light_on_dark: White ink on black paper.
+    mirrored: Printed the wrong way round.
     """
 
     dictionary: str | None = None
@@ -48,24 +43,10 @@ class PrintChoice:
 def target_scene(preset: str, seed: int = 0, prints: PrintChoice | None = None) -> TargetScene:
     """Return a ready scene.
 
-    Parameters
-    ----------
-    preset : str
-        ``small``, ``panel``, ``single``, ``retro``, ``markers``, ``busy`` or ``natural``.
-    seed : int, optional
-        Places, tilts and poses are drawn with it.
-    prints : PrintChoice, optional
-        How ring codes are printed.
-
-    Returns
-    -------
-    TargetScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset.
+    preset: ``small``, ``panel``, ``single``, ``retro``, ``markers``, ``busy`` or ``natural``.
+    seed: Places, tilts and poses are drawn with it.
+    prints: How ring codes are printed.
+    InputError: No such preset.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
@@ -75,17 +56,8 @@ def target_scene(preset: str, seed: int = 0, prints: PrintChoice | None = None) 
 def look_at(position_m: FloatArray, target_m: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
     """Return the pose ``cam_from_world`` of a camera that looks at a point, with world y up before its roll.
 
-    Parameters
-    ----------
-    position_m, target_m : ndarray, shape (3,)
-        Camera and point in the world [m].
-    roll_rad : float, optional
-        Turn about the line of sight [rad].
-
-    Returns
-    -------
-    RigidTransform
-        The pose.
+    Shapes: position_m, target_m (3,).
+    roll_rad: Turn about the line of sight [rad].
     """
     forward = target_m - position_m
     forward = forward / np.linalg.norm(forward)
@@ -101,23 +73,7 @@ def dome_views(
 ) -> tuple[View, ...]:
     """Place cameras around the z axis, some of them rolled by a quarter turn, as a surveyor walks.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    distance_m : float
-        Distance from the origin [m].
-    n_photos : int
-        Number of photos.
-    tilts_deg : tuple of float
-        Angles from the z axis that take turns [deg].
-    rng : numpy.random.Generator
-        Irregularities.
-
-    Returns
-    -------
-    tuple of View
-        The photos.
+    tilts_deg: Angles from the z axis that take turns [deg].
     """
     views = []
     for k in range(n_photos):

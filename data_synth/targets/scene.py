@@ -21,14 +21,9 @@ STEEPEST_RAD = np.radians(80.0)
 class Glare:
     """A bright reflection: a Gaussian spot.
 
-    Parameters
-    ----------
-    place : tuple of float
-        Its middle, in shares of the image's width and height.
-    size : float
-        Its standard deviation, in shares of the image's width.
-    light : float
-        Its brightness in the middle; paper has about 0.85.
+    place: Its middle, in shares of the image's width and height.
+    size: Its standard deviation, in shares of the image's width.
+    light: Its brightness in the middle; paper has about 0.85.
     """
 
     place: tuple[float, float]
@@ -40,14 +35,9 @@ class Glare:
 class Cover:
     """Something in front of the targets: a dark bar across the image.
 
-    Parameters
-    ----------
-    start, end : tuple of float
-        Its ends, in shares of the image's width and height.
-    width : float
-        Its width, in shares of the image's width.
-    light : float, optional
-        Its brightness.
+    start, end: Its ends, in shares of the image's width and height.
+    width: Its width, in shares of the image's width.
+    light: Its brightness.
     """
 
     start: tuple[float, float]
@@ -60,24 +50,13 @@ class Cover:
 class Conditions:
     """Light, lens and sensor of all photos.
 
-    Parameters
-    ----------
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
-    sensor : Sensor, optional
-        The sensor.
-    ground : float, optional
-        Brightness of what is behind the sheets.
-    clutter : float, optional
-        Contrast of a busy background, 0 for a plain one.
-    vignetting : float, optional
-        Loss of light in the corners.
-    gradient : tuple of float, optional
-        Relative change of the light over the image's width and height.
-    glares : tuple of Glare, optional
-        Reflections.
-    covers : tuple of Cover, optional
-        Things in front.
+    blur_sigma_px: Gaussian blur of the lens [px].
+    ground: Brightness of what is behind the sheets.
+    clutter: Contrast of a busy background, 0 for a plain one.
+    vignetting: Loss of light in the corners.
+    gradient: Relative change of the light over the image's width and height.
+    glares: Reflections.
+    covers: Things in front.
     """
 
     blur_sigma_px: float = 0.5
@@ -94,16 +73,9 @@ class Conditions:
 class KnownLength:
     """A scale bar: two points and what its certificate says.
 
-    Parameters
-    ----------
-    a, b : str
-        The points.
-    length_m : float
-        True distance [m].
-    stated_m : float
-        Distance as calibrated [m].
-    sigma_m : float
-        Its standard deviation [m].
+    length_m: True distance [m].
+    stated_m: Distance as calibrated [m].
+    sigma_m: Its standard deviation [m].
     """
 
     a: str
@@ -117,20 +89,11 @@ class KnownLength:
 class TargetScene:
     """Targets, photos and conditions.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    sheets : tuple of Sheet
-        What is printed, and where it is.
-    views : tuple of View
-        The photos.
-    conditions : Conditions, optional
-        Light, lens and sensor.
-    lengths : tuple of KnownLength, optional
-        Scale bars.
-    dictionary : str, optional
-        Name of the ring codes' dictionary.
+    name: Name of the measurement.
+    sheets: What is printed, and where it is.
+    conditions: Light, lens and sensor.
+    lengths: Scale bars.
+    dictionary: Name of the ring codes' dictionary.
     """
 
     name: str
@@ -143,15 +106,8 @@ class TargetScene:
     def scaled(self, factor: float) -> "TargetScene":
         """Return the same scene with finer or coarser pixels.
 
-        Parameters
-        ----------
-        factor : float
-            Pixels per old pixel.
-
-        Returns
-        -------
-        TargetScene
-            The scene; the blur stays the same in metres on the sensor.
+        factor: Pixels per old pixel.
+        Returns: The scene; the blur stays the same in metres on the sensor.
         """
         views = tuple(replace(view, camera=view.camera.scaled(factor)) for view in self.views)
         blur = replace(self.conditions, blur_sigma_px=self.conditions.blur_sigma_px * factor)
@@ -162,19 +118,9 @@ class TargetScene:
     ) -> "TargetScene":
         """Return the scene with another sensor or lens.
 
-        Parameters
-        ----------
-        bits : int, optional
-            Bit depth of the photos.
-        read_noise_dn : float or None, optional
-            Noise of each pixel, in the numbers of these photos; the scene's own if absent [DN].
-        blur_sigma_px : float or None, optional
-            Gaussian blur of the lens; the scene's own if absent [px].
-
-        Returns
-        -------
-        TargetScene
-            The scene.
+        bits: Bit depth of the photos.
+        read_noise_dn: Noise of each pixel, in the numbers of these photos; the scene's own if absent [DN].
+        blur_sigma_px: Gaussian blur of the lens; the scene's own if absent [px].
         """
         old = self.conditions
         # The same light on the sensor: noise and gain grow with the numbers.
@@ -192,15 +138,8 @@ class TargetScene:
     def points_m(self) -> dict[str, FloatArray]:
         """Return all points that can be measured, by name, in the world [m].
 
-        Returns
-        -------
-        dict
-            Name to coordinates, shape (3,).
-
-        Raises
-        ------
-        InputError
-            Two sheets have the same name.
+        Returns: Name to coordinates, shape (3,).
+        InputError: Two sheets have the same name.
         """
         points: dict[str, FloatArray] = {}
         for sheet in self.sheets:
@@ -215,20 +154,12 @@ class TargetScene:
 class ImageTruth:
     """Where the points appear in one photo: the projections of the points, not the centres of their images.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    names : tuple of str
-        The points that lie in the image and face the camera.
-    pixels_px : ndarray, shape (n, 2)
-        Image points (x, y) [px].
-    diameter_px : ndarray, shape (n,)
-        Largest diameter of the dot's image; NaN for corners [px].
-    tilt_rad : ndarray, shape (n,)
-        Angle between the sheet's normal and the line of sight [rad].
-    covered : ndarray of bool, shape (n,)
-        Whether something in front may hide part of the sheet.
+    photo: Name of the photo.
+    names: The points that lie in the image and face the camera.
+    pixels_px (n, 2): Image points (x, y) [px].
+    diameter_px (n,): Largest diameter of the dot's image; NaN for corners [px].
+    tilt_rad (n,): Angle between the sheet's normal and the line of sight [rad].
+    covered (n,): Whether something in front may hide part of the sheet.
     """
 
     photo: str
@@ -242,15 +173,7 @@ class ImageTruth:
 def sheet_points(sheet: Sheet) -> dict[str, FloatArray]:
     """Return the points of a sheet that can be measured, by name, in the world [m].
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The sheet.
-
-    Returns
-    -------
-    dict
-        Name to coordinates, shape (3,).
+    Returns: Name to coordinates, shape (3,).
     """
     places = sheet.figure.points_m
     points = sheet.world_from_sheet.apply(sheet.shape.points_m(np.array(list(places.values())).reshape(-1, 2)))
@@ -258,20 +181,7 @@ def sheet_points(sheet: Sheet) -> dict[str, FloatArray]:
 
 
 def image_truth(scene: TargetScene, view: View) -> ImageTruth:
-    """Project all points exactly, without drawing anything.
-
-    Parameters
-    ----------
-    scene : TargetScene
-        The scene.
-    view : View
-        The photo.
-
-    Returns
-    -------
-    ImageTruth
-        The points in the image.
-    """
+    """Project all points exactly, without drawing anything."""
     size = np.array([view.camera.width_px, view.camera.height_px])
     names: list[str] = []
     rows: list[tuple[float, ...]] = []
@@ -295,22 +205,8 @@ def image_truth(scene: TargetScene, view: View) -> ImageTruth:
 def render_photo(scene: TargetScene, view: View, rng: np.random.Generator) -> UnsignedArray:
     """Take one photo.
 
-    Parameters
-    ----------
-    scene : TargetScene
-        The scene.
-    view : View
-        The photo.
-    rng : numpy.random.Generator
-        Background and noise.
+    Returns (height_px, width_px): The photo as a file holds it [DN].
 
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (height_px, width_px)
-        The photo as a file holds it [DN].
-
-    Notes
-    -----
     The shading is taken at the pixel's centre: over one pixel it changes by less than 1e-3 in every scene here.
     """
     conditions, camera = scene.conditions, view.camera

@@ -48,19 +48,10 @@ _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 class TroughOptions:
     """How a scene becomes a folder.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all noise; the same seed gives the same files.
-    jpeg_quality : int or None, optional
-        Write JPEG files of this quality, 1 to 100, instead of PNG.
-    force : bool, optional
-        Replace an earlier synthetic measurement.
-
-    Raises
-    ------
-    InputError
-        A quality JPEG does not have.
+    seed: Seed of all noise; the same seed gives the same files.
+    jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
+    force: Replace an earlier synthetic measurement.
+    InputError: A quality JPEG does not have.
     """
 
     seed: int = 0
@@ -76,20 +67,12 @@ class TroughOptions:
 class TroughTruth:
     """Truth of a synthetic trough measurement.
 
-    Parameters
-    ----------
-    x_m, y_m : ndarray, shape (nx,) and (ny,)
-        Grid of the maps [m].
-    slope_error_x, slope_error_y : ndarray, shape (ny, nx)
-        True minus design dz/dx and dz/dy, NaN in gaps.
-    theta_r_rad : ndarray, shape (ny, nx)
-        Transverse slope error as an angle, positive where the normal is turned towards +x [rad].
-    height_error_m : ndarray, shape (ny, nx)
-        True minus design height [m].
-    absorber_y_m, absorber_x_m, absorber_z_m : ndarray, shape (n,)
-        Middle of the absorber in the trough's frame [m].
-    parameters : mapping
-        The content of truth.json.
+    x_m, y_m (nx,): Grid of the maps [m].
+    slope_error_x, slope_error_y (ny, nx): True minus design dz/dx and dz/dy, NaN in gaps.
+    theta_r_rad (ny, nx): Transverse slope error as an angle, positive where the normal is turned towards +x [rad].
+    height_error_m (ny, nx): True minus design height [m].
+    absorber_y_m, absorber_x_m, absorber_z_m (n,): Middle of the absorber in the trough's frame [m].
+    parameters: The content of truth.json.
     """
 
     x_m: FloatArray
@@ -109,21 +92,9 @@ def write_trough_dataset(
 ) -> None:
     """Render a scene and write it as a measurement folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    scene : TroughScene
-        What to draw.
-    options : TroughOptions, optional
-        Seed, kind of files.
-    progress : Progress, optional
-        Who is told how far it is.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    folder: Where to write; must be absent or empty.
+    options: Seed, kind of files.
+    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = TroughOptions() if options is None else options
     told = SilentProgress() if progress is None else progress
@@ -150,20 +121,7 @@ def write_trough_dataset(
 def read_slope_errors(path: Path) -> SlopeGrid:
     """Read the slope errors of a measured or synthetic map: measured minus design, in gaps those of the nearest node.
 
-    Parameters
-    ----------
-    path : Path
-        A NetCDF file as heliogauge writes slope maps, in the trough's frame.
-
-    Returns
-    -------
-    SlopeGrid
-        The errors.
-
-    Raises
-    ------
-    InputError
-        No such file, not a slope map, or one without a value.
+    path: A NetCDF file as heliogauge writes slope maps, in the trough's frame.
     """
     slopes = read_slope_map(path)
     return SlopeGrid(slopes.x_m, slopes.y_m, _filled(slopes.slope_error_x, path), _filled(slopes.slope_error_y))
@@ -185,20 +143,7 @@ def _filled(error: FloatArray, path: Path | None = None) -> FloatArray:
 def read_trough_truth(folder: Path) -> TroughTruth:
     """Read the truth of a synthetic trough measurement.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-
-    Returns
-    -------
-    TroughTruth
-        Maps, absorber, parameters.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    Returns: Maps, absorber, parameters.
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE
@@ -215,17 +160,7 @@ def read_trough_truth(folder: Path) -> TroughTruth:
 def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
     """Return what measurement.toml says.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The scene.
-    suffix : str
-        How the photos' names end.
-
-    Returns
-    -------
-    dict
-        Tables.
+    suffix: How the photos' names end.
     """
     purposes = {view.purpose for view in scene.views}
     photos = {purpose: ("photo_*" if purpose == "reflection" else "absorber_*") + suffix for purpose in purposes}
@@ -352,15 +287,7 @@ def _write_truth(working: Path, scene: TroughScene, photographer: Photographer, 
 def truth_arrays(scene: TroughScene) -> dict[str, FloatArray]:
     """Return the maps of a scene's truth, by the names of `TroughTruth`.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The scene.
-
-    Returns
-    -------
-    dict
-        Arrays; the grid has a node in every 20 mm, the first half a step inside the aperture.
+    Returns: Arrays; the grid has a node in every 20 mm, the first half a step inside the aperture.
     """
     mirror, design = scene.world.mirror, scene.collector
     x, y = (
@@ -386,17 +313,8 @@ def truth_arrays(scene: TroughScene) -> dict[str, FloatArray]:
 def trough_to_json(scene: TroughScene, suffix: str) -> dict[str, Any]:
     """Return a scene's truth as plain values.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The scene.
-    suffix : str
-        How the photos' names end.
-
-    Returns
-    -------
-    dict
-        Collector, camera, poses, targets, errors of the mirror, receiver, surroundings.
+    suffix: How the photos' names end.
+    Returns: Collector, camera, poses, targets, errors of the mirror, receiver, surroundings.
     """
     camera, around = scene.camera, scene.world.surroundings
     receiver = scene.world.receiver

@@ -21,24 +21,10 @@ def random_mirror(
 ) -> TroughMirror:
     """Return a mirror with tilted and bent panels and waves over all of them.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    rng : numpy.random.Generator
-        Draws the errors.
-    transverse_rad : float, optional
-        RMS of theta_r over the aperture [rad].
-    longitudinal_rad : float, optional
-        RMS of the longitudinal slope error [rad].
-    is_shaped : bool, optional
-        Whether the surface deviates as the slopes say. Its waves then run across and along, because a surface that
-        waves in other directions has both slopes; each panel's mean height is the design's.
-
-    Returns
-    -------
-    TroughMirror
-        The mirror.
+    transverse_rad: RMS of theta_r over the aperture [rad].
+    longitudinal_rad: RMS of the longitudinal slope error [rad].
+    is_shaped: Whether the surface deviates as the slopes say. Its waves then run across and along, because a
+        surface that waves in other directions has both slopes; each panel's mean height is the design's.
     """
     n = TroughMirror(collector).n_panels
     across, along = _waves(rng, 7), _waves(rng, 7)
@@ -68,24 +54,8 @@ def random_mirror(
 def with_panel_heights(mirror: TroughMirror, sigma_m: float, rng: np.random.Generator) -> TroughMirror:
     """Mount the panels of a shaped mirror too high or too low.
 
-    Parameters
-    ----------
-    mirror : TroughMirror
-        The mirror.
-    sigma_m : float
-        Standard deviation of the heights; measurement.toml states it [m].
-    rng : numpy.random.Generator
-        Draws them.
-
-    Returns
-    -------
-    TroughMirror
-        The mirror with other heights.
-
-    Raises
-    ------
-    InputError
-        The mirror has no shape, or no panels.
+    sigma_m: Standard deviation of the heights; measurement.toml states it [m].
+    InputError: The mirror has no shape, or no panels.
     """
     panels = mirror.panels
     if not mirror.is_shaped or panels is None:

@@ -23,15 +23,8 @@ _LABELS = 1 << 26
 class FieldTracer:
     """Several troughs as rays meet them, each alone in its part of the field.
 
-    Parameters
-    ----------
-    troughs : tuple of PlacedTrough
-        The troughs.
-    dtype : type, optional
-        Float type of the geometry.
+    dtype: Float type of the geometry.
 
-    Notes
-    -----
     A ray is followed in the frame of the trough whose footprint is nearest to it half-way up. That is right for rays
     that meet a trough while troughs stand further apart than what is seen over their rims from above: 1.5 m for rays
     of 45 degrees. What one trough's mirror shows of the others is left out.
@@ -91,24 +84,10 @@ def field_of(
 ) -> TroughScene:
     """Put scenes of single troughs side by side.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    scenes : tuple of (str, ndarray, TroughScene)
-        Name of each trough, its place in the common frame [m], and its scene, whose own photos are left out.
-    views : tuple of TroughView
-        Photos in the common frame.
-
-    Returns
-    -------
-    TroughScene
-        One scene; its list of targets is in the common frame.
-
-    Raises
-    ------
-    InputError
-        Two troughs use the same target.
+    scenes: Name of each trough, its place in the common frame [m], and its scene, whose own photos are left out.
+    views: Photos in the common frame.
+    Returns: One scene; its list of targets is in the common frame.
+    InputError: Two troughs use the same target.
     """
     sheets: list[Sheet] = []
     targets: list[ListedTarget] = []
@@ -127,17 +106,7 @@ def field_of(
 def single_of(scene: TroughScene, trough: PlacedTrough) -> TroughScene:
     """Return one trough of a field as a scene of its own.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The field.
-    trough : PlacedTrough
-        Which.
-
-    Returns
-    -------
-    TroughScene
-        All photos and targets in the trough's own frame.
+    Returns: All photos and targets in the trough's own frame.
     """
     shift = RigidTransform(np.eye(3), trough.place_m)
     views = tuple(replace(view, cam_from_trough=view.cam_from_trough @ shift) for view in scene.views)

@@ -27,16 +27,11 @@ _LARGEST_TABLE = 32000
 class PanelErrors:
     """How each panel differs from the design parabola beneath it.
 
-    Parameters
-    ----------
-    tilt_x, tilt_y : array_like, shape (n,)
-        Slope that the panel has too much along x (turned about y) and along y (turned about x), in the order of
-        `Collector.panel_index`.
-    focal_length_m : array_like, shape (n,)
-        Focal length of each panel, about its own middle [m].
-    height_m : array_like, shape (n,), optional
-        How much higher each panel's middle sits; without, at the design's height. Only a mirror that is shaped has
-        heights [m].
+    tilt_x, tilt_y (n,): Slope that the panel has too much along x (turned about y) and along y (turned about x), in
+        the order of `Collector.panel_index`.
+    focal_length_m (n,): Focal length of each panel, about its own middle [m].
+    height_m (n,): How much higher each panel's middle sits; without, at the design's height. Only a mirror that is
+        shaped has heights [m].
     """
 
     tilt_x: FloatArray
@@ -64,14 +59,9 @@ class PanelErrors:
 class SlopeGrid:
     """Slope errors on a grid, as from a file, joined by bicubic splines; they need not belong to any surface.
 
-    Parameters
-    ----------
-    x_m : array_like, shape (n,)
-        Ascending grid positions [m].
-    y_m : array_like, shape (m,)
-        Ascending grid positions [m].
-    slope_x, slope_y : array_like, shape (m, n)
-        Slope errors at the grid points.
+    x_m (n,): Ascending grid positions [m].
+    y_m (m,): Ascending grid positions [m].
+    slope_x, slope_y (m, n): Slope errors at the grid points.
     """
 
     KIND: ClassVar[str] = "slope_grid"
@@ -104,26 +94,15 @@ class SlopeGrid:
 class TroughMirror:
     """The reflector of a collector, with its errors.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    errors : SurfaceErrors, optional
-        Smooth errors over the whole aperture, in both directions.
-    transverse, longitudinal : SurfaceErrors, optional
-        Smooth errors of which only slope_x, or only slope_y, is taken; they belong to no surface.
-    panels : PanelErrors or None, optional
-        Errors of single panels.
-    is_shaped : bool, optional
-        Whether the surface itself deviates as its slopes say; otherwise the normals are turned on the design surface.
+    collector: The design.
+    errors: Smooth errors over the whole aperture, in both directions.
+    transverse, longitudinal: Smooth errors of which only slope_x, or only slope_y, is taken; they belong to no
+        surface.
+    panels: Errors of single panels.
+    is_shaped: Whether the surface itself deviates as its slopes say; otherwise the normals are turned on the design
+        surface.
+    InputError: Not one error for each panel, or slopes without a shape where one is asked for.
 
-    Raises
-    ------
-    InputError
-        Not one error for each panel, or slopes without a shape where one is asked for.
-
-    Notes
-    -----
     With slope errors ``e`` (true minus design dz/dx and dz/dy) the normal is ``(-(x / 2f + e_x), -e_y, 1)`` (Owkes
     2012, eq. 7.8 with tan(alpha - theta_r) = x / 2f + e_x), so ``theta_r = atan(x / 2f) - atan(x / 2f + e_x)``,
     positive where the normal is turned towards +x.
@@ -153,15 +132,8 @@ class TroughMirror:
     def deviation(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what the surface has over the design, NaN in gaps and outside.
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Points of the aperture [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            Height (0 where only the normal is turned) [m], slope_x and slope_y [rad].
+        x_m, y_m (...): Points of the aperture [m].
+        Returns (...): Height (0 where only the normal is turned) [m], slope_x and slope_y [rad].
         """
         x, y = np.broadcast_arrays(np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64))
         height, slope_x, slope_y = self.smooth(x, y)
@@ -206,12 +178,8 @@ def _panel_polynomials(mirror: TroughMirror) -> FloatArray:
 class Rays(NamedTuple):
     """Rays of one block, all arrays of the same float type.
 
-    Attributes
-    ----------
-    x, y, z : ndarray, shape (n,)
-        Points on the rays in the trough's frame [m].
-    dx, dy, dz : ndarray, shape (n,)
-        Directions, of any length.
+    x, y, z (n,): Points on the rays in the trough's frame [m].
+    dx, dy, dz (n,): Directions, of any length.
     """
 
     x: RayArray
@@ -231,15 +199,8 @@ class Rays(NamedTuple):
 class MirrorTable:
     """The mirror as rays meet it.
 
-    Parameters
-    ----------
-    mirror : TroughMirror
-        The mirror.
-    dtype : type, optional
-        Float type of the rays; float64 serves as the reference in tests.
+    dtype: Float type of the rays; float64 serves as the reference in tests.
 
-    Notes
-    -----
     A point 15 m away is met within some 3e-6 m in float32, which is 5e-4 px of a camera with 6 mm a pixel there.
     """
 
@@ -260,15 +221,7 @@ class MirrorTable:
     def meet(self, rays: Rays) -> RayArray:
         """Return where rays leave the inside of the (endless) design parabola, in lengths of the direction.
 
-        Parameters
-        ----------
-        rays : Rays
-            The rays.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Length, NaN where a ray does not.
+        Returns (n,): Length, NaN where a ray does not.
         """
         a, b, c = self._quadratic(rays)
         root = np.sqrt(b * b - 4 * a * c)
@@ -278,17 +231,8 @@ class MirrorTable:
     def meets_back(self, rays: Rays, before: float = float("inf")) -> npt.NDArray[np.bool_]:
         """Return whether rays see the mirror's back.
 
-        Parameters
-        ----------
-        rays : Rays
-            The rays.
-        before : float, optional
-            Only up to this length.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Whether they enter the parabola from outside within the aperture.
+        before: Only up to this length.
+        Returns (n,): Whether they enter the parabola from outside within the aperture.
         """
         a, b, c = self._quadratic(rays)
         root = np.sqrt(b * b - 4 * a * c)
@@ -322,19 +266,8 @@ class MirrorTable:
     ) -> tuple[RayArray, RayArray, RayArray, RayArray, RayArray]:
         """Return where rays that meet panels meet them, and the slopes there.
 
-        Parameters
-        ----------
-        rays : Rays
-            The rays.
-        length : ndarray, shape (n,)
-            Where they meet the design, from `meet`.
-        panel : ndarray of int16, shape (n,)
-            The panels they meet.
-
-        Returns
-        -------
-        tuple of ndarray
-            x, y, z [m] and both slopes.
+        Shapes: length (n,), panel (n,).
+        Returns: x, y, z [m] and both slopes.
         """
         x, y, z = rays.x + length * rays.dx, rays.y + length * rays.dy, rays.z + length * rays.dz
         height, slope_x, slope_y = self._slopes(x, y, panel)

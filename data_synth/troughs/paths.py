@@ -18,22 +18,9 @@ _LOOK_AT_Z_M = 0.6
 def look_at_trough(position_m: FloatArray, target_m: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
     """Return the pose ``cam_from_trough`` of a camera that looks at a point, the long side of its image along +y.
 
-    Parameters
-    ----------
-    position_m, target_m : ndarray, shape (3,)
-        Camera and point in the trough's frame [m].
-    roll_rad : float, optional
-        Turn about the line of sight [rad].
-
-    Returns
-    -------
-    RigidTransform
-        The pose.
-
-    Raises
-    ------
-    InputError
-        The camera looks along the trough.
+    position_m, target_m (3,): Camera and point in the trough's frame [m].
+    roll_rad: Turn about the line of sight [rad].
+    InputError: The camera looks along the trough.
     """
     forward = np.asarray(target_m, dtype=np.float64) - position_m
     forward = forward / np.linalg.norm(forward)
@@ -56,25 +43,11 @@ def straight_pass(
 ) -> tuple[TroughView, ...]:
     """Fly straight across the aperture, looking at the collector all the time.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    n_photos : int
-        Number of photos, evenly spaced.
-    height_m : float, optional
-        Height of the camera above the vertex [m].
-    reach_m : float, optional
-        Photos from x = -reach to +reach [m].
-    y_m : float, optional
-        Where along the trough [m].
-    look_y_m : float, optional
-        Which part of the trough it looks at [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos.
+    n_photos: Number of photos, evenly spaced.
+    height_m: Height of the camera above the vertex [m].
+    reach_m: Photos from x = -reach to +reach [m].
+    y_m: Where along the trough [m].
+    look_y_m: Which part of the trough it looks at [m].
     """
     target = np.array([0.0, look_y_m, _LOOK_AT_Z_M])
     return tuple(
@@ -88,21 +61,9 @@ def level_pass(
 ) -> tuple[TroughView, ...]:
     """Fly straight across several rows of troughs, looking straight down all the time.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    n_photos : int
-        Number of photos, evenly spaced.
-    from_x_m, to_x_m : float
-        Where the pass begins and ends [m].
-    height_m : float, optional
-        Height of the camera above the vertices [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos.
+    n_photos: Number of photos, evenly spaced.
+    from_x_m, to_x_m: Where the pass begins and ends [m].
+    height_m: Height of the camera above the vertices [m].
     """
     return numbered(
         TroughView("", camera, look_at_trough(np.array([x, 0.0, height_m]), np.array([x, 0.0, 0.0])))
@@ -115,21 +76,9 @@ def several_passes(
 ) -> tuple[TroughView, ...]:
     """Fly across the aperture at several places along the trough.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    y_m : tuple of float
-        Where along the trough each pass is [m].
-    n_photos : int
-        Number of photos of all passes together.
-    height_m, reach_m : float, optional
-        As in `straight_pass` [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos, pass after pass.
+    n_photos: Number of photos of all passes together.
+    height_m, reach_m: As in `straight_pass` [m].
+    Returns: The photos, pass after pass.
     """
     shares = np.array_split(np.arange(n_photos), len(y_m))
     flown = [
@@ -140,20 +89,7 @@ def several_passes(
 
 
 def numbered(views: Iterable[TroughView], prefix: str = "photo") -> tuple[TroughView, ...]:
-    """Return the photos with names in their order.
-
-    Parameters
-    ----------
-    views : iterable of TroughView
-        The photos.
-    prefix : str, optional
-        How the names begin.
-
-    Returns
-    -------
-    tuple of TroughView
-        The same photos.
-    """
+    """Return the photos with names in their order."""
     return tuple(replace(view, name=f"{prefix}_{k + 1:03d}") for k, view in enumerate(views))
 
 
@@ -167,21 +103,8 @@ def wobbling(
 ) -> tuple[TroughView, ...]:
     """Return photos as a drone in wind or a mast takes them: off the path, off the aim, rolled.
 
-    Parameters
-    ----------
-    views : tuple of TroughView
-        The photos as planned.
-    rng : numpy.random.Generator
-        The wind.
-    position_m : float, optional
-        Standard deviation of each coordinate of the camera [m].
-    aim_rad, roll_rad : float, optional
-        Standard deviation of its turns across and about the line of sight [rad].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos as taken.
+    position_m: Standard deviation of each coordinate of the camera [m].
+    aim_rad, roll_rad: Standard deviation of its turns across and about the line of sight [rad].
     """
     taken = []
     for view in views:
@@ -197,23 +120,8 @@ def mast_pass(
 ) -> tuple[TroughView, ...]:
     """Raise a camera on a mast before a collector that faces the horizon: across the aperture, swaying at the top.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    rng : numpy.random.Generator
-        Sway, more of it the higher the camera (towards -x of a collector turned by +90 deg).
-    n_photos : int
-        Number of photos.
-    distance_m : float, optional
-        Distance from the vertex [m].
-    reach_m : float, optional
-        Photos from x = -reach to +reach [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos.
+    rng: Sway, more of it the higher the camera (towards -x of a collector turned by +90 deg).
+    reach_m: Photos from x = -reach to +reach [m].
     """
     views = straight_pass(camera, n_photos=n_photos, height_m=distance_m, reach_m=reach_m)
     share = np.linspace(1.0, 0.0, n_photos)
@@ -228,21 +136,10 @@ def turning_collector(
 ) -> tuple[TroughView, ...]:
     """Photograph a collector that turns before a fixed camera.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera, aimed at the pivot.
-    position_m : ndarray, shape (3,)
-        Where it is in the frame of the collector at zenith [m].
-    orientations_deg : ndarray, shape (n,)
-        Turns of the collector from zenith, by the right hand about +y [deg].
-    pivot_z_m : float, optional
-        Height of the axis of rotation over the vertex [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        The photos, with the orientation of each.
+    camera: The camera, aimed at the pivot.
+    position_m (3,): Where it is in the frame of the collector at zenith [m].
+    orientations_deg (n,): Turns of the collector from zenith, by the right hand about +y [deg].
+    pivot_z_m: Height of the axis of rotation over the vertex [m].
     """
     pivot = np.array([0.0, 0.0, pivot_z_m])
     cam_from_world = look_at_trough(np.asarray(position_m, dtype=np.float64), pivot)
@@ -257,20 +154,7 @@ def turning_collector(
 def absorber_pair(
     camera: PinholeCamera, *, x_m: float = 7.0, z_m: float = 7.0, y_m: float = 0.0
 ) -> tuple[TroughView, ...]:
-    """Photograph the absorber from both sides (Owkes 2012, sec. 7.2.2 and 7.4).
-
-    Parameters
-    ----------
-    camera : PinholeCamera
-        The camera.
-    x_m, z_m, y_m : float, optional
-        Cameras at (-x, y, z) and (x, y, z) [m].
-
-    Returns
-    -------
-    tuple of TroughView
-        Two photos.
-    """
+    """Photograph the absorber from both sides (Owkes 2012, sec. 7.2.2 and 7.4)."""
     target = np.array([0.0, y_m, 1.2])
     views = (
         TroughView("", camera, look_at_trough(np.array([x, y_m, z_m]), target), purpose="absorber") for x in (-x_m, x_m)

@@ -36,12 +36,8 @@ _CELLS_PER_SIGMA = 1.2
 class PhotoPoints:
     """Where targets appear in one photo: projections of their middles, not the middles of their images.
 
-    Parameters
-    ----------
-    names : tuple of str
-        The points in the image that face the camera and are not hidden.
-    pixels_px : ndarray, shape (n, 2)
-        Image points (x, y) [px].
+    names: The points in the image that face the camera and are not hidden.
+    pixels_px (n, 2): Image points (x, y) [px].
     """
 
     names: tuple[str, ...]
@@ -51,12 +47,7 @@ class PhotoPoints:
 class Photographer:
     """Takes the photos of a scene; may be shared by threads.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The scene.
-    dtype : type, optional
-        Float type of the geometry; float64 is the reference in tests.
+    dtype: Float type of the geometry; float64 is the reference in tests.
     """
 
     def __init__(self, scene: TroughScene, dtype: type[np.float32] | type[np.float64] = np.float32) -> None:
@@ -77,17 +68,8 @@ class Photographer:
     def take(self, view: TroughView, rng: np.random.Generator) -> UnsignedArray:
         """Take one photo.
 
-        Parameters
-        ----------
-        view : TroughView
-            Which.
-        rng : numpy.random.Generator
-            Noise, and the shifts of the ray lattices.
-
-        Returns
-        -------
-        ndarray of uint8 or uint16, shape (height_px, width_px)
-            The photo as a file holds it [DN].
+        rng: Noise, and the shifts of the ray lattices.
+        Returns (height_px, width_px): The photo as a file holds it [DN].
         """
         light = self.light(view, rng)
         optics = self._scene.optics
@@ -101,17 +83,7 @@ class Photographer:
     def light(self, view: TroughView, rng: np.random.Generator) -> Float32Array:
         """Return the light of a trough without targets, noise and exposure, shape (height_px, width_px).
 
-        Parameters
-        ----------
-        view : TroughView
-            Which photo.
-        rng : numpy.random.Generator
-            Shifts of the ray lattices.
-
-        Returns
-        -------
-        ndarray of float32, shape (height_px, width_px)
-            Light on the pixels.
+        Shapes: result (height_px, width_px).
         """
         tracer, rows = self._tracers[view.orientation_deg], _RowPoses(view, self._dtype)
         corner, label = self._look_at_corners(tracer, rows)
@@ -129,18 +101,7 @@ class Photographer:
         return _gather(fine, self._cells, self._scene.optics.blur_sigma_px)
 
     def points(self, view: TroughView) -> PhotoPoints:
-        """Project the targets exactly, without drawing anything.
-
-        Parameters
-        ----------
-        view : TroughView
-            Which photo.
-
-        Returns
-        -------
-        PhotoPoints
-            The points in the image.
-        """
+        """Project the targets exactly, without drawing anything."""
         size = np.array([view.camera.width_px, view.camera.height_px])
         names: list[str] = []
         places: list[FloatArray] = []

@@ -54,22 +54,15 @@ DISTANCE_SIGMA_M = 3e-3
 class TroughChoice:
     """What may be chosen of a preset.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Draws errors, targets and wind.
-    n_photos : int or None, optional
-        Number of photos; the preset's without.
-    dictionary : str, optional
-        Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or ``circles``.
-    orientation_deg : float or None, optional
-        Turn of the collector from zenith, by the right hand about +y; the preset's without [deg].
-    n_ground_targets : int, optional
-        Targets on the ground beside both rims, of unknown coordinates.
-    is_shaped : bool, optional
-        Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
-    panel_height_m : float, optional
-        How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped [m].
+    seed: Draws errors, targets and wind.
+    n_photos: Number of photos; the preset's without.
+    dictionary: Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or
+        ``circles``.
+    orientation_deg: Turn of the collector from zenith, by the right hand about +y; the preset's without [deg].
+    n_ground_targets: Targets on the ground beside both rims, of unknown coordinates.
+    is_shaped: Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
+    panel_height_m: How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped
+        [m].
     """
 
     seed: int = 0
@@ -84,22 +77,10 @@ class TroughChoice:
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
     """Return a ready scene.
 
-    Parameters
-    ----------
-    preset : str
-        A name of `TROUGH_PRESETS`.
-    choice : TroughChoice, optional
-        Seed, number of photos, targets.
-
-    Returns
-    -------
-    TroughScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset, an orientation for a collector that turns, or heights of panels for a mirror without a shape.
+    preset: A name of `TROUGH_PRESETS`.
+    choice: Seed, number of photos, targets.
+    InputError: No such preset, an orientation for a collector that turns, or heights of panels for a mirror without
+        a shape.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")
@@ -124,19 +105,7 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
 def with_ground_targets(scene: TroughScene, n: int, rng: np.random.Generator) -> TroughScene:
     """Put targets on the ground, 1 m beside both rims.
 
-    Parameters
-    ----------
-    scene : TroughScene
-        The scene.
-    n : int
-        How many.
-    rng : numpy.random.Generator
-        Draws their turns.
-
-    Returns
-    -------
-    TroughScene
-        The scene with targets of which the list knows the place only roughly.
+    Returns: The scene with targets of which the list knows the place only roughly.
     """
     design, around = scene.collector, scene.world.surroundings
     prints = target_prints(scene.dictionary, scene.target_diameter_m, n, first=len(scene.sheets))
@@ -176,25 +145,9 @@ def rim_targets(
 ) -> tuple[tuple[Sheet, ...], tuple[ListedTarget, ...]]:
     """Put targets along both rims, facing up, about where the list says.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    dictionary : str
-        Kind of targets, as in `TroughChoice`.
-    diameter_m : float
-        Diameter of the dots; square markers are three times as wide [m].
-    rng : numpy.random.Generator
-        Draws how far each is from its listed place, its turn and tilt.
-    n : int, optional
-        Number of targets, even.
-    first : int, optional
-        Number of the first one.
-
-    Returns
-    -------
-    tuple
-        The sheets and the list.
+    dictionary: Kind of targets, as in `TroughChoice`.
+    diameter_m: Diameter of the dots; square markers are three times as wide [m].
+    rng: Draws how far each is from its listed place, its turn and tilt.
     """
     places = []
     prints = target_prints(dictionary, diameter_m, n, first)
@@ -221,23 +174,10 @@ def placed_targets(
 ) -> tuple[tuple[Sheet, ...], tuple[ListedTarget, ...]]:
     """Put targets within a millimetre of where the list says.
 
-    Parameters
-    ----------
-    prints : list of tuple
-        Name and figure of each.
-    stated_m : ndarray, shape (n, 3)
-        Places as listed [m].
-    rng : numpy.random.Generator
-        Draws the differences.
-    facing : ndarray, shape (3,), optional
-        Where they look; +z without.
-    on_collector : bool, optional
-        Whether the coordinates are listed; those of others are unknown.
-
-    Returns
-    -------
-    tuple
-        The sheets and the list.
+    Shapes: stated_m (n, 3).
+    prints: Name and figure of each.
+    facing (3,): Where they look; +z without.
+    on_collector: Whether the coordinates are listed; those of others are unknown.
     """
     upright = np.eye(3)
     if facing is not None:
@@ -259,26 +199,9 @@ def placed_targets(
 def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) -> list[tuple[str, Print]]:
     """Return names and figures of targets.
 
-    Parameters
-    ----------
-    dictionary : str
-        Kind of targets, as in `TroughChoice`.
-    diameter_m : float
-        Diameter of the dots; square markers are three times as wide [m].
-    n : int
-        How many.
-    first : int, optional
-        Number of the first one.
-
-    Returns
-    -------
-    list of tuple
-        Name and figure of each.
-
-    Raises
-    ------
-    InputError
-        The dictionary has too few codes, or does not exist.
+    dictionary: Kind of targets, as in `TroughChoice`.
+    diameter_m: Diameter of the dots; square markers are three times as wide [m].
+    InputError: The dictionary has too few codes, or does not exist.
     """
     numbers = range(first, first + n)
     if dictionary == UNCODED:

@@ -22,12 +22,8 @@ _ARM_HALF_WIDTH_M = 0.03
 class TubeAxis:
     """Where the middle of a tube is, as offsets from the design's focal line, joined by a cubic spline.
 
-    Parameters
-    ----------
-    y_m : array_like, shape (n,)
-        Ascending positions along the trough, at least 4 [m].
-    x_m, z_m : array_like, shape (n,)
-        Offsets from the focal line across and along the optical axis [m].
+    y_m (n,): Ascending positions along the trough, at least 4 [m].
+    x_m, z_m (n,): Offsets from the focal line across and along the optical axis [m].
     """
 
     y_m: FloatArray
@@ -49,19 +45,9 @@ class TubeAxis:
     ) -> "TubeAxis":
         """Return a straight tube.
 
-        Parameters
-        ----------
-        x_m, z_m : float, optional
-            Offsets from the focal line at y = 0 [m].
-        slope_x, slope_z : float, optional
-            Their change with y.
-        reach_m : float, optional
-            How far along y the axis is described, in both directions [m].
-
-        Returns
-        -------
-        TubeAxis
-            The axis.
+        x_m, z_m: Offsets from the focal line at y = 0 [m].
+        slope_x, slope_z: Their change with y.
+        reach_m: How far along y the axis is described, in both directions [m].
         """
         y = np.linspace(-reach_m, reach_m, 4)
         return cls(y, x_m + slope_x * y, z_m + slope_z * y)
@@ -69,17 +55,9 @@ class TubeAxis:
     def sagging(self, supports_m: npt.ArrayLike, sag_x_m: float, sag_z_m: float) -> "TubeAxis":
         """Return the axis with a sag between supports that is horizontal at each of them.
 
-        Parameters
-        ----------
-        supports_m : array_like, shape (n,)
-            Where the tube is held, ascending [m].
-        sag_x_m, sag_z_m : float
-            Offset in the middle of each span; gravity at zenith makes the second one negative [m].
-
-        Returns
-        -------
-        TubeAxis
-            The axis over the same range.
+        supports_m (n,): Where the tube is held, ascending [m].
+        sag_x_m, sag_z_m: Offset in the middle of each span; gravity at zenith makes the second one negative [m].
+        Returns: The axis over the same range.
         """
         supports = float_array("supports_m", supports_m, (None,))
         y = np.linspace(self.y_m[0], self.y_m[-1], 801)
@@ -93,15 +71,8 @@ class TubeAxis:
     def offsets_m(self, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the offsets from the focal line across and along the optical axis.
 
-        Parameters
-        ----------
-        y_m : array_like, shape (...)
-            Positions along the trough [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            x and z offsets [m].
+        y_m (...): Positions along the trough [m].
+        Returns (...): x and z offsets [m].
         """
         from scipy.interpolate import CubicSpline
 
@@ -114,16 +85,10 @@ class TubeAxis:
 class Receiver:
     """The receiver of a collector.
 
-    Parameters
-    ----------
-    collector : Collector
-        Diameters, glass, supports.
-    absorber : TubeAxis, optional
-        Where the absorber is; on the focal line without.
-    glass : TubeAxis or None, optional
-        Where the glass is; None: around the absorber.
-    has_arms : bool, optional
-        Whether arms carry the supports from the vertex.
+    collector: Diameters, glass, supports.
+    absorber: Where the absorber is; on the focal line without.
+    glass: Where the glass is; None: around the absorber.
+    has_arms: Whether arms carry the supports from the vertex.
     """
 
     collector: Collector
@@ -150,20 +115,13 @@ class Receiver:
 class Passage(NamedTuple):
     """Rays at a tube, in the plane across it.
 
-    Attributes
-    ----------
-    which : ndarray of intp, shape (n,)
-        The rays that come near the tube.
-    y : ndarray, shape (n,)
-        Where along the tube they are nearest to the axis [m].
-    impact : ndarray, shape (n,)
-        How far they pass to the right of the axis, seen along the ray with y pointing at the viewer's back [m].
-    ux, uz : ndarray, shape (n,)
-        Unit direction across.
-    axis_x, axis_z : ndarray, shape (n,)
-        The axis there [m].
-    sin_along : ndarray, shape (n,)
-        Sine of the angle between ray and transverse plane.
+    which (n,): The rays that come near the tube.
+    y (n,): Where along the tube they are nearest to the axis [m].
+    impact (n,): How far they pass to the right of the axis, seen along the ray with y pointing at the viewer's back
+        [m].
+    ux, uz (n,): Unit direction across.
+    axis_x, axis_z (n,): The axis there [m].
+    sin_along (n,): Sine of the angle between ray and transverse plane.
     """
 
     which: npt.NDArray[np.intp]
@@ -186,16 +144,11 @@ class Passage(NamedTuple):
 class Inside(NamedTuple):
     """Rays of a `Passage` that reach the glass or the bare absorber.
 
-    Attributes
-    ----------
-    on_absorber : ndarray of bool, shape (n,)
-        Whether they end on the absorber.
-    offset : ndarray, shape (n,)
-        How far beside the absorber's middle they hit it, in radii.
-    turned : ndarray, shape (n,)
-        Angle by which those that pass leave the glass turned, towards the side on which they pass the axis [rad].
-    reflected : ndarray, shape (n,)
-        Share of light that the glass throws back.
+    on_absorber (n,): Whether they end on the absorber.
+    offset (n,): How far beside the absorber's middle they hit it, in radii.
+    turned (n,): Angle by which those that pass leave the glass turned, towards the side on which they pass the axis
+        [rad].
+    reflected (n,): Share of light that the glass throws back.
     """
 
     on_absorber: BoolArray
@@ -207,15 +160,8 @@ class Inside(NamedTuple):
 class ReceiverTable:
     """The receiver as rays meet it.
 
-    Parameters
-    ----------
-    receiver : Receiver
-        The receiver.
-    dtype : type, optional
-        Float type of the rays.
+    dtype: Float type of the rays.
 
-    Notes
-    -----
     Seen across, a ray of a tube that runs along y obeys the plane law of refraction with the index
     ``sqrt(n^2 - sin(g)^2) / cos(g)``, g its angle to the transverse plane. Around a concentric tube the impact
     parameter is conserved (Bouguer), so only the direction changes: towards the axis at the outer face, away from it
@@ -245,18 +191,7 @@ class ReceiverTable:
         self._margin = dtype(np.abs(outer).max() + 1e-3)
 
     def approach(self, rays: Rays) -> Passage:
-        """Find the rays that meet the tube or its supports ahead.
-
-        Parameters
-        ----------
-        rays : Rays
-            The rays.
-
-        Returns
-        -------
-        Passage
-            Those rays.
-        """
+        """Find the rays that meet the tube or its supports ahead."""
         x, z = rays.x, rays.z - self._focal
         square = rays.dx * rays.dx + rays.dz * rays.dz
         cross = x * rays.dz - z * rays.dx
@@ -301,15 +236,8 @@ class ReceiverTable:
     def enter(self, passage: Passage) -> Inside:
         """Follow rays into the glass.
 
-        Parameters
-        ----------
-        passage : Passage
-            Rays that touch the outer face.
-
-        Returns
-        -------
-        Inside
-            Whether they end on the absorber, and how they leave.
+        passage: Rays that touch the outer face.
+        Returns: Whether they end on the absorber, and how they leave.
         """
         b = passage.impact
         between_x, between_z = self._at(self._between, passage.y)
@@ -337,19 +265,9 @@ class ReceiverTable:
     def leave(self, passage: Passage, turned: RayArray, rays: Rays) -> Rays:
         """Return rays behind the tube, turned about it.
 
-        Parameters
-        ----------
-        passage : Passage
-            The rays at the tube.
-        turned : ndarray, shape (n,)
-            Angle towards the side on which they pass [rad].
-        rays : Rays
-            The same rays before the tube, shape (n,).
-
-        Returns
-        -------
-        Rays
-            They start beside the axis.
+        turned (n,): Angle towards the side on which they pass [rad].
+        rays: The same rays before the tube, shape (n,).
+        Returns: They start beside the axis.
         """
         cos, sin = np.cos(turned), np.sin(turned)
         ux, uz = passage.ux * cos + passage.uz * sin, passage.uz * cos - passage.ux * sin

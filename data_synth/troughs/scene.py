@@ -24,14 +24,9 @@ from observer.trough.collector import Collector
 class RollingShutter:
     """A sensor that reads its rows one after the other while the camera moves.
 
-    Parameters
-    ----------
-    readout_s : float
-        From the first row to the last [s].
-    velocity_m_s : array_like, shape (3,)
-        Motion of the camera in the trough's frame [m/s].
-    turn_rad_s : array_like, shape (3,), optional
-        Rotation vector of the camera per second, in its own frame [rad/s].
+    readout_s: From the first row to the last [s].
+    velocity_m_s (3,): Motion of the camera in the trough's frame [m/s].
+    turn_rad_s (3,): Rotation vector of the camera per second, in its own frame [rad/s].
     """
 
     readout_s: float
@@ -48,22 +43,11 @@ class RollingShutter:
 class TroughView:
     """One photo of a trough.
 
-    Parameters
-    ----------
-    name : str
-        Name of the photo.
-    camera : PinholeCamera
-        The camera.
-    cam_from_trough : RigidTransform
-        Trough frame to camera frame, while the middle row is read.
-    exposure : float, optional
-        Exposure relative to the others.
-    shutter : RollingShutter or None, optional
-        How rows follow each other; all at once without.
-    orientation_deg : float or None, optional
-        Turn of the collector from zenith, where it differs from photo to photo [deg].
-    purpose : str, optional
-        What it is taken for: ``reflection``, or ``absorber`` for the absorber's position alone.
+    cam_from_trough: Trough frame to camera frame, while the middle row is read.
+    exposure: Exposure relative to the others.
+    shutter: How rows follow each other; all at once without.
+    orientation_deg: Turn of the collector from zenith, where it differs from photo to photo [deg].
+    purpose: What it is taken for: ``reflection``, or ``absorber`` for the absorber's position alone.
     """
 
     name: str
@@ -80,33 +64,11 @@ class TroughView:
         return self.cam_from_trough.inverse().translation_m
 
     def at_row(self, row: float) -> View:
-        """Return camera and pose while a row is read.
-
-        Parameters
-        ----------
-        row : float
-            The row [px].
-
-        Returns
-        -------
-        View
-            A photo with that pose.
-        """
+        """Return camera and pose while a row is read."""
         return View(self.name, self.camera, self.pose_at(row))
 
     def pose_at(self, row: float) -> RigidTransform:
-        """Return ``cam_from_trough`` while a row is read.
-
-        Parameters
-        ----------
-        row : float
-            The row [px].
-
-        Returns
-        -------
-        RigidTransform
-            The pose.
-        """
+        """Return ``cam_from_trough`` while a row is read."""
         if self.shutter is None:
             return self.cam_from_trough
         share = (row - (self.camera.height_px - 1) / 2) / self.camera.height_px
@@ -119,15 +81,8 @@ class TroughView:
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return image points, each taken while its own row is read.
 
-        Parameters
-        ----------
-        points_m : ndarray, shape (n, 3)
-            Points in the trough's frame [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Image points; NaN behind the camera [px].
+        points_m (n, 3): Points in the trough's frame [m].
+        Returns (n, 2): Image points; NaN behind the camera [px].
         """
         pixels = self.at_row((self.camera.height_px - 1) / 2).project(points_m)
         if self.shutter is None:
@@ -144,16 +99,9 @@ class TroughView:
 class ListedTarget:
     """A target as the list of the person who measures has it.
 
-    Parameters
-    ----------
-    name : str
-        The target.
-    stated_m : array_like, shape (3,)
-        Its coordinates as known [m].
-    sigma_m : array_like, shape (3,)
-        Their standard deviations; NaN: unknown [m].
-    on_collector : bool, optional
-        Whether it turns with the collector.
+    stated_m (3,): Its coordinates as known [m].
+    sigma_m (3,): Their standard deviations; NaN: unknown [m].
+    on_collector: Whether it turns with the collector.
     """
 
     name: str
@@ -170,14 +118,8 @@ class ListedTarget:
 class Optics:
     """Lens and sensor.
 
-    Parameters
-    ----------
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
-    vignetting : float, optional
-        Loss of light in the corners.
-    sensor : Sensor, optional
-        The sensor.
+    blur_sigma_px: Gaussian blur of the lens [px].
+    vignetting: Loss of light in the corners.
     """
 
     blur_sigma_px: float = 0.6
@@ -189,14 +131,8 @@ class Optics:
 class PlacedTrough:
     """A trough among others.
 
-    Parameters
-    ----------
-    name : str
-        The trough.
-    world : TroughWorld
-        Collector and surroundings.
-    place_m : array_like, shape (3,)
-        Its origin in the common frame, to whose axes its own are parallel [m].
+    world: Collector and surroundings.
+    place_m (3,): Its origin in the common frame, to whose axes its own are parallel [m].
     """
 
     name: str
@@ -211,31 +147,16 @@ class PlacedTrough:
 class TroughScene:
     """A trough, or several, and the photos of it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    world : TroughWorld
-        Collector and surroundings.
-    views : tuple of TroughView
-        The photos, all by one camera.
-    sheets : tuple of Sheet
-        Printed targets.
-    targets : tuple of ListedTarget
-        The list of targets as the person who measures has it.
-    optics : Optics, optional
-        Lens and sensor.
-    dictionary : str, optional
-        Name of the targets' dictionary, or ``circles``.
-    target_diameter_m : float, optional
-        Diameter of the dots, or side of square markers [m].
-    troughs : tuple of PlacedTrough, optional
-        Several troughs in one frame, that of views, sheets and targets; `world` is then the first one's.
-
-    Raises
-    ------
-    InputError
-        No photo, or photos by different cameras.
+    name: Name of the measurement.
+    world: Collector and surroundings.
+    views: The photos, all by one camera.
+    sheets: Printed targets.
+    targets: The list of targets as the person who measures has it.
+    optics: Lens and sensor.
+    dictionary: Name of the targets' dictionary, or ``circles``.
+    target_diameter_m: Diameter of the dots, or side of square markers [m].
+    troughs: Several troughs in one frame, that of views, sheets and targets; `world` is then the first one's.
+    InputError: No photo, or photos by different cameras.
     """
 
     name: str
@@ -267,15 +188,7 @@ class TroughScene:
     def scaled(self, factor: float) -> "TroughScene":
         """Return the scene with finer or coarser pixels; the blur stays the same in metres on the sensor.
 
-        Parameters
-        ----------
-        factor : float
-            Pixels per old pixel.
-
-        Returns
-        -------
-        TroughScene
-            The scene.
+        factor: Pixels per old pixel.
         """
         camera = self.camera.scaled(factor)
         optics = replace(self.optics, blur_sigma_px=self.optics.blur_sigma_px * factor)
@@ -284,17 +197,8 @@ class TroughScene:
     def with_optics(self, *, read_noise_dn: float | None = None, blur_sigma_px: float | None = None) -> "TroughScene":
         """Return the scene with another noise or lens.
 
-        Parameters
-        ----------
-        read_noise_dn : float or None, optional
-            Noise of each pixel; the scene's own if absent [DN].
-        blur_sigma_px : float or None, optional
-            Gaussian blur of the lens; the scene's own if absent [px].
-
-        Returns
-        -------
-        TroughScene
-            The scene.
+        read_noise_dn: Noise of each pixel; the scene's own if absent [DN].
+        blur_sigma_px: Gaussian blur of the lens; the scene's own if absent [px].
         """
         optics = self.optics
         if read_noise_dn is not None:
@@ -306,17 +210,8 @@ class TroughScene:
     def with_rolling_shutter(self, readout_s: float, speed_m_s: float = 2.0) -> "TroughScene":
         """Return the scene taken with a rolling shutter while flying from each photo's place to the next one's.
 
-        Parameters
-        ----------
-        readout_s : float
-            From the first row to the last [s].
-        speed_m_s : float, optional
-            Speed of flight [m/s].
-
-        Returns
-        -------
-        TroughScene
-            The scene; the gimbal holds the camera's directions.
+        readout_s: From the first row to the last [s].
+        Returns: The scene; the gimbal holds the camera's directions.
         """
         places = np.array([view.position_m for view in self.views])
         step = np.gradient(places, axis=0) if len(places) > 1 else np.array([[1.0, 0.0, 0.0]])
@@ -330,20 +225,8 @@ class TroughScene:
     def with_slopes(self, slopes: SlopeGrid) -> "TroughScene":
         """Return the scene with a mirror that has just these errors.
 
-        Parameters
-        ----------
-        slopes : SlopeGrid
-            Slope errors over the aperture.
-
-        Returns
-        -------
-        TroughScene
-            The scene.
-
-        Raises
-        ------
-        InputError
-            Several troughs.
+        slopes: Slope errors over the aperture.
+        InputError: Several troughs.
         """
         if self.troughs:
             raise InputError(f"scene {self.name}: one map of slopes for {len(self.troughs)} troughs")
@@ -369,21 +252,8 @@ def world_of(
 ) -> TroughWorld:
     """Return a world with a receiver in its place and usual surroundings, as far as nothing else is said.
 
-    Parameters
-    ----------
-    mirror : TroughMirror
-        The mirror.
-    receiver : Receiver, optional
-        The receiver.
-    surroundings : Surroundings, optional
-        Sky and ground.
-    finish : Finish, optional
-        Brightness of the parts.
-
-    Returns
-    -------
-    TroughWorld
-        The world.
+    surroundings: Sky and ground.
+    finish: Brightness of the parts.
     """
     return TroughWorld(
         mirror,

@@ -24,18 +24,12 @@ _SUN_REACH_RAD = 0.02
 class Sky:
     """The sky.
 
-    Parameters
-    ----------
-    zenith, horizon : float, optional
-        Brightness of a clear sky; paper has about 0.85.
-    aureole : float, optional
-        Brightness that the clear sky has more around the sun.
-    clouds : float, optional
-        Share of the cloud's contrast: 0 clear, 1 broken bright clouds.
-    cloud_size_m : float, optional
-        Side of the repeating cloud pattern at 1500 m [m].
-    sun_elevation_deg, sun_azimuth_deg : float, optional
-        The sun over the horizon, and its direction from across (+x of a collector at zenith) towards +y [deg].
+    zenith, horizon: Brightness of a clear sky; paper has about 0.85.
+    aureole: Brightness that the clear sky has more around the sun.
+    clouds: Share of the cloud's contrast: 0 clear, 1 broken bright clouds.
+    cloud_size_m: Side of the repeating cloud pattern at 1500 m [m].
+    sun_elevation_deg, sun_azimuth_deg: The sun over the horizon, and its direction from across (+x of a collector
+        at zenith) towards +y [deg].
     """
 
     zenith: float = 0.60
@@ -51,18 +45,11 @@ class Sky:
 class Ground:
     """The ground.
 
-    Parameters
-    ----------
-    below_m : float, optional
-        How far it is below the collector's vertex line [m].
-    brightness : float, optional
-        Mean brightness in the sun.
-    contrast : float, optional
-        How busy it is: standard deviation of the brightness over its mean.
-    in_shadow : float, optional
-        Brightness in shadow over that in the sun.
-    size_m : float, optional
-        Side of the repeating pattern [m].
+    below_m: How far it is below the collector's vertex line [m].
+    brightness: Mean brightness in the sun.
+    contrast: How busy it is: standard deviation of the brightness over its mean.
+    in_shadow: Brightness in shadow over that in the sun.
+    size_m: Side of the repeating pattern [m].
     """
 
     below_m: float = 3.2
@@ -82,16 +69,8 @@ class Ground:
 class Surroundings:
     """Sky, ground and how the collector is turned.
 
-    Parameters
-    ----------
-    sky : Sky, optional
-        The sky.
-    ground : Ground, optional
-        The ground.
-    orientation_deg : float, optional
-        Turn of the collector about +y from zenith, by the right hand [deg].
-    seed : int, optional
-        Draws clouds and ground.
+    orientation_deg: Turn of the collector about +y from zenith, by the right hand [deg].
+    seed: Draws clouds and ground.
     """
 
     sky: Sky = field(default_factory=Sky)
@@ -126,14 +105,9 @@ class Surroundings:
 class SurroundingsTable:
     """The surroundings as rays meet them.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        Sky and ground.
-    mirror : MirrorTable
-        What throws a shadow.
-    dtype : type, optional
-        Float type of the rays.
+    surroundings: Sky and ground.
+    mirror: What throws a shadow.
+    dtype: Float type of the rays.
     """
 
     def __init__(
@@ -150,15 +124,7 @@ class SurroundingsTable:
     def turned(self, surroundings: Surroundings) -> "SurroundingsTable":
         """Return the same sky and ground around a collector that is turned otherwise.
 
-        Parameters
-        ----------
-        surroundings : Surroundings
-            The same surroundings but for the orientation.
-
-        Returns
-        -------
-        SurroundingsTable
-            It shares the patterns.
+        surroundings: The same surroundings but for the orientation.
         """
         table = copy(self)
         table._up, table._across, table._sun = _directions(surroundings, self._dtype)
@@ -167,15 +133,7 @@ class SurroundingsTable:
     def light(self, rays: Rays) -> tuple[Float32Array, npt.NDArray[np.int32]]:
         """Return what rays that meet nothing see.
 
-        Parameters
-        ----------
-        rays : Rays
-            The rays.
-
-        Returns
-        -------
-        tuple of ndarray, shape (n,)
-            Light, and a label: 0 sky, 1 ground, 2 shadow, -1 near the sun.
+        Returns (n,): Light, and a label: 0 sky, 1 ground, 2 shadow, -1 near the sun.
         """
         rise = rays.dx * self._up[0] + rays.dz * self._up[2]
         size = np.sqrt(rays.dx * rays.dx + rays.dy * rays.dy + rays.dz * rays.dz)

@@ -24,13 +24,9 @@ Labels = npt.NDArray[np.int32]
 class Finish:
     """Brightness of the collector's parts; paper has about 0.85.
 
-    Parameters
-    ----------
-    reflectance : float, optional
-        Reflectance of the mirror.
-    absorber, support, arm, gap, back : float, optional
-        Brightness of the selective coating, of bellows and shields, of the steel arms, of what is seen between the
-        panels, of the mirror's back.
+    reflectance: Reflectance of the mirror.
+    absorber, support, arm, gap, back: Brightness of the selective coating, of bellows and shields, of the steel
+        arms, of what is seen between the panels, of the mirror's back.
     """
 
     reflectance: float = 0.93
@@ -45,16 +41,10 @@ class Finish:
 class TroughWorld:
     """A trough and what is around it.
 
-    Parameters
-    ----------
-    mirror : TroughMirror
-        The reflector with its errors.
-    receiver : Receiver
-        Absorber, glass, supports.
-    surroundings : Surroundings, optional
-        Sky and ground.
-    finish : Finish, optional
-        Brightness of the parts.
+    mirror: The reflector with its errors.
+    receiver: Absorber, glass, supports.
+    surroundings: Sky and ground.
+    finish: Brightness of the parts.
     """
 
     mirror: TroughMirror
@@ -66,12 +56,8 @@ class TroughWorld:
 class Seen(NamedTuple):
     """What rays see.
 
-    Attributes
-    ----------
-    light : ndarray of float32, shape (n,)
-        Light.
-    label : ndarray of int32, shape (n,)
-        What it comes from, by which way; negative where a pixel must be looked at closely in any case.
+    light (n,): Light.
+    label (n,): What it comes from, by which way; negative where a pixel must be looked at closely in any case.
     """
 
     light: Float32Array
@@ -81,12 +67,8 @@ class Seen(NamedTuple):
 class Tracer:
     """A trough and its surroundings as rays meet them.
 
-    Parameters
-    ----------
-    world : TroughWorld
-        What there is.
-    dtype : type, optional
-        Float type of the geometry; float64 is the reference in tests.
+    world: What there is.
+    dtype: Float type of the geometry; float64 is the reference in tests.
     """
 
     def __init__(self, world: TroughWorld, dtype: type[np.float32] | type[np.float64] = np.float32) -> None:
@@ -99,33 +81,14 @@ class Tracer:
     def turned(self, surroundings: Surroundings) -> "Tracer":
         """Return the same trough, turned otherwise in the same surroundings.
 
-        Parameters
-        ----------
-        surroundings : Surroundings
-            The same surroundings but for the orientation.
-
-        Returns
-        -------
-        Tracer
-            It shares all tables.
+        surroundings: The same surroundings but for the orientation.
         """
         tracer = copy(self)
         tracer.surroundings = self.surroundings.turned(surroundings)
         return tracer
 
     def look(self, rays: Rays) -> Seen:
-        """Follow rays from the camera.
-
-        Parameters
-        ----------
-        rays : Rays
-            Rays from the camera.
-
-        Returns
-        -------
-        Seen
-            Light and labels.
-        """
+        """Follow rays from the camera."""
         # Rays that meet nothing have no length; they drop out by comparisons with NaN and infinity.
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = self._look(rays, 0)
@@ -138,17 +101,8 @@ class Tracer:
     def hides(self, position_m: FloatArray, points_m: FloatArray) -> BoolArray:
         """Return which points the collector hides from a camera.
 
-        Parameters
-        ----------
-        position_m : ndarray, shape (3,)
-            The camera [m].
-        points_m : ndarray, shape (n, 3)
-            The points [m].
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Whether mirror or receiver stand in front of each.
+        Shapes: position_m (3,), points_m (n, 3).
+        Returns (n,): Whether mirror or receiver stand in front of each.
         """
         # A hand's breadth short of the point, so that targets on the mirror do not hide themselves.
         distance = np.linalg.norm(points_m - position_m, axis=1)

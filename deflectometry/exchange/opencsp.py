@@ -27,20 +27,12 @@ STEPS_DEG = (0.0, 90.0, 180.0, 270.0)
 class FringeRecord:
     """Frames and notes of one fringe measurement.
 
-    Parameters
-    ----------
-    name, date : str
-        As written in the file; empty where absent.
-    frames_dn : ndarray, shape (h, w, n)
-        Fringe frames in the order of the file: y fringes, then x fringes [DN].
-    dark_dn, bright_dn : ndarray, shape (h, w)
-        The two mask images [DN].
-    periods_y, periods_x : ndarray
-        Periods per display height and width.
-    distance_m : float
-        Measured distance from the measure point to the origin of the screen [m].
-    measure_point_m : ndarray, shape (3,)
-        The point on the mirror it was measured to, in mirror coordinates [m].
+    name, date: As written in the file; empty where absent.
+    frames_dn (h, w, n): Fringe frames in the order of the file: y fringes, then x fringes [DN].
+    dark_dn, bright_dn (h, w): The two mask images [DN].
+    periods_y, periods_x: Periods per display height and width.
+    distance_m: Measured distance from the measure point to the origin of the screen [m].
+    measure_point_m (3,): The point on the mirror it was measured to, in mirror coordinates [m].
     """
 
     name: str
@@ -58,18 +50,12 @@ class FringeRecord:
 class CameraRecord:
     """Camera parameters in OpenCV's meaning, scaled to the images they are for.
 
-    Parameters
-    ----------
-    name : str
-        As written in the file.
-    image_shape : tuple of int
-        The two numbers of ``image_shape_xy``; some files hold (height, width).
-    matrix : ndarray, shape (3, 3)
-        Camera matrix with ``matrix[2, 2] == 1``.
-    distortion : ndarray, shape (5,)
-        k1, k2, p1, p2, k3.
-    averaged : float
-        How many pixels were averaged along each axis (1 / K[2, 2] of the file: the writer divided the whole matrix).
+    name: As written in the file.
+    image_shape: The two numbers of ``image_shape_xy``; some files hold (height, width).
+    matrix (3, 3): Camera matrix with ``matrix[2, 2] == 1``.
+    distortion (5,): k1, k2, p1, p2, k3.
+    averaged: How many pixels were averaged along each axis (1 / K[2, 2] of the file: the writer divided the whole
+        matrix).
     """
 
     name: str
@@ -95,20 +81,8 @@ class CameraRecord:
     def size_for(self, height_px: int, width_px: int) -> tuple[int, int]:
         """Return (width, height), whichever order the file has.
 
-        Parameters
-        ----------
-        height_px, width_px : int
-            Shape of the frames [px].
-
-        Returns
-        -------
-        tuple of int
-            Width and height [px].
-
-        Raises
-        ------
-        InputError
-            The camera is for images of another size.
+        height_px, width_px: Shape of the frames [px].
+        InputError: The camera is for images of another size.
         """
         if sorted(self.image_shape) != sorted((width_px, height_px)):
             raise InputError(
@@ -165,14 +139,8 @@ class EnsembleRecord:
 class CalculationRecord:
     """What SOFAST computed: its pose of the mirror, its slopes (a comparison, not a truth) and its start shape.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        Pose of the mirror.
-    surface_points_m : tuple of ndarray, shape (3, n)
-        Points of each facet [m].
-    slopes : tuple of ndarray, shape (2, n)
-        dz/dx and dz/dy at these points.
+    surface_points_m (3, n): Points of each facet [m].
+    slopes (2, n): dz/dx and dz/dy at these points.
     """
 
     cam_from_mirror: RigidTransform
@@ -206,20 +174,7 @@ class OpencspFile:
 def read_opencsp_file(path: Path) -> OpencspFile:
     """Read one OpenCSP file, recognising what it holds by its content.
 
-    Parameters
-    ----------
-    path : Path
-        HDF5 or JSON file.
-
-    Returns
-    -------
-    OpencspFile
-        The records found.
-
-    Raises
-    ------
-    InputError
-        Not readable, nothing recognised, or a part missing.
+    InputError: Not readable, nothing recognised, or a part missing.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")

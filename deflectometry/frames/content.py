@@ -22,14 +22,9 @@ _CONTRADICTION_TURNS = 0.12
 class FrameSample:
     """Pixels that show fringes, thinned out.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, m)
-        Readings of all frames [DN].
-    light : ndarray, shape (n, m)
-        The same made linear.
-    raw : ndarray, shape (n, k)
-        Readings of all pixels looked at, lit or not, as they came.
+    readings (n, m): Readings of all frames [DN].
+    light (n, m): The same made linear.
+    raw (n, k): Readings of all pixels looked at, lit or not, as they came.
     """
 
     readings: FloatArray
@@ -40,23 +35,12 @@ class FrameSample:
 def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: LightResponse | None) -> FrameSample:
     """Choose pixels that vary from frame to frame, spread over the image.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (n, h, w)
-        All frames [DN].
-    region : ndarray of bool, shape (h, w), optional
-        Where to look.
-    response : LightResponse, optional
-        Makes readings linear.
+    Shapes: frames (n, h, w), region (h, w).
+    response: Makes readings linear.
+    Returns: At most 2000 lit pixels.
 
-    Returns
-    -------
-    FrameSample
-        At most 2000 lit pixels.
-
-    Notes
-    -----
-    Lit: the spread over the frames is above 0.3 of its 99th percentile. A mirror that fills 1 % of the image is found.
+    Lit: the spread over the frames is above 0.3 of its 99th percentile. A mirror that fills 1 % of the image is
+    found.
     """
     height, width = frames.shape[1:]
     stride = max(1, int(np.sqrt(height * width / (8 * _PIXELS))))
@@ -76,14 +60,9 @@ def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: 
 class SetFit:
     """All sets fitted to the sample.
 
-    Parameters
-    ----------
-    turns : ndarray, shape (s, m)
-        Phase of each set in turns.
-    modulation, offset : ndarray, shape (s, m)
-        Amplitude and mean of each set.
-    residual_share : ndarray, shape (s,)
-        Root mean square residual over modulation; 0 for three frames.
+    turns (s, m): Phase of each set in turns.
+    modulation, offset (s, m): Amplitude and mean of each set.
+    residual_share (s,): Root mean square residual over modulation; 0 for three frames.
     """
 
     turns: FloatArray
@@ -111,25 +90,10 @@ def locate(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Find the position from some sets of one axis.
 
-    Parameters
-    ----------
-    fit : SetFit
-        All sets.
-    pattern : FringePattern
-        What was shown.
-    chosen : tuple of int
-        Which sets, all of one axis.
-    noise : NoiseModel
-        Noise of a reading.
-
-    Returns
-    -------
-    fraction : ndarray, shape (m,)
-        Position on the display.
-    log_odds : ndarray, shape (m,)
-        Logarithm of the odds that its order is right.
-    contradiction : float
-        Largest median misfit of one period against the next [turns].
+    Shapes: fraction (m,).
+    pattern: What was shown.
+    log_odds (m,): Logarithm of the odds that its order is right.
+    contradiction: Largest median misfit of one period against the next [turns].
     """
     search = search_orders([pattern.sets[i].periods for i in chosen])
     order = [chosen[position] for position in search.positions]
@@ -179,20 +143,12 @@ def contradicts(turns: float) -> bool:
 class FrameContent:
     """Each frame fitted with the fringes of each set.
 
-    Parameters
-    ----------
-    explained : ndarray, shape (n, s)
-        Share of the frame's variation that fringes of the set explain.
-    step_rad, sigma_step_rad : ndarray, shape (n, s)
-        Phase step of the frame if it shows that set, and its standard deviation [rad].
-    exposure : ndarray, shape (n,)
-        Mean light over the pixels' usual mean, as its own set has it.
-    sigma_exposure : ndarray, shape (n,)
-        Standard deviation of that.
-    spoilt_share : ndarray, shape (n,)
-        Share of pixels far (8 robust sigma) from the fit of its own set.
-    planned_misfit : ndarray, shape (n,)
-        Root mean square departure from what was planned over that of the fringes themselves.
+    explained (n, s): Share of the frame's variation that fringes of the set explain.
+    step_rad, sigma_step_rad (n, s): Phase step of the frame if it shows that set, and its standard deviation [rad].
+    exposure (n,): Mean light over the pixels' usual mean, as its own set has it.
+    sigma_exposure (n,): Standard deviation of that.
+    spoilt_share (n,): Share of pixels far (8 robust sigma) from the fit of its own set.
+    planned_misfit (n,): Root mean square departure from what was planned over that of the fringes themselves.
     """
 
     explained: FloatArray
@@ -209,31 +165,16 @@ def frame_content(
 ) -> FrameContent:
     """Compare every frame with the fringes of every set.
 
-    Parameters
-    ----------
-    light : ndarray, shape (n, m)
-        Linear readings.
-    fit : SetFit
-        All sets.
-    pattern : FringePattern
-        What should have been shown.
-    groups : dict of Axis to tuple of int
-        Sets that agree, from `agreeing_sets`.
-    noise : NoiseModel
-        Noise of a reading.
+    light (n, m): Linear readings.
+    pattern: What should have been shown.
+    groups: Sets that agree, from `agreeing_sets`.
+    Returns: Shares, steps and exposures.
 
-    Returns
-    -------
-    FrameContent
-        Shares, steps and exposures.
-
-    Notes
-    -----
-    The position that a set is judged by comes from the other agreeing sets, so a spoilt frame cannot vouch for itself;
-    only where the others leave the order open (odds below 1000) the set itself takes part.
-    Model of frame k and set j at a pixel: ``I = g a + b (c cos theta_j + s sin theta_j)``, a and b the pixel's median
-    offset and modulation over all sets; step = atan2(s, c). Twice the angle is fitted too: a gamma would otherwise pass
-    for wrong steps where less than whole periods are in view.
+    The position that a set is judged by comes from the other agreeing sets, so a spoilt frame cannot vouch for
+    itself; only where the others leave the order open (odds below 1000) the set itself takes part. Model of frame k
+    and set j at a pixel: ``I = g a + b (c cos theta_j + s sin theta_j)``, a and b the pixel's median offset and
+    modulation over all sets; step = atan2(s, c). Twice the angle is fitted too: a gamma would otherwise pass for
+    wrong steps where less than whole periods are in view.
     """
     n, sets = len(light), len(pattern.sets)
     offset, modulation = np.median(fit.offset, axis=0), np.median(fit.modulation, axis=0)
@@ -277,10 +218,7 @@ def frame_content(
 class StepEstimate:
     """Phase steps found from the frames themselves.
 
-    Parameters
-    ----------
-    steps_rad, sigma_rad : ndarray, shape (n,)
-        Steps with the first as given, and their standard deviations [rad].
+    steps_rad, sigma_rad (n,): Steps with the first as given, and their standard deviations [rad].
     """
 
     steps_rad: FloatArray
@@ -290,25 +228,13 @@ class StepEstimate:
 def estimate_steps(light: FloatArray, steps_rad: FloatArray, *, iterations: int = 60) -> StepEstimate:
     """Find the true phase steps of one set by alternating least squares.
 
-    Parameters
-    ----------
-    light : ndarray, shape (n, m), n >= 5
-        Linear readings of the set.
-    steps_rad : ndarray, shape (n,)
-        Steps as planned; the first is kept [rad].
-    iterations : int, optional
-        Most alternations.
+    light (n, m): Linear readings of the set.
+    steps_rad (n,): Steps as planned; the first is kept [rad].
+    iterations: Most alternations.
 
-    Returns
-    -------
-    StepEstimate
-        Steps with sigma.
-
-    Notes
-    -----
     In turn: offset and phase of each pixel from the steps; step of each frame from the pixels' phases, normalised to
-    the unit circle (Wang and Han 2004). n points of an ellipse must show that it is a circle seen askew, so five frames
-    are the least; four equal steps hide a common shift of the even against the odd frames.
+    the unit circle (Wang and Han 2004). n points of an ellipse must show that it is a circle seen askew, so five
+    frames are the least; four equal steps hide a common shift of the even against the odd frames.
     """
     steps = np.array(steps_rad, dtype=np.float64)
     for _ in range(iterations):

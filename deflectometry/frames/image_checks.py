@@ -21,19 +21,8 @@ _NOISE_FACTOR = 4.0
 def check_size(frames: npt.NDArray[Any], camera: Camera, place: str) -> None:
     """Refuse images that are not the camera's.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (n, h, w)
-        The frames.
-    camera : Camera
-        The camera.
-    place : str
-        Where the images are, for the message.
-
-    Raises
-    ------
-    InputError
-        Another size than the camera's.
+    Shapes: frames (n, h, w).
+    InputError: Another size than the camera's.
     """
     height, width = frames.shape[1:]
     if (width, height) != (camera.width_px, camera.height_px):
@@ -46,18 +35,10 @@ def check_size(frames: npt.NDArray[Any], camera: Camera, place: str) -> None:
 def saturation_level(frames: npt.NDArray[Any], full_scale_dn: float) -> float:
     """Return the reading at which a camera saturates.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (n, h, w)
-        The frames [DN].
-    full_scale_dn : float
-        Largest value of the files [DN].
-
-    Returns
-    -------
-    float
-        The largest reading if it is the full well of a camera with 10, 12 or 14 bits, else the largest value [DN].
-        Frames that do not saturate lose at most the few pixels that reach that very number.
+    Shapes: frames (n, h, w).
+    full_scale_dn: Largest value of the files [DN].
+    Returns: The largest reading if it is the full well of a camera with 10, 12 or 14 bits, else the largest value
+        [DN]. Frames that do not saturate lose at most the few pixels that reach that very number.
     """
     top = float(frames.max())
     return top if full_scale_dn > 255 and top in _FULL_WELLS_DN else full_scale_dn
@@ -66,15 +47,7 @@ def saturation_level(frames: npt.NDArray[Any], full_scale_dn: float) -> float:
 def warn_of_compression(names: Sequence[str]) -> None:
     """Warn of images that lost details when they were stored.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the fringe images.
-
-    Warns
-    -----
-    QualityWarning
-        At least one is a JPEG.
+    Warns QualityWarning: At least one is a JPEG.
     """
     lossy = [name for name in names if name.lower().endswith((".jpg", ".jpeg"))]
     if lossy:
@@ -89,24 +62,10 @@ def warn_of_compression(names: Sequence[str]) -> None:
 def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseModel) -> None:
     """Compare a stated noise with the scatter of the frames about their sinusoids.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (n, h, w)
-        The frames [DN].
-    pattern : FringePattern
-        What was shown.
-    noise : NoiseModel
-        The stated noise.
-
-    Raises
-    ------
-    EstimationError
-        Less than a quarter of what the frames show, or more than 16 times as much.
-
-    Warns
-    -----
-    QualityWarning
-        Less than half, or more than twice of it.
+    Shapes: frames (n, h, w).
+    pattern: What was shown.
+    EstimationError: Less than a quarter of what the frames show, or more than 16 times as much.
+    Warns QualityWarning: Less than half, or more than twice of it.
     """
     step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / 20000)))
     readings = frames[:, ::step, ::step].reshape(len(frames), -1).astype(np.float64)

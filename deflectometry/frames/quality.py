@@ -39,16 +39,9 @@ class FaultKind(StrEnum):
 class FrameFault:
     """One fault found in the frames.
 
-    Parameters
-    ----------
-    kind : FaultKind
-        What it is.
-    frames : tuple of int
-        Frames concerned, from 0; empty where it concerns all.
-    message : str
-        What was seen, in numbers, and what to do.
-    severity : {"error", "warning"}
-        An error makes the result wrong; a warning makes it worse.
+    frames: Frames concerned, from 0; empty where it concerns all.
+    message: What was seen, in numbers, and what to do.
+    severity: An error makes the result wrong; a warning makes it worse.
     """
 
     kind: FaultKind
@@ -63,13 +56,7 @@ def saturation_limit(dtype: np.dtype[Any], saturation_dn: float) -> float:
 
 
 def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
-    """Yield a fault of frames that hold values which are not finite.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault of frames that hold values which are not finite."""
     if sample.raw.dtype.kind != "f" or np.isfinite(sample.raw).all():
         return
     share = (~np.isfinite(sample.raw)).mean(axis=1)
@@ -84,13 +71,7 @@ def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
 
 
 def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> Iterator[FrameFault]:
-    """Yield a fault where more than 1 % of the pixels with fringes reach the limit.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault where more than 1 % of the pixels with fringes reach the limit."""
     limit = saturation_limit(dtype, saturation_dn)
     over = sample.readings >= limit
     share = float(over.any(axis=0).mean())
@@ -106,13 +87,7 @@ def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: f
 
 
 def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[FrameFault]:
-    """Yield a fault where the light changes from frame to frame.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault where the light changes from frame to frame."""
     usual = float(np.median(content.exposure))
     change = content.exposure / usual - 1
     significant = np.abs(change) > 0.01 + SIGNIFICANT * content.sigma_exposure
@@ -137,13 +112,7 @@ def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[Fr
 
 
 def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
-    """Yield faults of sets that are too weak to find the fringe order by.
-
-    Yields
-    ------
-    FrameFault
-        At most one for each set.
-    """
+    """Yield faults of sets that are too weak to find the fringe order by."""
     for index, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         weak = fit.modulation[index] < 5.26 * np.sqrt(2.0 / fringes.n_frames * noise.variance(fit.offset[index]))
         share = float(weak.mean())
@@ -159,13 +128,7 @@ def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> 
 
 
 def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
-    """Yield a fault where harmonics show that display or camera is not linear.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault where harmonics show that display or camera is not linear."""
     share, sigma = _second_harmonic(sample.light, fit, pattern, noise)
     if abs(share) > 0.02 + SIGNIFICANT * sigma:
         gamma = (1 + 2 * share) / (1 - share)
@@ -182,10 +145,9 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
 def response_helps(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> bool:
     """Tell whether the response takes away most of the second harmonic.
 
-    Notes
-    -----
-    What a right response leaves is the noise next to black: where 1 DN is many levels, the mean level of noisy readings
-    lies below the level of their mean (13 % of second harmonic for a gamma of 2.2, 4 DN of offset and 1 DN of noise).
+    What a right response leaves is the noise next to black: where 1 DN is many levels, the mean level of noisy
+    readings lies below the level of their mean (13 % of second harmonic for a gamma of 2.2, 4 DN of offset and 1 DN
+    of noise).
     """
     if sample.light is sample.readings:
         return False
@@ -217,13 +179,7 @@ def _second_harmonic(values: FloatArray, fit: SetFit, pattern: FringePattern, no
 
 
 def check_response_range(sample: FrameSample, response: LightResponse) -> Iterator[FrameFault]:
-    """Yield a fault where readings lie beyond the ends of the response, which says nothing there.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault where readings lie beyond the ends of the response, which says nothing there."""
     # Beyond its ends a look-up stays where it is.
     above = response.linearise(sample.readings) >= response.linearise(np.full(1, np.inf))[0]
     share = float(above.mean())
@@ -238,13 +194,7 @@ def check_response_range(sample: FrameSample, response: LightResponse) -> Iterat
 
 
 def check_response(sample: FrameSample, pattern: FringePattern) -> Iterator[FrameFault]:
-    """Yield a fault where linearising makes the fringes less sinusoidal.
-
-    Yields
-    ------
-    FrameFault
-        At most one for the frames.
-    """
+    """Yield a fault where linearising makes the fringes less sinusoidal."""
     shares = []
     for values in (sample.readings, sample.light):
         left, power = 0.0, 1e-12

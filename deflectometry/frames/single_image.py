@@ -14,16 +14,11 @@ from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
 class FourierPhase:
     """Phase from a single image with a carrier.
 
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (h, w)
-        Whole phase, carrier included, in (-pi, pi] [rad].
-    sigma_rad : ndarray, shape (h, w)
-        Standard deviation from white pixel noise [rad]; neighbours within the filter's width are correlated.
-    modulation_dn : ndarray, shape (h, w)
-        Amplitude of the fringes [DN].
-    trusted : ndarray of bool, shape (h, w)
-        False within one filter length of the two borders that the fringes run across.
+    phase_rad (h, w): Whole phase, carrier included, in (-pi, pi] [rad].
+    sigma_rad (h, w): Standard deviation from white pixel noise [rad]; neighbours within the filter's width are
+        correlated.
+    modulation_dn (h, w): Amplitude of the fringes [DN].
+    trusted (h, w): False within one filter length of the two borders that the fringes run across.
     """
 
     phase_rad: FloatArray
@@ -37,37 +32,20 @@ def fourier_phase(
 ) -> FourierPhase:
     """Find the phase of one image of close fringes by the Fourier method.
 
-    Parameters
-    ----------
-    image_dn : array_like, shape (h, w)
-        One image, ``a + b cos(2 pi f0 x + phi)`` with x across the columns [DN].
-    carrier_per_px : float
-        Carrier f0, 0.02 to 0.4 [periods per pixel].
-    sigma_dn : float
-        Noise of a reading [DN].
-    along_x : bool, optional
-        Whether the fringes vary along the columns' index; along the rows' index otherwise.
-    half_width : float, optional
-        Half width of the pass band as a share of the carrier, up to 1.
+    image_dn (h, w): One image, ``a + b cos(2 pi f0 x + phi)`` with x across the columns [DN].
+    carrier_per_px: Carrier f0, 0.02 to 0.4 [periods per pixel].
+    sigma_dn: Noise of a reading [DN].
+    along_x: Whether the fringes vary along the columns' index; along the rows' index otherwise.
+    half_width: Half width of the pass band as a share of the carrier, up to 1.
+    Returns: Phase, sigma, modulation and where they may be used.
+    InputError: Not an image of finite numbers, or carrier and band impossible.
 
-    Returns
-    -------
-    FourierPhase
-        Phase, sigma, modulation and where they may be used.
-
-    Raises
-    ------
-    InputError
-        Not an image of finite numbers, or carrier and band impossible.
-
-    Notes
-    -----
-    Spec 003 C-31, Takeda: spectrum along the carrier, Hann-shaped band around f0, inverse transform, argument.
-    Two limits. Band: the local frequency ``f0 + dphi/dx / 2 pi`` must stay within ``f0 (1 +- half_width)`` and the
-    background's variation below it, else phase is lost without a sign of it. Border: the image is not periodic, so one
-    filter length ``1 / (half_width f0)`` from each border is disturbed (`trusted` is False there), and each fringe
-    defect smears as far. A band that keeps the share W of the noise power gives ``sigma_phi = sqrt(2 W) sigma / b``,
-    the bound of a fit to 1 / W pixels.
+    Spec 003 C-31, Takeda: spectrum along the carrier, Hann-shaped band around f0, inverse transform, argument. Two
+    limits. Band: the local frequency ``f0 + dphi/dx / 2 pi`` must stay within ``f0 (1 +- half_width)`` and the
+    background's variation below it, else phase is lost without a sign of it. Border: the image is not periodic, so
+    one filter length ``1 / (half_width f0)`` from each border is disturbed (`trusted` is False there), and each
+    fringe defect smears as far. A band that keeps the share W of the noise power gives ``sigma_phi = sqrt(2 W) sigma
+    / b``, the bound of a fit to 1 / W pixels.
     """
     image = float_array("image_dn", image_dn, (None, None))
     if not (0.02 <= carrier_per_px <= 0.4 and 0 < half_width <= 1 and carrier_per_px * (1 + half_width) < 0.5):

@@ -36,17 +36,9 @@ class LightResponse(Protocol):
 class NoiseModel:
     """Noise of one camera reading: ``variance = sigma_read_dn**2 + gain_dn * signal_dn``.
 
-    Parameters
-    ----------
-    sigma_read_dn : float
-        Share that does not depend on the signal; includes rounding to whole numbers (0.29 DN) [DN].
-    gain_dn : float, optional
-        Photon share, digital numbers per electron [DN].
-
-    Raises
-    ------
-    InputError
-        Negative, not finite, or both zero.
+    sigma_read_dn: Share that does not depend on the signal; includes rounding to whole numbers (0.29 DN) [DN].
+    gain_dn: Photon share, digital numbers per electron [DN].
+    InputError: Negative, not finite, or both zero.
     """
 
     sigma_read_dn: float
@@ -66,19 +58,12 @@ class NoiseModel:
 class StepSolver:
     """Least-squares solution for one set of steps, as matrices that act on the readings.
 
-    Parameters
-    ----------
-    steps_rad : ndarray, shape (n,)
-        Phase steps [rad].
-    estimate : ndarray, shape (3, n)
-        Readings to (a, b cos(phi), b sin(phi)).
-    residual : ndarray, shape (n - 3, n)
-        Readings to the n - 3 orthonormal combinations that any sinusoid leaves zero.
-    variance : ndarray, shape (4, n)
-        Variances of the readings to the variances of b cos(phi) and b sin(phi), their covariance, and the mean
-        variance of the residuals (the last row is zero for n = 3).
-    balanced : bool
-        Whether the phase's variance needs only the mean reading: equal steps, n >= 4.
+    steps_rad (n,): Phase steps [rad].
+    estimate (3, n): Readings to (a, b cos(phi), b sin(phi)).
+    residual (n - 3, n): Readings to the n - 3 orthonormal combinations that any sinusoid leaves zero.
+    variance (4, n): Variances of the readings to the variances of b cos(phi) and b sin(phi), their covariance, and
+        the mean variance of the residuals (the last row is zero for n = 3).
+    balanced: Whether the phase's variance needs only the mean reading: equal steps, n >= 4.
     """
 
     steps_rad: FloatArray
@@ -96,20 +81,9 @@ class StepSolver:
 def solve_steps(steps_rad: npt.ArrayLike) -> StepSolver:
     """Prepare the least-squares solution for one set of steps.
 
-    Parameters
-    ----------
-    steps_rad : array_like, shape (n,)
-        Phase steps [rad].
-
-    Returns
-    -------
-    StepSolver
-        Matrices to apply to readings.
-
-    Raises
-    ------
-    EstimationError
-        The steps do not determine the phase.
+    Shapes: steps_rad (n,).
+    Returns: Matrices to apply to readings.
+    EstimationError: The steps do not determine the phase.
     """
     steps = float_array("steps_rad", steps_rad, (None,))
     if not determines_phase(steps):
@@ -134,18 +108,12 @@ def solve_steps(steps_rad: npt.ArrayLike) -> StepSolver:
 class PhaseFit:
     """Sinusoid fitted to each pixel of one set of frames.
 
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (...)
-        Phase in (-pi, pi] [rad].
-    sigma_rad : ndarray, shape (...)
-        Its standard deviation [rad]; infinite without modulation.
-    modulation_dn : ndarray, shape (...)
-        Amplitude b of the sinusoid [DN, or the response's unit].
-    offset_dn : ndarray, shape (...)
-        Mean a [DN, or the response's unit].
-    residual_dn : ndarray, shape (...)
-        Root of the sum of squared residuals per degree of freedom; NaN for three frames [DN, or the response's unit].
+    phase_rad (...): Phase in (-pi, pi] [rad].
+    sigma_rad (...): Its standard deviation [rad]; infinite without modulation.
+    modulation_dn (...): Amplitude b of the sinusoid [DN, or the response's unit].
+    offset_dn (...): Mean a [DN, or the response's unit].
+    residual_dn (...): Root of the sum of squared residuals per degree of freedom; NaN for three frames [DN, or the
+        response's unit].
     """
 
     phase_rad: FloatArray
@@ -164,38 +132,19 @@ def fit_phase(
 ) -> PhaseFit:
     """Fit ``I_k = a + b cos(phi - step_k)`` to each pixel by least squares.
 
-    Parameters
-    ----------
-    frames : array_like, shape (n, ...)
-        Readings in the order of the steps [DN].
-    steps_rad : array_like, shape (n,)
-        Phase steps, any values that determine the phase [rad].
-    noise : NoiseModel, optional
-        Noise of the readings; estimated from the residuals of all pixels without it.
-    response : LightResponse, optional
-        Makes readings linear first; the noise is carried through its slope.
+    frames (n, ...): Readings in the order of the steps [DN].
+    steps_rad (n,): Phase steps, any values that determine the phase [rad].
+    noise: Noise of the readings; estimated from the residuals of all pixels without it.
+    response: Makes readings linear first; the noise is carried through its slope.
+    Returns: Float64 arrays of the pixels' shape; NaN where a reading is not finite.
+    InputError: Number of frames and of steps differ.
+    EstimationError: The steps do not determine the phase, or three frames without a noise model.
 
-    Returns
-    -------
-    PhaseFit
-        Float64 arrays of the pixels' shape; NaN where a reading is not finite.
+    Unweighted least squares. With the rows c, s of the solution that give b cos(phi) and b sin(phi), ``sigma_phi**2 =
+    sum_k (cos(phi) s_k - sin(phi) c_k)**2 var(I_k) / b**2``; n equal steps and constant noise give the Cramer-Rao
+    bound ``sigma_phi = sqrt(2 / n) sigma / b``. First order: it holds for sigma_phi below about 0.3 rad. Model: spec
+    003 C-31 (Ulmer et al. 2011 for four steps), with steps of any value instead of 2 pi / n.
 
-    Raises
-    ------
-    InputError
-        Number of frames and of steps differ.
-    EstimationError
-        The steps do not determine the phase, or three frames without a noise model.
-
-    Notes
-    -----
-    Unweighted least squares. With the rows c, s of the solution that give b cos(phi) and b sin(phi),
-    ``sigma_phi**2 = sum_k (cos(phi) s_k - sin(phi) c_k)**2 var(I_k) / b**2``; n equal steps and constant noise give the
-    Cramer-Rao bound ``sigma_phi = sqrt(2 / n) sigma / b``. First order: it holds for sigma_phi below about 0.3 rad.
-    Model: spec 003 C-31 (Ulmer et al. 2011 for four steps), with steps of any value instead of 2 pi / n.
-
-    Examples
-    --------
     >>> fit = fit_phase([3.0, 2.0, 1.0, 2.0], [0, np.pi / 2, np.pi, 3 * np.pi / 2], noise=NoiseModel(0.01))
     >>> round(float(fit.modulation_dn), 6), round(float(fit.sigma_rad), 6)
     (1.0, 0.007071)
@@ -225,18 +174,9 @@ def fit_phase(
 def wrap_phase(phase_rad: FloatArray) -> FloatArray:
     """Wrap angles into (-pi, pi].
 
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (...)
-        Angles [rad].
+    Shapes: phase_rad (...).
+    Returns (...): The same angles within (-pi, pi] [rad].
 
-    Returns
-    -------
-    ndarray, shape (...)
-        The same angles within (-pi, pi] [rad].
-
-    Examples
-    --------
     >>> wrap_phase(np.array([3 * np.pi, -np.pi]))
     array([3.14159265, 3.14159265])
     """
@@ -259,29 +199,13 @@ def estimate_noise(
 ) -> NoiseModel:
     """Estimate read and photon noise from what sinusoids leave over, pooled over pixels and sets.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n_frames, n_pixels)
-        Readings of all sets after one another [DN].
-    solvers : sequence of StepSolver
-        One for each set, in the order of the frames.
-    response : LightResponse, optional
-        Makes readings linear.
-    floor_dn2 : float, optional
-        Smallest variance; `QUANTISATION_VARIANCE_DN2` for integer frames [DN^2].
+    readings (n_frames, n_pixels): Readings of all sets after one another [DN].
+    solvers: One for each set, in the order of the frames.
+    response: Makes readings linear.
+    floor_dn2: Smallest variance; `QUANTISATION_VARIANCE_DN2` for integer frames [DN^2].
+    Returns: Of camera readings, whether or not there is a response.
+    EstimationError: No set has more than three frames, or no pixel is finite.
 
-    Returns
-    -------
-    NoiseModel
-        Of camera readings, whether or not there is a response.
-
-    Raises
-    ------
-    EstimationError
-        No set has more than three frames, or no pixel is finite.
-
-    Notes
-    -----
     Each residual r of weights q has the expected square ``sum_k q_k**2 slope_k**2 (read**2 + gain I_k)``, linear in
     both unknowns: weighted regression of the squares, readings beyond 4 sigma left out (they carry 0.1 % of a normal
     variance). Pixels that show fringes decide where there are enough: dark pixels clip at zero and would look quiet.
@@ -316,16 +240,10 @@ def estimate_noise(
 class _Squares:
     """Squared residuals of all sets and pixels, with what goes with each.
 
-    Parameters
-    ----------
-    value : ndarray, shape (k,)
-        Squared residuals.
-    constant, linear : ndarray, shape (k,)
-        Their expected values for 1 DN^2 of read noise and for a gain of 1 DN.
-    power : ndarray, shape (k,)
-        Squared modulation of the pixel.
-    steepness : ndarray, shape (k,)
-        Largest squared slope of the response among the readings, over the median.
+    value (k,): Squared residuals.
+    constant, linear (k,): Their expected values for 1 DN^2 of read noise and for a gain of 1 DN.
+    power (k,): Squared modulation of the pixel.
+    steepness (k,): Largest squared slope of the response among the readings, over the median.
     """
 
     value: FloatArray
@@ -382,22 +300,12 @@ def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], resp
 def residual_distortion(light: FloatArray, solver: StepSolver, weights: FloatArray | None = None) -> FloatArray:
     """Fit what the second and third harmonic of the fringes leave in the residuals of one set, pooled over pixels.
 
-    Parameters
-    ----------
-    light : ndarray, shape (n, n_pixels)
-        Linear readings of the set [DN, or the response's unit].
-    solver : StepSolver
-        Solution for the set's steps.
-    weights : ndarray, shape (n_pixels,), optional
-        Inverse variance of the pixels' residuals, up to a factor; all the same without it.
+    light (n, n_pixels): Linear readings of the set [DN, or the response's unit].
+    solver: Solution for the set's steps.
+    weights (n_pixels,): Inverse variance of the pixels' residuals, up to a factor; all the same without it.
+    Returns (n - 3, 4): Residual for each DN of modulation, on the cosine and sine of twice and three times the
+        phase.
 
-    Returns
-    -------
-    ndarray, shape (n - 3, 4)
-        Residual for each DN of modulation, on the cosine and sine of twice and three times the phase.
-
-    Notes
-    -----
     Four equal steps show the second harmonic only (the third falls on the fundamental), five or more show both;
     combinations that the steps cannot show come out as zero.
     """
@@ -436,20 +344,9 @@ def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[flo
 def chi_square_limit(redundancy: int, probability: float) -> float:
     """Return the value that a chi-square exceeds with a given probability.
 
-    Parameters
-    ----------
-    redundancy : int
-        Degrees of freedom, at least 1.
-    probability : float
-        Between 0 and 1.
+    redundancy: Degrees of freedom, at least 1.
+    probability: Between 0 and 1.
 
-    Returns
-    -------
-    float
-        The limit.
-
-    Examples
-    --------
     >>> round(chi_square_limit(1, 0.05), 4), round(chi_square_limit(8, 0.01), 4)
     (3.8415, 20.0902)
     """

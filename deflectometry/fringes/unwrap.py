@@ -20,14 +20,11 @@ MOST_CANDIDATES = 200
 class UnwrappedFraction:
     """Position on the display along one axis.
 
-    Parameters
-    ----------
-    fraction : ndarray, shape (...)
-        Fraction of the displayed image, 0 to 1; noise may carry it a little beyond. NaN where no set is usable.
-    sigma : ndarray, shape (...)
-        Standard deviation of the fraction, given that the order is right.
-    wrong_order_probability : ndarray, shape (...)
-        Probability that the order of any of the sets is wrong, from the sigmas; 1 where no set is usable.
+    fraction (...): Fraction of the displayed image, 0 to 1; noise may carry it a little beyond. NaN where no set is
+        usable.
+    sigma (...): Standard deviation of the fraction, given that the order is right.
+    wrong_order_probability (...): Probability that the order of any of the sets is wrong, from the sigmas; 1 where
+        no set is usable.
     """
 
     fraction: FloatArray
@@ -39,12 +36,8 @@ class UnwrappedFraction:
 class OrderSearch:
     """Periods of one axis, coarsest first, and what follows from them.
 
-    Parameters
-    ----------
-    periods : tuple of float
-        Periods over the display, ascending.
-    positions : tuple of int
-        Where each stood in the order given.
+    periods: Periods over the display, ascending.
+    positions: Where each stood in the order given.
     """
 
     periods: tuple[float, ...]
@@ -61,22 +54,9 @@ class OrderSearch:
 def search_orders(periods: Sequence[float]) -> OrderSearch:
     """Sort the periods of one axis and check that their orders can be searched.
 
-    Parameters
-    ----------
-    periods : sequence of float
-        Periods over the display, in any order.
-
-    Returns
-    -------
-    OrderSearch
-        Coarsest first.
-
-    Raises
-    ------
-    InputError
-        No periods, or one that is not positive.
-    EstimationError
-        The coarsest set already has too many periods for the orders to be searched.
+    periods: Periods over the display, in any order.
+    InputError: No periods, or one that is not positive.
+    EstimationError: The coarsest set already has too many periods for the orders to be searched.
     """
     values = float_array("periods", list(periods), (None,))
     if values.size == 0 or not (values > 0).all():
@@ -96,39 +76,21 @@ def unwrap_temporal(
 ) -> UnwrappedFraction:
     """Find absolute positions from the phases of several periods, pixel by pixel.
 
-    Parameters
-    ----------
-    phases_rad : array_like, shape (m, ...)
-        Wrapped phase of each set, ``2 pi periods w`` [rad].
-    sigmas_rad : array_like, shape (m, ...)
-        Their standard deviations; infinite leaves a set out at that pixel [rad].
-    periods : sequence of float, length m
-        Periods of each set over the display, in any order, any ratios.
+    phases_rad (m, ...): Wrapped phase of each set, ``2 pi periods w`` [rad].
+    sigmas_rad (m, ...): Their standard deviations; infinite leaves a set out at that pixel [rad].
+    periods length m: Periods of each set over the display, in any order, any ratios.
+    Returns: Mean of all sets weighted by inverse variance, its sigma, and the probability of a wrong order.
+    InputError: Shapes or periods that do not fit.
+    EstimationError: Too many periods in the coarsest set.
 
-    Returns
-    -------
-    UnwrappedFraction
-        Mean of all sets weighted by inverse variance, its sigma, and the probability of a wrong order.
-
-    Raises
-    ------
-    InputError
-        Shapes or periods that do not fit.
-    EstimationError
-        Too many periods in the coarsest set.
-
-    Notes
-    -----
     The coarsest set gives one candidate for each of its periods that may lie on the display (exactly one below 1
-    period: its window is centred on the display, so that noise at an edge stays there instead of jumping by
-    1 / periods). Each candidate is refined by the next sets in turn: order = nearest whole number, then the mean by
-    inverse variance. A candidate costs the chi-square of its misfits plus that of lying outside [0, 1]; the best wins,
-    and the odds against the next (and against the neighbouring order at each step) are
-    ``exp(difference of chi-square / 2)``. With whole periods everywhere w and w + 1 cannot be told apart at the edges;
-    such samples carry a probability near 0.5. Sets like (15, 16) without a coarse one work the same way.
+    period: its window is centred on the display, so that noise at an edge stays there instead of jumping by 1 /
+    periods). Each candidate is refined by the next sets in turn: order = nearest whole number, then the mean by
+    inverse variance. A candidate costs the chi-square of its misfits plus that of lying outside [0, 1]; the best
+    wins, and the odds against the next (and against the neighbouring order at each step) are ``exp(difference of
+    chi-square / 2)``. With whole periods everywhere w and w + 1 cannot be told apart at the edges; such samples carry
+    a probability near 0.5. Sets like (15, 16) without a coarse one work the same way.
 
-    Examples
-    --------
     >>> phases = 2 * np.pi * np.array([0.9, 7.0])[:, None] * np.array([0.0, 0.25, 1.0])
     >>> found = unwrap_temporal(phases, np.full((2, 3), 0.01), [0.9, 7.0])
     >>> found.fraction.round(9) + 0.0
@@ -161,19 +123,10 @@ def combine_orders(
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
     """Search the orders for a block of pixels; see `unwrap_temporal` for the model.
 
-    Parameters
-    ----------
-    search : OrderSearch
-        The periods.
-    cycles : sequence of ndarray, shape (...)
-        Phase of each set in turns, coarsest first; float32 or float64.
-    information : sequence of ndarray, shape (...)
-        Inverse variance of the position from each set alone, coarsest first; zero leaves it out.
-
-    Returns
-    -------
-    fraction, information, log_odds : ndarray, shape (...)
-        Position, its inverse variance, and the logarithm of the odds that every order is right.
+    cycles (...): Phase of each set in turns, coarsest first; float32 or float64.
+    information (...): Inverse variance of the position from each set alone, coarsest first; zero leaves it out.
+    fraction, information, log_odds (...): Position, its inverse variance, and the logarithm of the odds that every
+        order is right.
     """
     coarsest = search.periods[0]
     base = cycles[0] - coarsest * 0.5
@@ -234,26 +187,15 @@ def estimate_systematic_phase(
 ) -> float:
     """Estimate the phase error beyond noise from how well neighbouring periods agree, pooled over pixels.
 
-    Parameters
-    ----------
-    search : OrderSearch
-        The periods.
-    cycles : sequence of ndarray, shape (n,)
-        Phase of each set in turns, coarsest first.
-    information : sequence of ndarray, shape (n,)
-        Inverse variance of the position from each set's noise alone, coarsest first; zero leaves it out.
+    cycles (n,): Phase of each set in turns, coarsest first.
+    information (n,): Inverse variance of the position from each set's noise alone, coarsest first; zero leaves it
+        out.
+    Returns: Standard deviation of a phase error that is the same, in turns of its own fringe, for all sets [rad]; 0
+        where noise explains the misfits within 5 standard errors.
 
-    Returns
-    -------
-    float
-        Standard deviation of a phase error that is the same, in turns of its own fringe, for all sets [rad];
-        0 where noise explains the misfits within 5 standard errors.
-
-    Notes
-    -----
-    Harmonics of the display (gamma) shift the phase by an amount that does not depend on the period, so they spoil the
-    position from a coarse set far more than that from a fine one. The median of the squared misfits over their variance
-    is solved for; a few wrong orders or a spoilt corner of the image do not move it.
+    Harmonics of the display (gamma) shift the phase by an amount that does not depend on the period, so they spoil
+    the position from a coarse set far more than that from a fine one. The median of the squared misfits over their
+    variance is solved for; a few wrong orders or a spoilt corner of the image do not move it.
     """
     position, _, odds = combine_orders(search, cycles, information)
     squares, variances, factors = [], [], []
@@ -287,12 +229,8 @@ def estimate_systematic_phase(
 class RelativePhase:
     """Phase unwrapped in space: known up to a whole number of turns for each connected region.
 
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (h, w)
-        Continuous phase [rad]; NaN outside the region. Not an absolute position on the display.
-    region : ndarray of bool, shape (h, w)
-        Where it was unwrapped.
+    phase_rad (h, w): Continuous phase [rad]; NaN outside the region. Not an absolute position on the display.
+    region (h, w): Where it was unwrapped.
     """
 
     phase_rad: FloatArray
@@ -302,28 +240,14 @@ class RelativePhase:
 def unwrap_spatial(phase_rad: AnyFloatArray, region: BoolArray) -> RelativePhase:
     """Unwrap one phase image in space, where no coarse set of fringes exists.
 
-    Parameters
-    ----------
-    phase_rad : ndarray, shape (h, w)
-        Wrapped phase [rad].
-    region : ndarray of bool, shape (h, w)
-        Pixels to unwrap; pixels that are not finite are left out.
+    Shapes: phase_rad (h, w).
+    region (h, w): Pixels to unwrap; pixels that are not finite are left out.
+    Returns: Relative by type: a known point or another measurement must fix the turns.
+    InputError: Shapes differ.
+    EstimationError: No usable pixel in the region.
 
-    Returns
-    -------
-    RelativePhase
-        Relative by type: a known point or another measurement must fix the turns.
-
-    Raises
-    ------
-    InputError
-        Shapes differ.
-    EstimationError
-        No usable pixel in the region.
-
-    Notes
-    -----
-    Reliability-sorted path of Herraez et al. 2002, from scikit-image. Neighbours must differ by less than half a turn.
+    Reliability-sorted path of Herraez et al. 2002, from scikit-image. Neighbours must differ by less than half a
+    turn.
     """
     from skimage.restoration import unwrap_phase  # 0.3 s to import, and few measurements need it
 

@@ -53,20 +53,12 @@ class Align(StrEnum):
 class Observation:
     """The images of one measurement.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
-        Fringe frames in the order of the pattern [DN].
-    pattern : FringePattern
-        What was shown.
-    response : LightResponse, optional
-        Makes readings linear in the display's level.
-    lit : ndarray of float32, shape (h, w), optional
-        Bright minus dark frame: shows the mirror against its surroundings [DN].
-    noise : NoiseModel, optional
-        Noise of a reading; estimated without it.
-    limits : ScreenMapLimits, optional
-        Error probabilities and saturation.
+    frames (n, h, w): Fringe frames in the order of the pattern [DN].
+    pattern: What was shown.
+    response: Makes readings linear in the display's level.
+    lit (h, w): Bright minus dark frame: shows the mirror against its surroundings [DN].
+    noise: Noise of a reading; estimated without it.
+    limits: Error probabilities and saturation.
     """
 
     frames: npt.NDArray[Any]
@@ -81,18 +73,10 @@ class Observation:
 class MirrorInput:
     """What is known of the mirror before it is measured.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    facets : tuple of Facet
-        Facets with outline and design; empty where the outline is not known.
-    design : Quadric
-        Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
-    known_pose : tuple of RigidTransform and ndarray, optional
-        cam_from_mirror and its covariance, where it was measured otherwise.
-    knowledge : Knowledge
-        Distances, known points and roll that help to find the pose.
+    facets: Facets with outline and design; empty where the outline is not known.
+    design: Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
+    known_pose: cam_from_mirror and its covariance, where it was measured otherwise.
+    knowledge: Distances, known points and roll that help to find the pose.
     """
 
     name: str
@@ -106,14 +90,9 @@ class MirrorInput:
 class Choices:
     """How the slopes are to be reported.
 
-    Parameters
-    ----------
-    align : Align
-        Orientation the slopes refer to.
-    grid_step_m : float
-        Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
-    removal : Removal
-        What is taken out of the maps.
+    align: Orientation the slopes refer to.
+    grid_step_m: Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
+    removal: What is taken out of the maps.
     """
 
     align: Align = Align.NORMAL
@@ -125,21 +104,13 @@ class Choices:
 class LocatedMirror:
     """Where the mirror is.
 
-    Parameters
-    ----------
-    facets : tuple of Facet
-        Facets; of a mirror without outline the one made from its image.
-    pose : UncertainPose
-        Pose before alignment.
-    margin_px : float
-        Distance to the outline below which pixels mix the mirror with its surroundings [px].
-    source : str
-        Where the pose comes from, in words with numbers.
-    outline_pose : RigidTransform
-        Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from `pose` only
-        where that was given.
-    evidence : MirrorPose, optional
-        The adjustment, where the outline gave the pose.
+    facets: Facets; of a mirror without outline the one made from its image.
+    pose: Pose before alignment.
+    margin_px: Distance to the outline below which pixels mix the mirror with its surroundings [px].
+    source: Where the pose comes from, in words with numbers.
+    outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from
+        `pose` only where that was given.
+    evidence: The adjustment, where the outline gave the pose.
     """
 
     facets: tuple[Facet, ...]
@@ -154,22 +125,13 @@ class LocatedMirror:
 class Evaluation:
     """Everything a measurement gave.
 
-    Parameters
-    ----------
-    located : LocatedMirror
-        Pose before alignment and its evidence.
-    screen_map : ScreenMap
-        Display point of each pixel.
-    facet_index : ndarray of int16, shape (h, w)
-        Facet of each pixel, -1 elsewhere.
-    solution : ShapeSolution
-        Aligned pose and smooth shapes of the facets that were measured.
-    images : dict of str to SlopeImage
-        Pixels of each measured facet.
-    maps : dict of str to SlopeMap
-        Slope map of each measured facet, with nothing taken out but by the alignment.
-    choices : Choices
-        How the slopes are reported.
+    located: Pose before alignment and its evidence.
+    screen_map: Display point of each pixel.
+    facet_index (h, w): Facet of each pixel, -1 elsewhere.
+    solution: Aligned pose and smooth shapes of the facets that were measured.
+    images: Pixels of each measured facet.
+    maps: Slope map of each measured facet, with nothing taken out but by the alignment.
+    choices: How the slopes are reported.
     """
 
     located: LocatedMirror
@@ -186,35 +148,11 @@ def evaluate_frames(
 ) -> Evaluation:
     """Evaluate the frames of one measurement.
 
-    Parameters
-    ----------
-    observation : Observation
-        Frames and pattern.
-    setup : Setup
-        Camera and screen.
-    mirror : MirrorInput
-        Mirror with its design.
-    choices : Choices
-        How to report.
-    progress : Progress
-        Told of each stage.
-
-    Returns
-    -------
-    Evaluation
-        Slopes of pixels and maps.
-
-    Raises
-    ------
-    InputError
-        Frames that do not fit camera or pattern.
-    EstimationError
-        No mirror found, or none of its facets shows fringes.
-
-    Warns
-    -----
-    QualityWarning
-        Everything that makes the result doubtful.
+    setup: Camera and screen.
+    Returns: Slopes of pixels and maps.
+    InputError: Frames that do not fit camera or pattern.
+    EstimationError: No mirror found, or none of its facets shows fringes.
+    Warns QualityWarning: Everything that makes the result doubtful.
     """
     height, width = observation.frames.shape[1:]
     if (width, height) != (setup.camera.width_px, setup.camera.height_px):
@@ -257,24 +195,9 @@ def evaluate_frames(
 def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
     """Find where the mirror is: from the pose as given, from its outline, or from its reflection alone.
 
-    Parameters
-    ----------
-    observation : Observation
-        Frames and pattern.
-    setup : Setup
-        Camera and screen.
-    mirror : MirrorInput
-        What is known of the mirror.
-
-    Returns
-    -------
-    LocatedMirror
-        Facets and pose.
-
-    Raises
-    ------
-    EstimationError
-        No mirror in view, or an outline that does not fit.
+    observation: Frames and pattern.
+    setup: Camera and screen.
+    EstimationError: No mirror in view, or an outline that does not fit.
     """
     image = observation.lit
     if image is None:

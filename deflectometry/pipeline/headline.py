@@ -27,17 +27,9 @@ VIEWS: tuple[tuple[str, Removal], ...] = (
 def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     """Collect the headline numbers of one map.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map, after what the user wants removed.
-    as_measured : SlopeMap
-        The map before that: focal lengths and twist are the mirror's, not those of what is left.
-
-    Returns
-    -------
-    dict of str to number
-        Numbers by name with the unit at the end, each sigma beside its number.
+    slope_map: The map, after what the user wants removed.
+    as_measured: The map before that: focal lengths and twist are the mirror's, not those of what is left.
+    Returns: Numbers by name with the unit at the end, each sigma beside its number.
     """
     numbers: Numbers = {}
     for view, removal in VIEWS:
@@ -169,15 +161,7 @@ def geometry(setup: Setup, evaluation: Evaluation) -> Mapping[str, object]:
 def headline_text(summary: Summary) -> str:
     """Say the most important numbers in a few lines for the terminal.
 
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        Lines with values, sigmas and what they refer to.
+    Returns: Lines with values, sigmas and what they refer to.
     """
 
     def number(key: str) -> str:

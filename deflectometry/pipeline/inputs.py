@@ -32,12 +32,7 @@ from heliogauge.validate import FloatArray, float_array
 class KnownPose:
     """A pose that was measured otherwise.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        The pose.
-    covariance : ndarray, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved` [rad, m].
+    covariance (6, 6): Covariance of the steps of `RigidTransform.moved` [rad, m].
     """
 
     cam_from_mirror: RigidTransform
@@ -53,20 +48,8 @@ LEAST_SPAN_DEG = 30.0
 def build_setup(measurement: DeflectometryMeasurement) -> Setup:
     """Build camera and screen of a measurement.
 
-    Parameters
-    ----------
-    measurement : DeflectometryMeasurement
-        The checked measurement.
-
-    Returns
-    -------
-    Setup
-        Camera, screen, their relative pose and its covariance.
-
-    Raises
-    ------
-    InputError
-        A camera file or screen table that cannot be read, or a rotation of more than a turn.
+    Returns: Camera, screen, their relative pose and its covariance.
+    InputError: A camera file or screen table that cannot be read, or a rotation of more than a turn.
     """
     section = measurement.model.screen
     known = _known_pose(section)
@@ -116,22 +99,8 @@ def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
 def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
     """Read named columns of numbers from a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : tuple of str
-        Names of the columns.
-
-    Returns
-    -------
-    ndarray, shape (n_names, n_rows)
-        The numbers.
-
-    Raises
-    ------
-    InputError
-        A missing column, or a cell that is not a finite number.
+    Shapes: result (n_names, n_rows).
+    InputError: A missing column, or a cell that is not a finite number.
     """
     table = read_table_csv(path, names)
     try:
@@ -177,18 +146,8 @@ def build_pose(section: PoseSection) -> KnownPose:
 def build_facets(section: MirrorSection, name: str) -> tuple[Facet, ...]:
     """Build the facets of a mirror.
 
-    Parameters
-    ----------
-    section : MirrorSection
-        The mirror; with an outline or facets.
-    name : str
-        Name of a single mirror.
-
-    Returns
-    -------
-    tuple of Facet
-        One facet, or those of the ensemble; empty where no outline is given. A facet of an ensemble without a design
-        of its own is cut from the ensemble's surface.
+    Returns: One facet, or those of the ensemble; empty where no outline is given. A facet of an ensemble without a
+        design of its own is cut from the ensemble's surface.
     """
     if section.facet:
         return tuple(_ensemble_facet(one, section) for one in section.facet)
@@ -217,17 +176,8 @@ def _facet(
 def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
     """Build what helps to find the pose: measured distance, known points, trust in the outline, expected roll.
 
-    Parameters
-    ----------
-    section : MirrorSection
-        The mirror.
-    setup : Setup
-        Gives the screen's origin in the camera frame.
-
-    Returns
-    -------
-    Knowledge
-        Distances and points with their sigmas, how well the outline is known, and the expected roll.
+    setup: Gives the screen's origin in the camera frame.
+    Returns: Distances and points with their sigmas, how well the outline is known, and the expected roll.
     """
     distances: tuple[DistanceObservation, ...] = ()
     if section.distance is not None:

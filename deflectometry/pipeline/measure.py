@@ -56,16 +56,10 @@ from heliogauge.validate import FloatArray
 class Options:
     """Choices that override those of measurement.toml.
 
-    Parameters
-    ----------
-    align : Align or None
-        Orientation that the slopes refer to; None as measurement.toml says.
-    grid_step_mm : float or None
-        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
-    remove : Removal or None
-        What is taken out of the maps; None as measurement.toml says.
-    jobs : int or None
-        Threads that decode images; None for all processors.
+    align: Orientation that the slopes refer to; None as measurement.toml says.
+    grid_step_mm: Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
+    remove: What is taken out of the maps; None as measurement.toml says.
+    jobs: Threads that decode images; None for all processors.
     """
 
     align: Align | None = None
@@ -78,32 +72,18 @@ class Options:
 class Result:
     """Everything a measurement gave, ready to be written.
 
-    Parameters
-    ----------
-    name : str
-        Name of the mirror.
-    setup : Setup
-        Camera and screen as used.
-    pattern : FringePattern
-        What was shown.
-    evaluation : Evaluation
-        Poses, pixels and the map of each facet as measured.
-    maps : dict of str to SlopeMap
-        The map of each measured facet, after what was to be removed.
-    assembled : SlopeMap
-        The map of the whole mirror, put together from these; that of the only facet where there is one.
-    assembled_as_measured : SlopeMap
-        The same before anything was removed.
-    numbers : dict of str to number
-        Headline numbers of the mirror.
-    facets : dict of str to dict
-        Headline numbers of each facet; empty for a single one.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of the mirror.
+    setup: Camera and screen as used.
+    pattern: What was shown.
+    evaluation: Poses, pixels and the map of each facet as measured.
+    maps: The map of each measured facet, after what was to be removed.
+    assembled: The map of the whole mirror, put together from these; that of the only facet where there is one.
+    assembled_as_measured: The same before anything was removed.
+    numbers: Headline numbers of the mirror.
+    facets: Headline numbers of each facet; empty for a single one.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -125,26 +105,10 @@ def run(
 ) -> Result:
     """Evaluate a measurement.
 
-    Parameters
-    ----------
-    measurement : DeflectometryMeasurement
-        From `heliogauge.measurement.load.load_measurement`.
-    options : Options, optional
-        Choices that override the file's.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        Maps, pixels, poses and warnings.
-
-    Raises
-    ------
-    InputError
-        Images or tables that cannot be used.
-    EstimationError
-        Frames that contradict the pattern, no mirror, or no slopes.
+    options: Choices that override the file's.
+    Returns: Maps, pixels, poses and warnings.
+    InputError: Images or tables that cannot be used.
+    EstimationError: Frames that contradict the pattern, no mirror, or no slopes.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with warnings.catch_warnings(record=True) as caught:
@@ -194,26 +158,9 @@ def read_observation(
 ) -> Observation:
     """Read the images of a measurement.
 
-    Parameters
-    ----------
-    measurement : DeflectometryMeasurement
-        The measurement.
-    pattern : FringePattern
-        Its pattern.
-    options : Options
-        How many threads decode.
-    progress : Progress
-        Told of each image.
-
-    Returns
-    -------
-    Observation
-        Frames, response, noise and limits.
-
-    Raises
-    ------
-    InputError
-        An image that cannot be read, or images of different sizes.
+    options: How many threads decode.
+    Returns: Frames, response, noise and limits.
+    InputError: An image that cannot be read, or images of different sizes.
     """
     section = measurement.model.images
     extra = [measurement.path(text) for text in (section.dark, section.bright) if text is not None]
@@ -249,15 +196,7 @@ def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | Non
 def refuse_faulty_frames(observation: Observation) -> None:
     """Warn of doubtful frames; refuse frames that contradict the pattern.
 
-    Parameters
-    ----------
-    observation : Observation
-        The frames.
-
-    Raises
-    ------
-    EstimationError
-        At least one fault that makes the phases wrong, each with the frames and the remedy.
+    EstimationError: At least one fault that makes the phases wrong, each with the frames and the remedy.
     """
     faults = check_frames(
         observation.frames, observation.pattern, response=observation.response,
@@ -321,17 +260,7 @@ def _choices(measurement: DeflectometryMeasurement, options: Options) -> Choices
 def write(result: Result, folder: Path) -> None:
     """Write the files of a result into an existing folder.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     evaluation = result.evaluation
     maps = dict(result.maps)

@@ -29,14 +29,10 @@ _FARTHEST = 0.1
 class OutlineCheck:
     """How a given pose fits the image.
 
-    Parameters
-    ----------
-    outline_pose : RigidTransform
-        Pose whose outline lies on the edges in the image: says which pixels see the mirror, not where the mirror is.
-    margin_px : float
-        Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
-    residual_rms_px : float
-        RMS distance of the projected outline from the edges; NaN where no edges were found [px].
+    outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror, not where the
+        mirror is.
+    margin_px: Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
+    residual_rms_px: RMS distance of the projected outline from the edges; NaN where no edges were found [px].
     """
 
     outline_pose: RigidTransform
@@ -53,28 +49,10 @@ def check_given_pose(
 ) -> OutlineCheck:
     """Look where the edges of a mirror with a given pose really are, and how wide.
 
-    Parameters
-    ----------
-    image_dn : ndarray of float32, shape (h, w)
-        Modulation of the fringes, or bright minus dark [DN].
-    camera : Camera
-        The camera.
-    facets : sequence of Facet
-        The facets.
-    pose : RigidTransform
-        cam_from_mirror as given.
-    covariance : ndarray, shape (6, 6)
-        Its covariance for steps of `RigidTransform.moved` [rad, m].
-
-    Returns
-    -------
-    OutlineCheck
-        The pose and margin for the mask, and how far the outline of the given pose is off the edges.
-
-    Warns
-    -----
-    QualityWarning
-        The outline lies off the edges by more than pose and image allow.
+    image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
+    covariance (6, 6): Its covariance for steps of `RigidTransform.moved` [rad, m].
+    Returns: The pose and margin for the mask, and how far the outline of the given pose is off the edges.
+    Warns QualityWarning: The outline lies off the edges by more than pose and image allow.
     """
     image = np.nan_to_num(np.ascontiguousarray(image_dn, dtype=np.float32), posinf=0.0, neginf=0.0)
     try:

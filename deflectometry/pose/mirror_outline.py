@@ -24,16 +24,11 @@ MAX_POINTS = 4096
 class OutlinePoints:
     """Points along all sides of all facets, on the design surface.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (sides, n, 3)
-        In the mirror's frame, along each side [m].
-    corner_distance_m : ndarray, shape (sides, n, 2)
-        Distance to both ends of the side [m].
-    corner_sharpness : ndarray, shape (sides, 2)
-        How much the outline turns at both ends: 0 straight on, 1 for a right angle or more.
-    facet_index : ndarray of int, shape (sides,)
-        The facet that each side belongs to.
+    points_m (sides, n, 3): In the mirror's frame, along each side [m].
+    corner_distance_m (sides, n, 2): Distance to both ends of the side [m].
+    corner_sharpness (sides, 2): How much the outline turns at both ends: 0 straight on, 1 for a right angle or
+        more.
+    facet_index (sides,): The facet that each side belongs to.
     """
 
     points_m: FloatArray
@@ -46,14 +41,9 @@ class OutlinePoints:
 class ProjectedOutline:
     """The same points in the image.
 
-    Parameters
-    ----------
-    pixels_px : ndarray, shape (sides, n, 2)
-        Projected points [px].
-    normals : ndarray, shape (sides, n, 2)
-        Unit vectors out of the facet, in the image.
-    usable : ndarray of bool, shape (sides, n)
-        Not so near a corner that its profile is rounded.
+    pixels_px (sides, n, 2): Projected points [px].
+    normals (sides, n, 2): Unit vectors out of the facet, in the image.
+    usable (sides, n): Not so near a corner that its profile is rounded.
     """
 
     pixels_px: FloatArray
@@ -64,22 +54,10 @@ class ProjectedOutline:
 def sample_outlines(facets: Sequence[Facet], points_per_side: int) -> OutlinePoints:
     """Spread points along the sides of facets.
 
-    Parameters
-    ----------
-    facets : sequence of Facet
-        The facets with their place in the mirror's frame.
-    points_per_side : int
-        Wanted points on every side.
-
-    Returns
-    -------
-    OutlinePoints
-        The points; a side of a curved design follows the surface.
-
-    Raises
-    ------
-    InputError
-        No facet, or a design that does not reach its outline.
+    facets: The facets with their place in the mirror's frame.
+    points_per_side: Wanted points on every side.
+    Returns: The points; a side of a curved design follows the surface.
+    InputError: No facet, or a design that does not reach its outline.
     """
     if not facets:
         raise InputError("facets: at least one facet with an outline is needed")
@@ -114,19 +92,10 @@ def _sharpness(before: FloatArray, after: FloatArray) -> FloatArray:
 def beside_another(facets: Sequence[Facet], outline: OutlinePoints, reach_m: float) -> BoolArray:
     """Tell which outline points have another facet right beside them, so that no dark level can be measured there.
 
-    Parameters
-    ----------
-    facets : sequence of Facet
-        The facets that the outline was sampled from.
-    outline : OutlinePoints
-        Points of `sample_outlines`.
-    reach_m : float
-        How far outside the outline to look [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (sides, n)
-        True where another facet lies at that distance.
+    facets: The facets that the outline was sampled from.
+    outline: Points of `sample_outlines`.
+    reach_m: How far outside the outline to look [m].
+    Returns (sides, n): True where another facet lies at that distance.
     """
     along = outline.points_m[:, -1] - outline.points_m[:, 0]
     front = np.array([facet.ensemble_from_facet.rotation[:, 2] for facet in facets])[outline.facet_index]
@@ -145,21 +114,8 @@ def beside_another(facets: Sequence[Facet], outline: OutlinePoints, reach_m: flo
 def lit_share(camera: Camera, cam_from_mirror: RigidTransform, facets: Sequence[Facet], lit: BoolArray) -> FloatArray:
     """Return how much of each facet lies on lit pixels.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    cam_from_mirror : RigidTransform
-        Pose of the mirror.
-    facets : sequence of Facet
-        The facets.
-    lit : ndarray of bool, shape (h, w)
-        Bright pixels.
-
-    Returns
-    -------
-    ndarray, shape (n_facets,)
-        Shares from 0 to 1, each from a lattice of about 150 points.
+    Shapes: lit (h, w).
+    Returns (n_facets,): Shares from 0 to 1, each from a lattice of about 150 points.
     """
     share = np.zeros(len(facets))
     steps = (np.arange(12) + 0.5) / 12
@@ -180,21 +136,8 @@ def project_outline(
 ) -> ProjectedOutline:
     """Project outline points and the directions out of the facets.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    cam_from_mirror : RigidTransform
-        Pose of the mirror.
-    outline : OutlinePoints
-        Points of `sample_outlines`.
-    corner_reach_px : float
-        How far a right-angled corner disturbs an edge profile [px].
-
-    Returns
-    -------
-    ProjectedOutline
-        Pixels and normals.
+    outline: Points of `sample_outlines`.
+    corner_reach_px: How far a right-angled corner disturbs an edge profile [px].
     """
     pixels = camera.project(cam_from_mirror.apply(outline.points_m))
     tangent = np.gradient(pixels, axis=1)
@@ -213,12 +156,8 @@ def project_outline(
 class MirrorMasks:
     """Which pixel sees which facet.
 
-    Parameters
-    ----------
-    facet_index : ndarray of int16, shape (h, w)
-        Index of the facet whose surface fills the whole pixel; -1 elsewhere.
-    flags : ndarray of uint32, shape (h, w)
-        OUTSIDE_MIRROR, MIRROR_EDGE or 0.
+    facet_index (h, w): Index of the facet whose surface fills the whole pixel; -1 elsewhere.
+    flags (h, w): OUTSIDE_MIRROR, MIRROR_EDGE or 0.
     """
 
     facet_index: npt.NDArray[np.int16]
@@ -230,27 +169,10 @@ def mirror_masks(
 ) -> MirrorMasks:
     """Tell for every pixel of the camera's image whether it sees a facet, only a facet, or none.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera; its size is the size of the masks.
-    cam_from_mirror : RigidTransform
-        Pose of the mirror.
-    facets : sequence of Facet
-        Facets with outlines.
-    margin_px : float
-        Distance to the outline below which a pixel mixes the facet with what is beside it: half a pixel's diagonal
-        at least, half the width of the edges where the image is blurred [px].
-
-    Returns
-    -------
-    MirrorMasks
-        Facet index and flags.
-
-    Raises
-    ------
-    InputError
-        A negative margin, or an outline that is not in front of the camera.
+    camera: The camera; its size is the size of the masks.
+    margin_px: Distance to the outline below which a pixel mixes the facet with what is beside it: half a pixel's
+        diagonal at least, half the width of the edges where the image is blurred [px].
+    InputError: A negative margin, or an outline that is not in front of the camera.
     """
     if not margin_px >= 0:
         raise InputError(f"margin_px: zero or more pixels are needed, not {margin_px}")

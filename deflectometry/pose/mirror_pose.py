@@ -45,16 +45,11 @@ MIN_LIT_SHARE = 0.5
 class DistanceTest:
     """Whether a measured distance agrees with the image.
 
-    Parameters
-    ----------
-    measured_m : float
-        The measured distance [m].
-    image_only_m, sigma_image_only_m : float
-        What the image alone says, with sigma; NaN where it does not determine the distance [m].
-    residual_m : float
-        Distance of the final pose less the measured one [m].
-    probability : float
-        Probability of so large a disagreement (chi-square, one degree of freedom); NaN without an image-only distance.
+    image_only_m, sigma_image_only_m: What the image alone says, with sigma; NaN where it does not determine the
+        distance [m].
+    residual_m: Distance of the final pose less the measured one [m].
+    probability: Probability of so large a disagreement (chi-square, one degree of freedom); NaN without an
+        image-only distance.
     """
 
     measured_m: float
@@ -68,35 +63,22 @@ class DistanceTest:
 class MirrorPose:
     """The pose with its covariance and the evidence for it.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        Pose of the mirror (facet or ensemble frame) in the camera frame.
-    covariance : ndarray, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved`, rotation [rad] then translation [m]; for the camera as given.
-    residual_rms_px : float
-        RMS of the edge points' distances to the projected outline that the adjustment used [px]; of the known points'
-        coordinates where there is no outline.
-    image_only_rms_px : float
-        The same before the distances took part [px].
-    sigma_edge_px : float
-        Spread of one edge point [px].
-    correlation_points : float
-        Neighbouring edge points that err together; the covariance counts them as one.
-    edge_width_px : float
-        Width of the edges in the image [px].
-    n_points, n_rejected : int
-        Edge points (or known points) used and rejected.
-    facet_share : ndarray, shape (n_facets,)
-        Share of each facet that is bright in the image.
-    distance_tests : tuple of DistanceTest
-        One for each measured distance.
-    points_px : ndarray, shape (n_points, 2)
-        The edge points (or known points) that were used (x, y) [px].
-    residuals_px : ndarray, shape (n_points, 2)
-        Projected outline (or point) minus measured; of an edge point the part across the side [px].
-    observations : PoseObservations
-        What the pose was adjusted to.
+    cam_from_mirror: Pose of the mirror (facet or ensemble frame) in the camera frame.
+    covariance (6, 6): Covariance of the steps of `RigidTransform.moved`, rotation [rad] then translation [m]; for
+        the camera as given.
+    residual_rms_px: RMS of the edge points' distances to the projected outline that the adjustment used [px]; of
+        the known points' coordinates where there is no outline.
+    image_only_rms_px: The same before the distances took part [px].
+    sigma_edge_px: Spread of one edge point [px].
+    correlation_points: Neighbouring edge points that err together; the covariance counts them as one.
+    edge_width_px: Width of the edges in the image [px].
+    n_points, n_rejected: Edge points (or known points) used and rejected.
+    facet_share (n_facets,): Share of each facet that is bright in the image.
+    distance_tests: One for each measured distance.
+    points_px (n_points, 2): The edge points (or known points) that were used (x, y) [px].
+    residuals_px (n_points, 2): Projected outline (or point) minus measured; of an edge point the part across the
+        side [px].
+    observations: What the pose was adjusted to.
     """
 
     cam_from_mirror: RigidTransform
@@ -129,36 +111,14 @@ def locate_mirror(
 ) -> MirrorPose:
     """Find the pose of a mirror in the camera frame, from an image in which the mirror is bright.
 
-    Parameters
-    ----------
-    image_dn : array_like, shape (h, w)
-        Modulation of the fringes, or bright minus dark [DN].
-    camera : Camera
-        The camera, of the size of the image.
-    facets : sequence of Facet
-        The facets with their outlines and places; one for a single facet.
-    knowledge : Knowledge, optional
-        Measured distances, known points, expected roll.
+    image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
+    facets: The facets with their outlines and places; one for a single facet.
+    knowledge: Measured distances, known points, expected roll.
+    Returns: The pose. Which corner of a symmetric mirror is which follows from the expected roll.
+    InputError: Image and camera differ in size.
+    EstimationError: No mirror in view, cut by the border, or an outline that does not fit the design.
+    Warns QualityWarning: A distance contradicts the image, two tilts fit equally well, or facets are not seen.
 
-    Returns
-    -------
-    MirrorPose
-        The pose. Which corner of a symmetric mirror is which follows from the expected roll.
-
-    Raises
-    ------
-    InputError
-        Image and camera differ in size.
-    EstimationError
-        No mirror in view, cut by the border, or an outline that does not fit the design.
-
-    Warns
-    -----
-    QualityWarning
-        A distance contradicts the image, two tilts fit equally well, or facets are not seen.
-
-    Notes
-    -----
     Edge points are measured along normals of the projected outline, the pose is adjusted, and both are repeated with
     a shorter reach. Lens distortion and the curved edge of a curved mirror are in the projection. The residuals give
     the spread of an edge point (robust) and the number of neighbours that err together; both set the weights.
@@ -308,14 +268,9 @@ class _Outline:
 class PoseObservations:
     """What a pose is adjusted to; kept, because the pose follows when camera or screen stand elsewhere.
 
-    Parameters
-    ----------
-    outline : _Outline or None
-        Edge points, where there is an outline.
-    points : KnownPoints
-        Known points.
-    distances : tuple of DistanceObservation
-        Distances to the origin of the screen.
+    outline: Edge points, where there is an outline.
+    points: Known points.
+    distances: Distances to the origin of the screen.
     """
 
     outline: _Outline | None
@@ -327,20 +282,7 @@ class PoseObservations:
         return replace(self, distances=())
 
     def adjust(self, camera: Camera, start: RigidTransform) -> Solution[RigidTransform]:
-        """Find the pose that fits best.
-
-        Parameters
-        ----------
-        camera : Camera
-            The camera.
-        start : RigidTransform
-            Pose near by.
-
-        Returns
-        -------
-        Solution
-            The adjusted pose with covariance.
-        """
+        """Find the pose that fits best."""
 
         def evaluate(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
             residuals, derivatives = self.points.rows(camera, pose)
@@ -355,20 +297,7 @@ class PoseObservations:
         return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
 
     def pose_with(self, setup: Setup, start: RigidTransform) -> RigidTransform:
-        """Return the pose that the same observations give with another camera, or with the screen elsewhere.
-
-        Parameters
-        ----------
-        setup : Setup
-            The other camera and screen.
-        start : RigidTransform
-            Pose near by.
-
-        Returns
-        -------
-        RigidTransform
-            cam_from_mirror.
-        """
+        """Return the pose that the same observations give with another camera, or with the screen elsewhere."""
         origin_m = setup.cam_from_screen.translation_m
         distances = tuple(replace(one, cam_point_m=origin_m) for one in self.distances)
         return replace(self, distances=distances).adjust(setup.camera, start).require("mirror pose").state
@@ -433,22 +362,9 @@ def _warn(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[f
 def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     """Find the pose from known points alone, with measured distances where there are any.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    knowledge : Knowledge
-        At least four known points.
-
-    Returns
-    -------
-    MirrorPose
-        The pose; what concerns edges is NaN.
-
-    Raises
-    ------
-    EstimationError
-        The points do not determine the pose, or do not fit within their sigmas by far.
+    knowledge: At least four known points.
+    Returns: The pose; what concerns edges is NaN.
+    EstimationError: The points do not determine the pose, or do not fit within their sigmas by far.
     """
     points = knowledge.points
     starts = point_poses(camera, points.points_m, points.image_px)

@@ -25,24 +25,15 @@ _TUKEY = 4.685
 class OutlineEdges:
     """Edge points in the image, each with the point of the outline that it belongs to.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Points of the outline in the mirror's frame [m].
-    image_px : ndarray, shape (n, 2)
-        Where the edge was measured [px].
-    normals : ndarray, shape (n, 2)
-        The direction in which it was measured.
-    place : ndarray of int, shape (n, 2)
-        Number of the side and of the point along it.
-    points_per_side : int
-        Points along each side, found or not.
-    facet_of_side, expected_on_side : ndarray of int, shape (sides,)
-        Facet that each side belongs to, and how many points could be found on it.
-    width_px : float
-        Width of the edges [px].
-    floor_px : float
-        Spread of one point from the image noise alone [px].
+    points_m (n, 3): Points of the outline in the mirror's frame [m].
+    image_px (n, 2): Where the edge was measured [px].
+    normals (n, 2): The direction in which it was measured.
+    place (n, 2): Number of the side and of the point along it.
+    points_per_side: Points along each side, found or not.
+    facet_of_side, expected_on_side (sides,): Facet that each side belongs to, and how many points could be found on
+        it.
+    width_px: Width of the edges [px].
+    floor_px: Spread of one point from the image noise alone [px].
     """
 
     points_m: FloatArray
@@ -78,21 +69,10 @@ class OutlineEdges:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the rows divided by the root of their covariance, ``sigma^2 I + sigma_side^2`` within each side.
 
-        Parameters
-        ----------
-        camera : Camera
-            The camera.
-        pose : RigidTransform
-            cam_from_mirror.
-        sigma_px : float
-            Standard deviation of each point on its own [px].
-        sigma_side_px : ndarray, shape (sides,)
-            Standard deviation of what all points of one side have in common [px].
-
-        Returns
-        -------
-        tuple of ndarray
-            Residuals (n,) and derivatives (n, 6), in sigma.
+        pose: cam_from_mirror.
+        sigma_px: Standard deviation of each point on its own [px].
+        sigma_side_px (sides,): Standard deviation of what all points of one side have in common [px].
+        Returns: Residuals (n,) and derivatives (n, 6), in sigma.
         """
         residuals, derivatives = self.rows(camera, pose)
         rows = np.column_stack([residuals, derivatives]) / sigma_px
@@ -123,20 +103,11 @@ class OutlineEdges:
 class OutlineFit:
     """A pose that follows the outline, from the image (and known points) alone.
 
-    Parameters
-    ----------
-    pose : RigidTransform
-        cam_from_mirror.
-    edges : OutlineEdges
-        The edge points of the last pass.
-    used : ndarray of bool, shape (n,)
-        Points that belong to the outline.
-    sigma_px : float
-        Spread of one used point [px].
-    rms_px : float
-        RMS of the used points [px].
-    correlation_points : float
-        Neighbours that err together.
+    pose: cam_from_mirror.
+    edges: The edge points of the last pass.
+    used (n,): Points that belong to the outline.
+    sigma_px: Spread of one used point [px].
+    correlation_points: Neighbours that err together.
     """
 
     pose: RigidTransform
@@ -151,18 +122,9 @@ class OutlineFit:
 class OutlineSearch:
     """An image and the facets to follow in it.
 
-    Parameters
-    ----------
-    image_dn : ndarray of float32, shape (h, w)
-        The image [DN].
-    camera : Camera
-        The camera.
-    facets : sequence of Facet
-        The facets.
-    noise_dn : float
-        Noise of one pixel [DN].
-    facet_px : float
-        Size of a facet in the image [px].
+    image_dn (h, w): The image [DN].
+    noise_dn: Noise of one pixel [DN].
+    facet_px: Size of a facet in the image [px].
     """
 
     image_dn: Float32Array
@@ -174,22 +136,8 @@ class OutlineSearch:
     def follow(self, pose: RigidTransform, points: KnownPoints) -> OutlineFit:
         """Move a pose until the projected outline lies on the edges.
 
-        Parameters
-        ----------
-        pose : RigidTransform
-            Start.
-        points : KnownPoints
-            Known points that take part.
-
-        Returns
-        -------
-        OutlineFit
-            The pose of the last pass.
-
-        Raises
-        ------
-        EstimationError
-            Hardly any edge along the expected outline.
+        points: Known points that take part.
+        EstimationError: Hardly any edge along the expected outline.
         """
         width: float | None = None
         for number, reach in enumerate(_REACHES):
@@ -249,19 +197,11 @@ class OutlineSearch:
 def edge_margin_px(edge_width_px: float, sigma_edge_px: float) -> float:
     """Return the distance from the outline within which a pixel mixes the mirror with what is beside it.
 
-    Parameters
-    ----------
-    edge_width_px : float
-        Width of the edges; NaN where none was measured [px].
-    sigma_edge_px : float
-        Spread of the edges about the outline [px].
-
-    Returns
-    -------
-    float
-        Half the width and a quarter of a pixel more, half a pixel's diagonal at least [px]. A pixel that lacks 5 % of
-        its light on one side sees the screen 0.05 px off, which is 0.08 mrad on a facet of 85 px; beyond this distance
-        the error is below 1.3 sigma of the noise (synthetic facets, blur 0.1 to 0.4 px).
+    edge_width_px: Width of the edges; NaN where none was measured [px].
+    sigma_edge_px: Spread of the edges about the outline [px].
+    Returns: Half the width and a quarter of a pixel more, half a pixel's diagonal at least [px]. A pixel that lacks
+        5 % of its light on one side sees the screen 0.05 px off, which is 0.08 mrad on a facet of 85 px; beyond
+        this distance the error is below 1.3 sigma of the noise (synthetic facets, blur 0.1 to 0.4 px).
     """
     return float(max(0.5 * np.sqrt(2), np.nan_to_num(0.5 * edge_width_px) + 0.25) + np.nan_to_num(sigma_edge_px))
 
@@ -271,28 +211,13 @@ def robust_step(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Find the step of the pose that fits most edge points, and how much they scatter.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (n,)
-        Distances of the edge points at the present pose [px].
-    derivatives : ndarray, shape (n, 6)
-        By the step.
-    known : tuple of ndarray
-        Whitened residuals (m,) and derivatives (m, 6) of known points, never weakened.
-    floor_px : float
-        Least spread that the noise allows [px].
+    Shapes: derivatives (n, 6).
+    residuals (n,): Distances of the edge points at the present pose [px].
+    known: Whitened residuals (m,) and derivatives (m, 6) of known points, never weakened.
+    floor_px: Least spread that the noise allows [px].
+    step (6,): For `RigidTransform.moved`.
+    weights (n,): Tukey's weights, 0 for rejected points.
 
-    Returns
-    -------
-    step : ndarray, shape (6,)
-        For `RigidTransform.moved`.
-    weights : ndarray, shape (n,)
-        Tukey's weights, 0 for rejected points.
-    sigma_px : float
-        Robust spread of the points around the fit [px].
-
-    Notes
-    -----
     Linear in the step, iteratively reweighted: the caller linearises again at the new pose. Cauchy's weights, which
     drop no point, come first: at a coarse start the whole outline is off.
     """
@@ -329,15 +254,9 @@ def _spread(residuals: FloatArray, floor_px: float) -> float:
 def correlation_points(series: FloatArray) -> float:
     """Return how many neighbours err together.
 
-    Parameters
-    ----------
-    series : ndarray, shape (sides, n)
-        Residuals along each side, NaN where missing.
-
-    Returns
-    -------
-    float
-        Integrated correlation ``1 + 2 sum_k rho_k``, at least 1, summed until k exceeds four times it (Sokal 1997).
+    series (sides, n): Residuals along each side, NaN where missing.
+    Returns: Integrated correlation ``1 + 2 sum_k rho_k``, at least 1, summed until k exceeds four times it (Sokal
+        1997).
     """
     valid = np.isfinite(series)
     values = np.where(valid, series, 0.0)

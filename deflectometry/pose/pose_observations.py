@@ -15,21 +15,10 @@ from heliogauge.validate import FloatArray, float_array, positive
 class DistanceObservation:
     """A measured distance between a point of the mirror and a point fixed to the camera.
 
-    Parameters
-    ----------
-    distance_m : float
-        The distance [m].
-    sigma_m : float
-        Its standard deviation, with that of the fixed point along the line [m].
-    mirror_point_m : array_like, shape (3,)
-        The point in the mirror's frame [m].
-    cam_point_m : array_like, shape (3,)
-        The other point, the origin of the screen, in the camera frame [m].
-
-    Raises
-    ------
-    InputError
-        A distance or sigma that is not positive.
+    sigma_m: Its standard deviation, with that of the fixed point along the line [m].
+    mirror_point_m (3,): The point in the mirror's frame [m].
+    cam_point_m (3,): The other point, the origin of the screen, in the camera frame [m].
+    InputError: A distance or sigma that is not positive.
     """
 
     distance_m: float
@@ -65,14 +54,9 @@ class DistanceObservation:
 class KnownPoints:
     """Points with known coordinates that were measured in the image.
 
-    Parameters
-    ----------
-    points_m : array_like, shape (n, 3)
-        In the mirror's frame [m].
-    image_px : array_like, shape (n, 2)
-        In the image [px].
-    sigma_px : array_like, shape (n,)
-        Standard deviation of each coordinate [px].
+    points_m (n, 3): In the mirror's frame [m].
+    image_px (n, 2): In the image [px].
+    sigma_px (n,): Standard deviation of each coordinate [px].
     """
 
     points_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -105,23 +89,12 @@ SIDE_SHARE = 0.02
 class Knowledge:
     """What else is known of the pose, beside the image of the outline.
 
-    Parameters
-    ----------
-    distances : tuple of DistanceObservation, optional
-        Measured distances.
-    points : KnownPoints, optional
-        Known points.
-    roll_rad : float, optional
-        Expected angle from the image's x axis to the mirror's x axis, counter-clockwise as displayed [rad].
-    sigma_outline_m : float, optional
-        Standard deviation of where the design puts each side of the outline [m].
-    side_share : float, optional
-        Standard deviation of what all edge points of one side have in common, as a share of the edges' width.
-
-    Raises
-    ------
-    InputError
-        A negative sigma.
+    distances: Measured distances.
+    roll_rad: Expected angle from the image's x axis to the mirror's x axis, counter-clockwise as displayed [rad].
+    sigma_outline_m: Standard deviation of where the design puts each side of the outline [m].
+    side_share: Standard deviation of what all edge points of one side have in common, as a share of the edges'
+        width.
+    InputError: A negative sigma.
     """
 
     distances: tuple[DistanceObservation, ...] = ()

@@ -23,12 +23,7 @@ _STRAIGHT = 0.02
 class PoseStart:
     """A first pose and how well it explains the outline.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        The pose.
-    rms_px : float
-        RMS distance of the corners [px].
+    rms_px: RMS distance of the corners [px].
     """
 
     cam_from_mirror: RigidTransform
@@ -38,22 +33,8 @@ class PoseStart:
 def mirror_regions(found: FoundMirrors, n_facets: int) -> list[Region]:
     """Choose the regions that are facets: the largest ones; refuse those that the image border cuts.
 
-    Parameters
-    ----------
-    found : FoundMirrors
-        Bright regions, largest first.
-    n_facets : int
-        Facets of the mirror.
-
-    Returns
-    -------
-    list of Region
-        At most `n_facets` regions.
-
-    Raises
-    ------
-    EstimationError
-        A region touches the border of the image.
+    found: Bright regions, largest first.
+    EstimationError: A region touches the border of the image.
     """
     regions = list(found.regions[:n_facets])
     cut = next((region for region in regions if region.borders), None)
@@ -68,31 +49,11 @@ def mirror_regions(found: FoundMirrors, n_facets: int) -> list[Region]:
 def start_poses(camera: Camera, regions: Sequence[Region], facets: Sequence[Facet], roll_rad: float) -> list[PoseStart]:
     """Find the poses that explain the outline of the bright regions, best orientation only.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    regions : sequence of Region
-        Bright regions, one or more.
-    facets : sequence of Facet
-        The facets.
-    roll_rad : float
-        Expected angle from the image's x axis to the mirror's x axis, counter-clockwise as displayed [rad].
+    roll_rad: Expected angle from the image's x axis to the mirror's x axis, counter-clockwise as displayed [rad].
+    Returns: Up to two poses: a flat object in weak perspective looks the same in two tilts.
+    InputError: A design that does not reach its outline.
+    EstimationError: The outline has fewer corners than the mirror, or no pose explains it.
 
-    Returns
-    -------
-    list of PoseStart
-        Up to two poses: a flat object in weak perspective looks the same in two tilts.
-
-    Raises
-    ------
-    InputError
-        A design that does not reach its outline.
-    EstimationError
-        The outline has fewer corners than the mirror, or no pose explains it.
-
-    Notes
-    -----
     Which corner is which cannot be seen on a square: of the assignments that explain the corners, the one with the
     roll nearest to the expected one is taken.
     """
@@ -208,24 +169,10 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
 def point_poses(camera: Camera, points_m: FloatArray, image_px: FloatArray) -> list[PoseStart]:
     """Find start poses from known points.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    points_m : ndarray, shape (n, 3)
-        Points in the mirror's frame [m].
-    image_px : ndarray, shape (n, 2)
-        Where they are in the image [px].
-
-    Returns
-    -------
-    list of PoseStart
-        The poses found, best first.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than four points, all on one line, or no pose.
+    Shapes: image_px (n, 2).
+    points_m (n, 3): Points in the mirror's frame [m].
+    Returns: The poses found, best first.
+    EstimationError: Fewer than four points, all on one line, or no pose.
     """
     if len(points_m) < 4:
         raise EstimationError(

@@ -23,16 +23,10 @@ OUTLINE_CORNERS = 72
 class ImageOutline:
     """What the image alone says of a mirror.
 
-    Parameters
-    ----------
-    region : ndarray of bool, shape (h, w)
-        Its pixels.
-    contour_px : ndarray, shape (n, 2)
-        Corners of its outline (x, y) [px].
-    centroid_px : ndarray, shape (2,)
-        Its middle (x, y) [px].
-    margin_px : float
-        Distance to the outline below which a pixel mixes the mirror with its surroundings [px].
+    region (h, w): Its pixels.
+    contour_px (n, 2): Corners of its outline (x, y) [px].
+    centroid_px (2,): Its middle (x, y) [px].
+    margin_px: Distance to the outline below which a pixel mixes the mirror with its surroundings [px].
     """
 
     region: BoolArray
@@ -45,31 +39,16 @@ class ImageOutline:
     ) -> tuple[RigidTransform, FloatArray]:
         """Find the pose whose middle is at the measured distance and whose design reflects there as measured.
 
-        Parameters
-        ----------
-        screen_map : ScreenMap
-            Display point of each pixel.
-        knowledge : Knowledge
-            Exactly one distance, from the middle of the mirror to the origin of the screen; and the expected roll.
-        design : Quadric
-            Its design, origin in the middle of what is seen.
-        setup : Setup
-            Camera and screen.
-
-        Returns
-        -------
-        cam_from_mirror : RigidTransform
-            The design's normal in the middle is the one that reflects as measured; x is level in the image but for
-            the roll.
-        covariance : ndarray, shape (6, 6)
-            Of the distance; the orientation is that of the reflection itself.
-
-        Raises
-        ------
-        InputError
-            No distance was given, or one to another point than the middle.
-        EstimationError
-            The middle shows no fringes, or no point of its line of sight has this distance.
+        screen_map: Display point of each pixel.
+        knowledge: Exactly one distance, from the middle of the mirror to the origin of the screen; and the expected
+            roll.
+        design: Its design, origin in the middle of what is seen.
+        setup: Camera and screen.
+        cam_from_mirror: The design's normal in the middle is the one that reflects as measured; x is level in the
+            image but for the roll.
+        covariance (6, 6): Of the distance; the orientation is that of the reflection itself.
+        InputError: No distance was given, or one to another point than the middle.
+        EstimationError: The middle shows no fringes, or no point of its line of sight has this distance.
         """
         distances = knowledge.distances
         if len(distances) != 1:
@@ -109,21 +88,8 @@ class ImageOutline:
     def facet(self, name: str, design: Quadric, camera: Camera, cam_from_mirror: RigidTransform) -> Facet:
         """Carry the outline in the image onto the mirror.
 
-        Parameters
-        ----------
-        name : str
-            Name of the mirror.
-        design : Quadric
-            Its design, origin in the middle of what is seen.
-        camera : Camera
-            The camera.
-        cam_from_mirror : RigidTransform
-            Pose of the mirror.
-
-        Returns
-        -------
-        Facet
-            The mirror with the outline that was seen, its reference point at the origin.
+        design: Its design, origin in the middle of what is seen.
+        Returns: The mirror with the outline that was seen, its reference point at the origin.
         """
         mirror_from_cam = cam_from_mirror.inverse()
         rays = mirror_from_cam.rotate(camera.cast_rays(self.contour_px))
@@ -140,20 +106,8 @@ class ImageOutline:
 def outline_from_image(image_dn: Float32Array) -> ImageOutline:
     """Take the largest bright region as the mirror.
 
-    Parameters
-    ----------
-    image_dn : ndarray of float32, shape (h, w)
-        Bright minus dark, or modulation [DN].
-
-    Returns
-    -------
-    ImageOutline
-        Region, contour and middle.
-
-    Raises
-    ------
-    EstimationError
-        No mirror in view, or it is cut by the border.
+    image_dn (h, w): Bright minus dark, or modulation [DN].
+    EstimationError: No mirror in view, or it is cut by the border.
     """
     found = find_mirrors(image_dn)
     largest = found.regions[0]

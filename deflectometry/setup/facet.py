@@ -26,16 +26,10 @@ _SAMPLES_PER_PIXEL = 2
 class Region:
     """One connected bright region, holes filled.
 
-    Parameters
-    ----------
-    contour_px : ndarray, shape (n, 2)
-        Its outer pixels in order (x, y) [px].
-    area_px : float
-        Number of pixels inside.
-    centroid_px : ndarray, shape (2,)
-        Mean of the pixels inside (x, y) [px].
-    borders : tuple of str
-        The sides of the image that it touches: "left", "right", "top", "bottom".
+    contour_px (n, 2): Its outer pixels in order (x, y) [px].
+    area_px: Number of pixels inside.
+    centroid_px (2,): Mean of the pixels inside (x, y) [px].
+    borders: The sides of the image that it touches: "left", "right", "top", "bottom".
     """
 
     contour_px: FloatArray
@@ -48,18 +42,11 @@ class Region:
 class FoundMirrors:
     """Bright regions, largest first, and the levels that tell them from the rest.
 
-    Parameters
-    ----------
-    regions : tuple of Region
-        The regions found; at least one.
-    mask : ndarray of bool, shape (h, w)
-        The pixels of these regions, holes filled.
-    level_dn : float
-        The level that divides [DN].
-    inside_dn, outside_dn : float
-        Medians on both sides [DN].
-    noise_dn : float
-        Standard deviation of the noise of one pixel [DN].
+    regions: The regions found; at least one.
+    mask (h, w): The pixels of these regions, holes filled.
+    level_dn: The level that divides [DN].
+    inside_dn, outside_dn: Medians on both sides [DN].
+    noise_dn: Standard deviation of the noise of one pixel [DN].
     """
 
     regions: tuple[Region, ...]
@@ -74,16 +61,11 @@ class FoundMirrors:
 class EdgePoints:
     """Where edges lie along given normals.
 
-    Parameters
-    ----------
-    offset_px : ndarray, shape (n,)
-        Distance of the edge from each point along its outward normal; NaN where there is no clear edge [px].
-    sigma_px : ndarray, shape (n,)
-        Its standard deviation from the noise alone [px].
-    contrast_dn : ndarray, shape (n,)
-        Inside minus outside level [DN].
-    width_px : float
-        Width of the edges: height divided by steepest slope, the median of all; NaN without any edge [px].
+    offset_px (n,): Distance of the edge from each point along its outward normal; NaN where there is no clear edge
+        [px].
+    sigma_px (n,): Its standard deviation from the noise alone [px].
+    contrast_dn (n,): Inside minus outside level [DN].
+    width_px: Width of the edges: height divided by steepest slope, the median of all; NaN without any edge [px].
     """
 
     offset_px: FloatArray
@@ -95,25 +77,11 @@ class EdgePoints:
 def find_mirrors(image_dn: npt.ArrayLike) -> FoundMirrors:
     """Find the bright regions of an image, without being told a level or a size.
 
-    Parameters
-    ----------
-    image_dn : array_like, shape (h, w)
-        Modulation, or bright minus dark [DN]. Values that are not finite count as dark.
+    image_dn (h, w): Modulation, or bright minus dark [DN]. Values that are not finite count as dark.
+    Returns: Regions of at least a tenth of the largest one's area.
+    InputError: Not an image.
+    EstimationError: Nothing stands out from the noise.
 
-    Returns
-    -------
-    FoundMirrors
-        Regions of at least a tenth of the largest one's area.
-
-    Raises
-    ------
-    InputError
-        Not an image.
-    EstimationError
-        Nothing stands out from the noise.
-
-    Notes
-    -----
     The dividing level is where the level line crosses the largest sum of squared steps between neighbouring pixels:
     the outline of a mirror is a long line of high steps. Unlike a histogram method this also holds when the mirror
     covers a hundredth of the image, or when the room around it has several grey levels.
@@ -157,15 +125,8 @@ def _median(values: Float32Array) -> float:
 def image_noise(image_dn: Float32Array) -> float:
     """Estimate the noise of one pixel from second differences, robust against the few pixels on edges.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        The image [DN].
-
-    Returns
-    -------
-    float
-        Standard deviation [DN]; at least that of rounding to the smallest step of the image.
+    Shapes: image_dn (h, w).
+    Returns: Standard deviation [DN]; at least that of rounding to the smallest step of the image.
     """
     rows = image_dn[:: max(1, image_dn.shape[0] // 256)]
     second = rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2]
@@ -232,25 +193,12 @@ def _as_contour(region: Region) -> npt.NDArray[np.int32]:
 def enclosing_polygon(points_px: npt.ArrayLike, n_corners: int) -> FloatArray:
     """Return the polygon of few corners that encloses points most tightly.
 
-    Parameters
-    ----------
-    points_px : array_like, shape (n, 2)
-        Points (x, y) [px]; their convex hull counts.
-    n_corners : int
-        Wanted corners, at least 3.
+    points_px (n, 2): Points (x, y) [px]; their convex hull counts.
+    n_corners: Wanted corners, at least 3.
+    Returns (n_corners, 2): Corners in the order of growing angle from x to y, clockwise as displayed (y points
+        down) [px].
+    EstimationError: The hull has fewer corners, or its sides do not meet.
 
-    Returns
-    -------
-    ndarray, shape (n_corners, 2)
-        Corners in the order of growing angle from x to y, clockwise as displayed (y points down) [px].
-
-    Raises
-    ------
-    EstimationError
-        The hull has fewer corners, or its sides do not meet.
-
-    Notes
-    -----
     Sides of the hull are dropped one by one, each time the one whose neighbours, made longer until they meet, add the
     least area.
     """
@@ -304,31 +252,15 @@ def measure_edges(
 ) -> EdgePoints:
     """Measure where the bright side ends along normals.
 
-    Parameters
-    ----------
-    image_dn : ndarray of float32, shape (h, w)
-        The image [DN].
-    points_px : array_like, shape (n, 2)
-        Points near the edge (x, y) [px].
-    normals : array_like, shape (n, 2)
-        Unit vectors from the bright to the dark side.
-    reach_px : float
-        How far from the points the edge may lie [px].
-    noise_dn : float
-        Noise of one pixel [DN].
-    width_px : float, optional
-        Width of the edges where it is known already; measured otherwise [px].
+    Shapes: image_dn (h, w).
+    points_px (n, 2): Points near the edge (x, y) [px].
+    normals (n, 2): Unit vectors from the bright to the dark side.
+    reach_px: How far from the points the edge may lie [px].
+    width_px: Width of the edges where it is known already; measured otherwise [px].
 
-    Returns
-    -------
-    EdgePoints
-        Offsets along the normals.
-
-    Notes
-    -----
     The steepest place gives a first position; around it the edge is put where a sharp step of the local levels has
-    the same area as the profile. For a blur that is symmetric (optics, defocus, the pixel itself) this is the position
-    of the sharp edge, and it averages the noise of all samples.
+    the same area as the profile. For a blur that is symmetric (optics, defocus, the pixel itself) this is the
+    position of the sharp edge, and it averages the noise of all samples.
     """
     points = float_array("points_px", points_px, (None, 2))
     normal = float_array("normals", normals, (points.shape[0], 2))
@@ -406,20 +338,10 @@ def _equal_area(profile: FloatArray, center: npt.NDArray[np.intp], half_window: 
 def polygon_mask(shape: tuple[int, int], corners_px: npt.ArrayLike) -> BoolArray:
     """Return the pixels whose centres lie inside a polygon, exact at any sub-pixel position.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        (h, w) of the image [px].
-    corners_px : array_like, shape (n, 2)
-        Corners (x, y) in order, inside or outside the image [px].
+    Shapes: result (h, w).
+    shape: (h, w) of the image [px].
+    corners_px (n, 2): Corners (x, y) in order, inside or outside the image [px].
 
-    Returns
-    -------
-    ndarray of bool, shape (h, w)
-        True inside.
-
-    Examples
-    --------
     >>> polygon_mask((3, 4), [[0.5, -1], [2.5, -1], [2.5, 1.5], [0.5, 1.5]]).astype(int)
     array([[0, 1, 1, 0],
            [0, 1, 1, 0],

@@ -29,19 +29,14 @@ _LEAST_PERIOD_PX = 4.0
 class DisplayOptions:
     """The display and how its range is used.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        Size of the displayed image [px].
-    bits : int
-        Bit depth of the frames, 8 or 16.
-    level_min, level_max : float or None
-        Levels of the darkest and the brightest fringe as shares of the display's range; None: the whole range, or the
-        range that the response covers.
-    response_file : Path or None
-        Response of camera and display (columns camera_dn, display_level); the fringes are compensated for it.
-    response_full_level : float
-        The display_level of that file that is full range: 1 for files of this software, 255 for OpenCSP's.
+    width_px, height_px: Size of the displayed image [px].
+    bits: Bit depth of the frames, 8 or 16.
+    level_min, level_max: Levels of the darkest and the brightest fringe as shares of the display's range; None: the
+        whole range, or the range that the response covers.
+    response_file: Response of camera and display (columns camera_dn, display_level); the fringes are compensated
+        for it.
+    response_full_level: The display_level of that file that is full range: 1 for files of this software, 255 for
+        OpenCSP's.
     """
 
     width_px: int
@@ -57,16 +52,10 @@ class DisplayOptions:
 class PatternOptions:
     """What to show.
 
-    Parameters
-    ----------
-    periods : tuple of float
-        Fringe periods over the displayed image, in both directions.
-    steps : int
-        Frames of each period, 360 deg / steps apart.
-    first : Axis
-        Which direction comes first.
-    grey_steps : int
-        Number of uniform grey levels for the calibration of the response.
+    periods: Fringe periods over the displayed image, in both directions.
+    steps: Frames of each period, 360 deg / steps apart.
+    first: Which direction comes first.
+    grey_steps: Number of uniform grey levels for the calibration of the response.
     """
 
     periods: tuple[float, ...] = (0.9, 3.9, 15.9, 63.9)
@@ -85,29 +74,9 @@ def write_patterns(
 ) -> FringePattern:
     """Write all frames for a display, and the tables for the measurement files; the folder is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; absent or empty.
-    display : DisplayOptions
-        The display.
-    options : PatternOptions, optional
-        What to show.
-    force : bool, optional
-        Replace earlier patterns.
-    progress : Progress, optional
-        Told of each frame.
-
-    Returns
-    -------
-    FringePattern
-        The fringes, in the order of their files.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, a value out of range, a response that does not cover the levels, or fringes too
-        fine for the display.
+    force: Replace earlier patterns.
+    InputError: The folder holds something, a value out of range, a response that does not cover the levels, or
+        fringes too fine for the display.
     """
     options, progress = options or PatternOptions(), progress or SilentProgress()
     with WholeFolder(folder, PATTERNS, force=force) as working:
@@ -135,20 +104,8 @@ def write_patterns(
 def display_levels(display: DisplayOptions) -> DisplayLevels:
     """Return the range and the compensation for a display.
 
-    Parameters
-    ----------
-    display : DisplayOptions
-        The display.
-
-    Returns
-    -------
-    DisplayLevels
-        What `deflectometry.setup.patterns.render_frames` takes.
-
-    Raises
-    ------
-    InputError
-        Levels out of range or beyond what the response covers.
+    Returns: What `deflectometry.setup.patterns.render_frames` takes.
+    InputError: Levels out of range or beyond what the response covers.
     """
     if display.bits not in (8, 16):
         raise InputError(f"bits: 8 or 16 is needed (what PNG files have), not {display.bits}")
@@ -180,25 +137,9 @@ def display_levels(display: DisplayOptions) -> DisplayLevels:
 def grey_levels(count: int, bits: int) -> list[int]:
     """Return uniform grey levels over the display's whole range.
 
-    Parameters
-    ----------
-    count : int
-        How many.
-    bits : int
-        Bit depth of the display.
+    Returns: Levels, ascending from 0 to the brightest [display DN].
+    InputError: Fewer than 3, or more than there are levels of 8 bit.
 
-    Returns
-    -------
-    list of int
-        Levels, ascending from 0 to the brightest [display DN].
-
-    Raises
-    ------
-    InputError
-        Fewer than 3, or more than there are levels of 8 bit.
-
-    Examples
-    --------
     >>> grey_levels(5, 8)
     [0, 64, 128, 191, 255]
     """

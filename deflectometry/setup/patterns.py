@@ -26,15 +26,8 @@ class Axis(StrEnum):
 def design_matrix(steps_rad: npt.ArrayLike) -> FloatArray:
     """Return the linear model of one set of frames: columns 1, cos(step), sin(step).
 
-    Parameters
-    ----------
-    steps_rad : array_like, shape (n,)
-        Phase steps [rad].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        ``I = M @ (a, b cos(phi), b sin(phi))``.
+    Shapes: steps_rad (n,).
+    Returns (n, 3): ``I = M @ (a, b cos(phi), b sin(phi))``.
     """
     steps = float_array("steps_rad", steps_rad, (None,))
     return np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)], axis=1)
@@ -43,18 +36,9 @@ def design_matrix(steps_rad: npt.ArrayLike) -> FloatArray:
 def determines_phase(steps_rad: npt.ArrayLike) -> bool:
     """Tell whether frames with these steps determine offset, modulation and phase.
 
-    Parameters
-    ----------
-    steps_rad : array_like, shape (n,)
-        Phase steps [rad].
+    Shapes: steps_rad (n,).
+    Returns: True when at least three of the steps differ modulo 2 pi.
 
-    Returns
-    -------
-    bool
-        True when at least three of the steps differ modulo 2 pi.
-
-    Examples
-    --------
     >>> determines_phase([0, 2.0, 4.0]), determines_phase([0, np.pi, 0, np.pi])
     (True, False)
     """
@@ -68,19 +52,10 @@ def determines_phase(steps_rad: npt.ArrayLike) -> bool:
 class FringeSet:
     """Frames of one fringe period in one direction: ``I_k = a + b cos(2 pi periods w - steps_k)``, w = u or v.
 
-    Parameters
-    ----------
-    axis : Axis
-        Direction in which the fringes vary.
-    periods : float
-        Number of periods over the whole displayed image; need not be whole, may be below 1.
-    steps_rad : array_like, shape (n,), n >= 3
-        Phase steps in the order of the frames, any values that determine the phase [rad].
-
-    Raises
-    ------
-    InputError
-        Periods not positive, or steps that do not determine the phase.
+    axis: Direction in which the fringes vary.
+    periods: Number of periods over the whole displayed image; need not be whole, may be below 1.
+    steps_rad (n,): Phase steps in the order of the frames, any values that determine the phase [rad].
+    InputError: Periods not positive, or steps that do not determine the phase.
     """
 
     axis: Axis
@@ -108,15 +83,8 @@ class FringeSet:
 class FringePattern:
     """All frames of a measurement, in the order in which they were taken.
 
-    Parameters
-    ----------
-    sets : tuple of FringeSet
-        The sets in the order of their frames; both axes occur, in any order.
-
-    Raises
-    ------
-    InputError
-        No set for one of the axes.
+    sets: The sets in the order of their frames; both axes occur, in any order.
+    InputError: No set for one of the axes.
     """
 
     sets: tuple[FringeSet, ...]
@@ -139,38 +107,16 @@ class FringePattern:
         return tuple(slice(end - fringes.n_frames, end) for end, fringes in zip(ends, self.sets, strict=True))
 
     def sets_of(self, axis: Axis) -> tuple[tuple[FringeSet, slice], ...]:
-        """Return the sets of one axis with the position of their frames.
-
-        Parameters
-        ----------
-        axis : Axis
-            Which axis.
-
-        Returns
-        -------
-        tuple of (FringeSet, slice)
-            In the order of the frames.
-        """
+        """Return the sets of one axis with the position of their frames."""
         pairs = zip(self.sets, self.frame_slices, strict=True)
         return tuple((fringes, position) for fringes, position in pairs if fringes.axis is axis)
 
     def describe_frame(self, index: int) -> str:
         """Say in words what a frame shows.
 
-        Parameters
-        ----------
-        index : int
-            Position of the frame, from 0.
-
-        Returns
-        -------
-        str
-            Such as "frame 5 (y fringes, 3.9 periods, step 90 deg)".
-
-        Raises
-        ------
-        InputError
-            The pattern has no such frame.
+        index: Position of the frame, from 0.
+        Returns: Such as "frame 5 (y fringes, 3.9 periods, step 90 deg)".
+        InputError: The pattern has no such frame.
         """
         for fringes, position in zip(self.sets, self.frame_slices, strict=True):
             if position.start <= index < position.stop:
@@ -182,23 +128,10 @@ class FringePattern:
 def equal_steps(n: int) -> FloatArray:
     """Return n steps of 2 pi / n, from 0.
 
-    Parameters
-    ----------
-    n : int
-        Number of frames, at least 3.
+    Shapes: result (n,).
+    n: Number of frames, at least 3.
+    InputError: Fewer than 3.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        Steps [rad].
-
-    Raises
-    ------
-    InputError
-        Fewer than 3.
-
-    Examples
-    --------
     >>> np.degrees(equal_steps(4))
     array([  0.,  90., 180., 270.])
     """
@@ -212,27 +145,11 @@ def make_pattern(
 ) -> FringePattern:
     """Make a pattern with equal steps of 2 pi / n for every period.
 
-    Parameters
-    ----------
-    periods_x, periods_y : sequence of float
-        Periods over the width and over the height of the displayed image.
-    steps : int, optional
-        Frames of each set, at least 3.
-    first : Axis, optional
-        Which axis comes first.
+    periods_x, periods_y: Periods over the width and over the height of the displayed image.
+    steps: Frames of each set, at least 3.
+    Returns: All sets of the first axis, then all of the other.
+    InputError: An axis without periods, periods not positive, fewer than 3 steps.
 
-    Returns
-    -------
-    FringePattern
-        All sets of the first axis, then all of the other.
-
-    Raises
-    ------
-    InputError
-        An axis without periods, periods not positive, fewer than 3 steps.
-
-    Examples
-    --------
     >>> make_pattern([0.9, 3.9], [0.9, 3.9]).n_frames
     16
     """
@@ -250,20 +167,12 @@ def _identity_table() -> FloatArray:
 class DisplayLevels:
     """Levels a display may use, and the level it needs for a wanted light.
 
-    Parameters
-    ----------
-    minimum, maximum : float, optional
-        Levels of the dark and the bright fringe as fractions of the display's range.
-    bits : int, optional
-        Bit depth of the frames, 8 to 16; above 8 the frames are uint16.
-    level_from_light : array_like, shape (n,), optional
-        Level fraction for equally spaced fractions 0..1 of the light (the inverse of the display's response),
-        ascending from 0 to 1; without it the display is taken as linear. `gamma_table` makes one for a power law.
-
-    Raises
-    ------
-    InputError
-        Levels outside 0..1 or not ascending, an odd bit depth, a table that does not ascend from 0 to 1.
+    minimum, maximum: Levels of the dark and the bright fringe as fractions of the display's range.
+    bits: Bit depth of the frames, 8 to 16; above 8 the frames are uint16.
+    level_from_light (n,): Level fraction for equally spaced fractions 0..1 of the light (the inverse of the
+        display's response), ascending from 0 to 1; without it the display is taken as linear. `gamma_table` makes
+        one for a power law.
+    InputError: Levels outside 0..1 or not ascending, an odd bit depth, a table that does not ascend from 0 to 1.
     """
 
     minimum: float = 0.0
@@ -287,22 +196,10 @@ class DisplayLevels:
 def gamma_table(gamma: float, n: int = 1025) -> FloatArray:
     """Return the levels that make a display with light = level**gamma linear.
 
-    Parameters
-    ----------
-    gamma : float
-        Exponent of the display, about 2.2 for monitors.
-    n : int, optional
-        Number of nodes; with 1025 the light is right within 3e-4 of the range next to black, 4e-6 above 2 % light.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Level fraction for light fractions 0..1, for `DisplayLevels.level_from_light`.
-
-    Raises
-    ------
-    InputError
-        Gamma not positive.
+    gamma: Exponent of the display, about 2.2 for monitors.
+    n: Number of nodes; with 1025 the light is right within 3e-4 of the range next to black, 4e-6 above 2 % light.
+    Returns (n,): Level fraction for light fractions 0..1, for `DisplayLevels.level_from_light`.
+    InputError: Gamma not positive.
     """
     return np.asarray(np.linspace(0.0, 1.0, n) ** (1.0 / positive("gamma", gamma, "the display's exponent")))
 
@@ -310,27 +207,12 @@ def gamma_table(gamma: float, n: int = 1025) -> FloatArray:
 def response_table(camera_dn: npt.ArrayLike, display_level: npt.ArrayLike, n: int = 4097) -> FloatArray:
     """Return the levels that make the camera see a display as linear, from a measured response.
 
-    Parameters
-    ----------
-    camera_dn : array_like, shape (m,), m >= 2
-        Readings of the camera, strictly ascending [DN].
-    display_level : array_like, shape (m,)
-        Levels that gave them, as shares of the display's range, strictly ascending within 0..1.
-    n : int, optional
-        Number of nodes of the table.
+    camera_dn (m,): Readings of the camera, strictly ascending [DN].
+    display_level (m,): Levels that gave them, as shares of the display's range, strictly ascending within 0..1.
+    n: Number of nodes of the table.
+    Returns (n,): Level fraction for equally spaced fractions of the light, for `DisplayLevels.level_from_light`.
+    InputError: Fewer than two nodes, values not ascending, or levels outside 0..1.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        Level fraction for equally spaced fractions of the light, for `DisplayLevels.level_from_light`.
-
-    Raises
-    ------
-    InputError
-        Fewer than two nodes, values not ascending, or levels outside 0..1.
-
-    Notes
-    -----
     Linear between the nodes, as the evaluation takes it: with 33 nodes of a display with exponent 2.2 the light is
     right within 3e-4 of its range. Beyond the first and the last node the outermost segments go on; the caller keeps
     to the levels in between (`DisplayLevels.minimum`, `maximum`).
@@ -358,27 +240,11 @@ def render_frames(
 ) -> Iterator[npt.NDArray[np.uint8] | npt.NDArray[np.uint16]]:
     """Yield the frames to display, in order.
 
-    Parameters
-    ----------
-    pattern : FringePattern
-        What to show.
-    width_px, height_px : int
-        Size of the displayed image [px].
-    levels : DisplayLevels, optional
-        Range, bit depth and compensation of the display; full range, 8 bit, linear without it.
+    width_px, height_px: Size of the displayed image [px].
+    levels: Range, bit depth and compensation of the display; full range, 8 bit, linear without it.
+    Returns (height_px, width_px): Read-only frames (one line repeated; copy before changing).
+    InputError: Size not positive.
 
-    Yields
-    ------
-    ndarray of uint8 or uint16, shape (height_px, width_px)
-        Read-only frames (one line repeated; copy before changing).
-
-    Raises
-    ------
-    InputError
-        Size not positive.
-
-    Notes
-    -----
     Column c shows u = (c + 0.5) / width and row r shows v = (r + 0.5) / height: the level of a display pixel is the
     sinusoid at its centre. The light the pixel's area sends is then a staircase whose fundamental has that phase
     exactly and a modulation smaller by sinc(periods / width), 0.2 % at 64 periods on 1920 px.

@@ -22,22 +22,10 @@ _BEYOND_SHARE = 0.01
 def check_screen_table(columns: FloatArray, name: str) -> None:
     """Refuse a table in other units, warn of points that stand out of the wall.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (5, n)
-        u, v, x, y, z of each point.
-    name : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        Display coordinates that are no fractions.
-
-    Warns
-    -----
-    QualityWarning
-        Points far off the smooth surface through all of them.
+    columns (5, n): u, v, x, y, z of each point.
+    name: The file, for messages.
+    InputError: Display coordinates that are no fractions.
+    Warns QualityWarning: Points far off the smooth surface through all of them.
     """
     display = columns[:2]
     if display.size and (display.min() < -_FARTHEST or display.max() > 1 + _FARTHEST):
@@ -68,17 +56,7 @@ def check_screen_table(columns: FloatArray, name: str) -> None:
 def warn_beyond_table(screen: Screen, screen_map: ScreenMap) -> None:
     """Warn where the mirror shows parts of the display that no measured point surrounds.
 
-    Parameters
-    ----------
-    screen : Screen
-        The screen.
-    screen_map : ScreenMap
-        Display point of each pixel.
-
-    Warns
-    -----
-    QualityWarning
-        More than a hundredth of the pixels see beyond the table.
+    Warns QualityWarning: More than a hundredth of the pixels see beyond the table.
     """
     if not isinstance(screen, TabulatedScreen):
         return

@@ -18,23 +18,10 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray
 def assemble_maps(evaluation: Evaluation, maps: Mapping[str, SlopeMap], removal: Removal) -> SlopeMap:
     """Put the maps of all facets into one map in the frame of the ensemble.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Where the facets are.
-    maps : mapping of str to SlopeMap
-        Map of each measured facet.
-    removal : Removal
-        What was taken out of each of these maps.
+    removal: What was taken out of each of these maps.
+    Returns: The map of the only facet, or the map of the ensemble: slopes, design slopes and heights in its frame,
+        nodes between facets and facets that were not measured flagged.
 
-    Returns
-    -------
-    SlopeMap
-        The map of the only facet, or the map of the ensemble: slopes, design slopes and heights in its frame, nodes
-        between facets and facets that were not measured flagged.
-
-    Notes
-    -----
     Each node is carried into the facet that covers it, the facet's map is read at its nearest node, and measured and
     design normal are turned into the ensemble's frame: canting shows as a step between facets. The maps of the facets
     keep what the nearest node loses.

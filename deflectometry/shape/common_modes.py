@@ -22,14 +22,8 @@ MODE_DEGREE = 3
 class PixelSamples:
     """Some pixels of one facet as they were measured.
 
-    Parameters
-    ----------
-    facet : Facet
-        The facet.
-    pixels_px : ndarray, shape (n, 2)
-        Pixel positions (x, y) [px].
-    u, v : ndarray, shape (n,)
-        Display coordinates seen there.
+    pixels_px (n, 2): Pixel positions (x, y) [px].
+    u, v (n,): Display coordinates seen there.
     """
 
     facet: Facet
@@ -41,20 +35,6 @@ class PixelSamples:
 def spread_indices(count: int, most: int) -> npt.NDArray[np.intp]:
     """Pick indices spread evenly over all, but not in step with any row length.
 
-    Parameters
-    ----------
-    count : int
-        How many there are.
-    most : int
-        How many to pick at most.
-
-    Returns
-    -------
-    ndarray of int
-        Ascending indices.
-
-    Notes
-    -----
     One from each of `most` equal parts, its place within the part from the golden ratio. Every k-th pixel would do
     for a round mirror; of one that fills 800 x 1000 px exactly it takes pixels of two columns only.
     """
@@ -68,14 +48,9 @@ def spread_indices(count: int, most: int) -> npt.NDArray[np.intp]:
 class Warp:
     """A smooth shape added to a screen.
 
-    Parameters
-    ----------
-    axis : int
-        Coordinate of the screen frame that changes.
-    order : tuple of int
-        Orders of the Legendre polynomials in u and in v.
-    rms_m : float
-        RMS over the display [m].
+    axis: Coordinate of the screen frame that changes.
+    order: Orders of the Legendre polynomials in u and in v.
+    rms_m: RMS over the display [m].
     """
 
     axis: int
@@ -99,19 +74,8 @@ def _legendre(order: int, fraction: FloatArray) -> FloatArray:
 def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | None = None) -> list[FacetSamples]:
     """Turn pixels and display coordinates into lines of sight and screen points.
 
-    Parameters
-    ----------
-    setup : Setup
-        Camera and screen.
-    samples : sequence of PixelSamples
-        Pixels of each facet.
-    warp : Warp, optional
-        Smooth shape added to the screen.
-
-    Returns
-    -------
-    list of FacetSamples
-        The same pixels in the camera frame.
+    warp: Smooth shape added to the screen.
+    Returns: The same pixels in the camera frame.
     """
     traced = []
     for sample in samples:
@@ -129,14 +93,8 @@ def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | No
 class UncertainPose:
     """The pose of a mirror before alignment, how well it is known, and how it follows camera and screen.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        The pose.
-    covariance : ndarray, shape (6, 6)
-        Covariance for steps of `RigidTransform.moved` [rad, m], for camera and screen as given.
-    with_setup : callable, optional
-        The pose that the same observations give with another setup; without it the pose stays where it is.
+    covariance (6, 6): Covariance for steps of `RigidTransform.moved` [rad, m], for camera and screen as given.
+    with_setup: The pose that the same observations give with another setup; without it the pose stays where it is.
     """
 
     cam_from_mirror: RigidTransform
@@ -160,26 +118,11 @@ def common_modes(
 ) -> list[CommonModes]:
     """Propagate the uncertainty of pose, screen and camera into the slopes of each facet.
 
-    Parameters
-    ----------
-    setup : Setup
-        Camera and screen with their covariances.
-    samples : sequence of PixelSamples
-        Pixels of each facet.
-    solution : ShapeSolution
-        The shape found with the values as given.
-    located : UncertainPose
-        The mirror's pose.
-    align : bool
-        As in `deflectometry.shape.slopes.solve_shape`.
+    solution: The shape found with the values as given.
+    located: The mirror's pose.
+    align: As in `deflectometry.shape.slopes.solve_shape`.
+    Returns: One mode for each independent direction of each covariance, for each facet.
 
-    Returns
-    -------
-    list of CommonModes
-        One mode for each independent direction of each covariance, for each facet.
-
-    Notes
-    -----
     Each covariance is split into its principal directions; the whole solution (shape and alignment included) is
     repeated with the input moved by one sigma along each, and the change of the slopes is fitted by a cubic. A pixel
     that then sees another point of the mirror is compared with the slope of the smooth shape there. A pose that was
@@ -239,15 +182,8 @@ def _perturbations(
 def principal_steps(covariance: FloatArray) -> FloatArray:
     """Return one-sigma steps along the principal directions of a covariance.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, n)
-        Covariance matrix; parameters may differ in unit.
-
-    Returns
-    -------
-    ndarray, shape (k, n)
-        Independent steps whose outer products add up to the covariance; k is its rank.
+    covariance (n, n): Covariance matrix; parameters may differ in unit.
+    Returns (k, n): Independent steps whose outer products add up to the covariance; k is its rank.
     """
     scale = np.sqrt(np.diag(covariance))
     used = scale > 0

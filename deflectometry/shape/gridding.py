@@ -28,14 +28,8 @@ MOST_ASKED_NODES = 2e7
 class GridPlan:
     """The grid of a map, and what the map says about itself in words.
 
-    Parameters
-    ----------
-    step_m : float
-        Grid step [m].
-    frame : str
-        The frame of x, y, z.
-    removed : str
-        What was taken out of the measured slopes.
+    frame: The frame of x, y, z.
+    removed: What was taken out of the measured slopes.
     """
 
     step_m: float
@@ -46,22 +40,11 @@ class GridPlan:
 def default_step_m(footprint_m: float, area_m2: float) -> float:
     """Return the grid step for a pixel footprint: 0.4 of it, rounded down to two digits, at most a million nodes.
 
-    Parameters
-    ----------
-    footprint_m : float
-        Spacing of the pixels on the mirror [m].
-    area_m2 : float
-        Area of all that is mapped [m^2].
+    footprint_m: Spacing of the pixels on the mirror [m].
+    Returns: Step [m]. So fine a grid keeps what the pixels show: on a measured facet of 84 x 85 pixels, a bilinear
+        reading of the map at the pixels differs from another program's slopes there by 0.016 mrad RMS, by 0.021
+        with half a footprint and by 0.047 with a whole one; the pixels themselves differ by 0.009.
 
-    Returns
-    -------
-    float
-        Step [m]. So fine a grid keeps what the pixels show: on a measured facet of 84 x 85 pixels, a bilinear reading
-        of the map at the pixels differs from another program's slopes there by 0.016 mrad RMS, by 0.021 with half a
-        footprint and by 0.047 with a whole one; the pixels themselves differ by 0.009.
-
-    Examples
-    --------
     >>> default_step_m(0.01412, 1.44)
     0.0056
     """
@@ -87,39 +70,18 @@ def grid_slopes(
 ) -> SlopeMap:
     """Read the slopes of a facet at the nodes of a regular grid.
 
-    Parameters
-    ----------
-    image : SlopeImage
-        Slopes of the pixels.
-    surface : FittedSurface
-        Smooth shape of the facet.
-    view : tuple of Camera and RigidTransform
-        The camera and cam_from_facet.
-    facet : Facet
-        Outline and design.
-    plan : GridPlan
-        Grid step and words for the map's attributes.
-    common : CommonModes
-        Common share of the uncertainty, kept with the map.
+    surface: Smooth shape of the facet.
+    facet: Outline and design.
+    plan: Grid step and words for the map's attributes.
+    common: Common share of the uncertainty, kept with the map.
+    Returns: Slopes, sigma, integrated height and flags at the nodes.
+    InputError: A grid step that makes more nodes than memory holds.
+    EstimationError: No node carries a slope.
 
-    Returns
-    -------
-    SlopeMap
-        Slopes, sigma, integrated height and flags at the nodes.
-
-    Raises
-    ------
-    InputError
-        A grid step that makes more nodes than memory holds.
-    EstimationError
-        No node carries a slope.
-
-    Notes
-    -----
     Every node is projected into the image, and what the pixels differ from the smooth shape there is interpolated
-    (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than the
-    pixels the differences are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over the
-    pixels used.
+    (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than
+    the pixels the differences are averaged over a node's cell first. ``sigma_random**2 = sum w_i**2 sigma_i**2`` over
+    the pixels used.
     """
     low, high, step_m = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0), plan.step_m
     n_nodes = float(np.prod((high - low) / step_m))

@@ -35,17 +35,7 @@ _TURN_SIGMAS = 5.0
 def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
     """Refuse a setup in which the mirror can see neither camera nor screen.
 
-    Parameters
-    ----------
-    setup : Setup
-        Camera and screen.
-    cam_from_mirror : RigidTransform
-        Pose of the mirror.
-
-    Raises
-    ------
-    EstimationError
-        The mirror is behind the screen, or its back is turned to the camera.
+    EstimationError: The mirror is behind the screen, or its back is turned to the camera.
     """
     camera_m = cam_from_mirror.inverse().translation_m
     if not camera_m[2] > 0:
@@ -65,19 +55,8 @@ def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
 def doubts(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation) -> Iterator[str]:
     """Yield what makes a result doubtful as a whole.
 
-    Parameters
-    ----------
-    numbers : mapping of str to number
-        Headline numbers of the mirror.
-    facets : mapping of str to numbers
-        Headline numbers of each facet; empty for a single one.
-    evaluation : Evaluation
-        The result.
-
-    Yields
-    ------
-    str
-        A warning with its numbers and what to look at.
+    numbers: Headline numbers of the mirror.
+    facets: Headline numbers of each facet; empty for a single one.
     """
     yield from _rejection_doubt(evaluation)
     yield from _turn_doubt(evaluation)

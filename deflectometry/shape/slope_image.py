@@ -23,18 +23,11 @@ BORDER_PIXELS = 4
 class SlopeImage:
     """Slopes of one facet on the pixels of its bounding box.
 
-    Parameters
-    ----------
-    row, column : int
-        Image position of the first pixel.
-    x_m, y_m : ndarray, shape (h, w)
-        Where the pixel's line of sight meets the surface, facet frame [m]; NaN outside the facet.
-    slope_x, slope_y : ndarray, shape (h, w)
-        Measured dz/dx and dz/dy; NaN where rejected.
-    sigma_x, sigma_y : ndarray of float32, shape (h, w)
-        Random standard deviation of the slopes from the noise of the frames [rad].
-    flags : ndarray of uint32, shape (h, w)
-        Bits of `heliogauge.flags.SampleFlag`.
+    row, column: Image position of the first pixel.
+    x_m, y_m (h, w): Where the pixel's line of sight meets the surface, facet frame [m]; NaN outside the facet.
+    slope_x, slope_y (h, w): Measured dz/dx and dz/dy; NaN where rejected.
+    sigma_x, sigma_y (h, w): Random standard deviation of the slopes from the noise of the frames [rad].
+    flags (h, w): Bits of `heliogauge.flags.SampleFlag`.
     """
 
     row: int
@@ -83,23 +76,11 @@ def measure_slopes(
 ) -> SlopeImage:
     """Compute the slopes of all pixels of a facet.
 
-    Parameters
-    ----------
-    setup : Setup
-        Camera and screen.
-    screen_map : ScreenMap
-        Screen point of each pixel with its sigma and flags.
-    region : ndarray of bool, shape (h, w)
-        Pixels of this facet.
-    cam_from_facet : RigidTransform
-        Pose of the facet.
-    surface : FittedSurface
-        Shape of the facet, from `deflectometry.shape.slopes.solve_shape`.
-
-    Returns
-    -------
-    SlopeImage
-        Slopes with the random share of their sigma; the share common to all pixels is in `CommonModes`.
+    Shapes: region (h, w).
+    setup: Camera and screen.
+    screen_map: Screen point of each pixel with its sigma and flags.
+    surface: Shape of the facet, from `deflectometry.shape.slopes.solve_shape`.
+    Returns: Slopes with the random share of their sigma; the share common to all pixels is in `CommonModes`.
     """
     rows, columns = bounding_box(region)
     shape = (rows.stop - rows.start, columns.stop - columns.start)

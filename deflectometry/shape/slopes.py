@@ -27,16 +27,11 @@ MAX_ITERATIONS = 30
 class FittedSurface:
     """The design surface plus a polynomial that follows the measured slopes.
 
-    Parameters
-    ----------
-    design : Quadric
-        Design surface in the facet frame.
-    coefficients_m : ndarray, shape (15,)
-        Height of the polynomial on the monomials of `heliogauge.slopes.map.monomials`, degree 4 [m].
-    center_m : ndarray, shape (2,)
-        Point where the polynomial's variables are zero [m].
-    scale_m : float
-        Length that becomes 1 [m].
+    design: Design surface in the facet frame.
+    coefficients_m (15,): Height of the polynomial on the monomials of `heliogauge.slopes.map.monomials`, degree 4
+        [m].
+    center_m (2,): Point where the polynomial's variables are zero [m].
+    scale_m: Length that becomes 1 [m].
     """
 
     design: Quadric
@@ -68,17 +63,9 @@ class FittedSurface:
     def intersect(self, origin_m: FloatArray, directions: FloatArray) -> FloatArray:
         """Return where lines of sight meet the surface.
 
-        Parameters
-        ----------
-        origin_m : ndarray, shape (3,)
-            Common origin of the lines [m].
-        directions : ndarray, shape (3, n)
-            Directions of any length.
-
-        Returns
-        -------
-        ndarray, shape (3, n)
-            Points [m]; NaN where a line misses the design surface.
+        Shapes: origin_m (3,).
+        directions (3, n): Directions of any length.
+        Returns (3, n): Points [m]; NaN where a line misses the design surface.
         """
         length = self.design.intersect(origin_m, directions.T)
         points = origin_m[:, None] + length * directions
@@ -100,17 +87,8 @@ class FittedSurface:
 def polynomial(coefficients: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
     """Evaluate a polynomial on the monomials of `heliogauge.slopes.map.monomials` by Horner's rule in both variables.
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (n_terms,)
-        Coefficients ordered by total degree, then by the power of v.
-    u, v : ndarray, shape (...)
-        The variables.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        The value.
+    Shapes: u, v (...), result (...).
+    coefficients (n_terms,): Coefficients ordered by total degree, then by the power of v.
     """
     degree = int((np.sqrt(8 * coefficients.size + 1) - 3) / 2)
     total = np.zeros(np.shape(u))
@@ -142,22 +120,11 @@ def derivative_coefficients(coefficients: FloatArray) -> tuple[FloatArray, Float
 def slopes_at(points_m: FloatArray, camera_m: FloatArray, screen_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the slopes of the mirror that shows a screen point to the camera.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (3, n)
-        Points of the mirror [m].
-    camera_m : ndarray, shape (3,)
-        Projection centre [m].
-    screen_m : ndarray, shape (3, n)
-        Screen points seen there [m].
+    Shapes: points_m (3, n).
+    camera_m (3,): Projection centre [m].
+    screen_m (3, n): Screen points seen there [m].
+    slope_x, slope_y (n,): dz/dx and dz/dy.
 
-    Returns
-    -------
-    slope_x, slope_y : ndarray, shape (n,)
-        dz/dx and dz/dy.
-
-    Notes
-    -----
     The normal halves the angle: ``n ~ a / |a| + b / |b|``, a to the screen, b to the camera (spec 003 C-31).
     """
     to_screen, to_camera = screen_m - points_m, camera_m[:, None] - points_m
@@ -171,17 +138,8 @@ def slope_sensitivity(
 ) -> FloatArray:
     """Return how slopes follow a shift of the screen point along one direction.
 
-    Parameters
-    ----------
-    points_m, camera_m, screen_m : ndarray
-        As in `slopes_at`.
-    d_screen : ndarray, shape (3,)
-        Shift of the screen point [m].
-
-    Returns
-    -------
-    ndarray, shape (2, n)
-        Change of slope_x and slope_y for this shift.
+    Shapes: d_screen (3,).
+    Returns (2, n): Change of slope_x and slope_y for this shift.
     """
     to_screen, to_camera = screen_m - points_m, camera_m[:, None] - points_m
     length_camera = np.sqrt(np.einsum("ij,ij->j", to_camera, to_camera))
@@ -196,14 +154,9 @@ def slope_sensitivity(
 class FacetSamples:
     """Some pixels of one facet: enough to find its smooth shape.
 
-    Parameters
-    ----------
-    facet : Facet
-        The facet with its design.
-    rays_cam : ndarray, shape (3, n)
-        Lines of sight in the camera frame.
-    screen_cam_m : ndarray, shape (3, n)
-        Screen points seen there, in the camera frame [m].
+    facet: The facet with its design.
+    rays_cam (3, n): Lines of sight in the camera frame.
+    screen_cam_m (3, n): Screen points seen there, in the camera frame [m].
     """
 
     facet: Facet
@@ -215,15 +168,10 @@ class FacetSamples:
 class RoundLimits:
     """How long to look for the shape.
 
-    Parameters
-    ----------
-    outer : int
-        Rounds between shape and slopes.
-    reweighting : int
-        Rounds of reweighting in each fit; 1 is plain least squares. The biweight settles to round-off within 12 on
-        measured facets.
-    must_settle : bool
-        Raise when the last round still changes a slope.
+    outer: Rounds between shape and slopes.
+    reweighting: Rounds of reweighting in each fit; 1 is plain least squares. The biweight settles to round-off
+        within 12 on measured facets.
+    must_settle: Raise when the last round still changes a slope.
     """
 
     outer: int = 30
@@ -235,16 +183,11 @@ class RoundLimits:
 class ShapeSolution:
     """Pose and smooth shapes that agree with the slopes they give.
 
-    Parameters
-    ----------
-    cam_from_mirror : RigidTransform
-        Pose of the mirror (of the ensemble), aligned if that was asked for.
-    surfaces : tuple of FittedSurface
-        The smooth shape of each facet in its own frame.
-    tilt_rad : ndarray, shape (n_facets, 2)
-        Slope of each facet against its design at its reference point, in the aligned frame [rad].
-    iterations : int
-        Rounds until no slope changed by more than 1e-9 rad.
+    cam_from_mirror: Pose of the mirror (of the ensemble), aligned if that was asked for.
+    surfaces: The smooth shape of each facet in its own frame.
+    tilt_rad (n_facets, 2): Slope of each facet against its design at its reference point, in the aligned frame
+        [rad].
+    iterations: Rounds until no slope changed by more than 1e-9 rad.
     """
 
     cam_from_mirror: RigidTransform
@@ -270,32 +213,14 @@ def solve_shape(
 ) -> ShapeSolution:
     """Find the smooth shape of each facet, and the tilt of the mirror, that the measured slopes themselves give.
 
-    Parameters
-    ----------
-    samples : sequence of FacetSamples
-        Pixels of each facet.
-    cam_from_mirror : RigidTransform
-        Pose of the mirror from its outline.
-    align : bool
-        Turn the mirror frame about its reference point until the mean tilt against the design is zero: an outline
-        fixes the tilt only to some 10 mrad, the slopes to microradians.
-    start : ShapeSolution, optional
-        Shapes of a neighbouring problem to begin with.
-    rounds : RoundLimits, optional
-        How many rounds, and whether the fits are robust.
+    cam_from_mirror: Pose of the mirror from its outline.
+    align: Turn the mirror frame about its reference point until the mean tilt against the design is zero: an
+        outline fixes the tilt only to some 10 mrad, the slopes to microradians.
+    start: Shapes of a neighbouring problem to begin with.
+    rounds: How many rounds, and whether the fits are robust.
+    Returns: The consistent pose and shapes.
+    EstimationError: The rounds do not settle.
 
-    Returns
-    -------
-    ShapeSolution
-        The consistent pose and shapes.
-
-    Raises
-    ------
-    EstimationError
-        The rounds do not settle.
-
-    Notes
-    -----
     Each round: intersect the lines of sight with the current shapes, slopes there, least-squares polynomial of the
     slope errors against the design (height zero at the reference point, which the pose fixes), new tilt. The tilt is
     the slope at the reference point of the best-fit quadratic ``dz/dx = 2 A x + C + E y``,
@@ -378,17 +303,10 @@ def _fit_potential(
 def gradient_terms(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
     """Return the derivatives of all monomials but the constant.
 
-    Parameters
-    ----------
-    u, v : ndarray, shape (n,)
-        The variables.
-    degree : int
-        Highest total degree.
-
-    Returns
-    -------
-    ndarray, shape (2, n_terms - 1, n)
-        Derivative after u and after v of each monomial of `heliogauge.slopes.map.monomials`.
+    Shapes: u, v (n,).
+    degree: Highest total degree.
+    Returns (2, n_terms - 1, n): Derivative after u and after v of each monomial of
+        `heliogauge.slopes.map.monomials`.
     """
     inner = monomials(u, v, degree - 1)
     terms = np.zeros((2, (degree + 1) * (degree + 2) // 2, u.size))

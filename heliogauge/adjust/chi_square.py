@@ -9,21 +9,11 @@ from heliogauge.errors import InputError
 def chi_square_cdf(value: float, freedom: float) -> float:
     """Return the probability that a chi-square variable stays below a value.
 
-    Parameters
-    ----------
-    value : float
-        Upper limit.
-    freedom : float
-        Degrees of freedom, above 0.
+    value: Upper limit.
+    freedom: Degrees of freedom, above 0.
+    Returns: Regularised incomplete gamma function P(freedom / 2, value / 2): series below the mean, continued
+        fraction above (Abramowitz and Stegun 6.5.29, 6.5.31).
 
-    Returns
-    -------
-    float
-        Regularised incomplete gamma function P(freedom / 2, value / 2): series below the mean, continued fraction above
-        (Abramowitz and Stegun 6.5.29, 6.5.31).
-
-    Examples
-    --------
     >>> round(chi_square_cdf(3.841458820694124, 1), 12)
     0.95
     """
@@ -62,25 +52,11 @@ def _upper_fraction(a: float, x: float) -> float:
 def chi_square_quantile(probability: float, freedom: float) -> float:
     """Return the value below which a chi-square variable stays with a given probability.
 
-    Parameters
-    ----------
-    probability : float
-        Between 0 and 1.
-    freedom : float
-        Degrees of freedom, above 0.
+    probability: Between 0 and 1.
+    freedom: Degrees of freedom, above 0.
+    Returns: The quantile: Wilson and Hilferty's start, then bisection to 1e-12.
+    InputError: The probability is not between 0 and 1, or there is no freedom.
 
-    Returns
-    -------
-    float
-        The quantile: Wilson and Hilferty's start, then bisection to 1e-12.
-
-    Raises
-    ------
-    InputError
-        The probability is not between 0 and 1, or there is no freedom.
-
-    Examples
-    --------
     >>> round(chi_square_quantile(0.95, 10), 9)
     18.307038053
     """

@@ -72,14 +72,9 @@ class WeightedRows(Evaluation, Protocol[FactorisedT]):
 class Facts:
     """What the caller knows about the parameters.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Names of all parameters.
-    free : ndarray of bool, shape (n,)
-        Which of them were estimated.
-    values : ndarray, shape (n,)
-        Their estimates.
+    names length n: Names of all parameters.
+    free (n,): Which of them were estimated.
+    values (n,): Their estimates.
     """
 
     names: tuple[str, ...]
@@ -108,21 +103,10 @@ def assemble(
 ) -> Solution[StateT]:
     """Compute covariance, redundancy and variance factor where a descent ended.
 
-    Parameters
-    ----------
-    descent : Descent
-        The end of the descent.
-    facts : Facts
-        Names, free parameters and values.
-    loss : tuple of Loss and int
-        The loss of the observations and its block size.
-    covariance_scale : CovarianceScale
-        Whether the stated sigmas are believed.
-
-    Returns
-    -------
-    Solution
-        The result, see `heliogauge.adjust.least_squares.solve` for the model.
+    facts: Names, free parameters and values.
+    loss: The loss of the observations and its block size.
+    covariance_scale: Whether the stated sigmas are believed.
+    Returns: The result, see `heliogauge.adjust.least_squares.solve` for the model.
     """
     rows = descent.evaluation
     observed = np.arange(rows.n_residuals) < rows.n_observations

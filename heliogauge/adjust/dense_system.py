@@ -15,22 +15,14 @@ _ROWS = 4096
 class DenseSystem:
     """A linearised least-squares problem ``min |r + J step|`` in scaled coordinates, factorised.
 
-    Parameters
-    ----------
-    scale : ndarray, shape (n,)
-        Column scale.
-    basis : ndarray, shape (n, k)
-        Admissible directions in scaled coordinates (all of them, or those orthogonal to the datum constraints).
-    left, right : ndarray, shape (k, k)
-        Singular vectors of the triangular factor: rows of ``right`` are directions in the basis.
-    singular : ndarray, shape (k,)
-        Singular values of the column-scaled Jacobian, largest first.
-    projection : ndarray, shape (k,)
-        Residuals along the left singular vectors.
-    rank : int
-        Number of singular values that count.
-    rounding : float
-        Rounding error of the residual vector's length.
+    scale (n,): Column scale.
+    basis (n, k): Admissible directions in scaled coordinates (all of them, or those orthogonal to the datum
+        constraints).
+    left, right (k, k): Singular vectors of the triangular factor: rows of ``right`` are directions in the basis.
+    singular (k,): Singular values of the column-scaled Jacobian, largest first.
+    projection (k,): Residuals along the left singular vectors.
+    rank: Number of singular values that count.
+    rounding: Rounding error of the residual vector's length.
     """
 
     scale: FloatArray
@@ -49,17 +41,9 @@ class DenseSystem:
     def step(self, damping: float) -> tuple[FloatArray, float]:
         """Return the damped step and the decrease of the cost it promises.
 
-        Parameters
-        ----------
-        damping : float
-            Relative to the squared column scale; 0 for Gauss-Newton.
-
-        Returns
-        -------
-        step : ndarray, shape (n,)
-            Shortest step in scaled coordinates; nothing along the null space.
-        promised : float
-            Decrease of half the sum of squares.
+        damping: Relative to the squared column scale; 0 for Gauss-Newton.
+        step (n,): Shortest step in scaled coordinates; nothing along the null space.
+        promised: Decrease of half the sum of squares.
         """
         singular, projection = self.singular[: self.rank], self.projection[: self.rank]
         along = -projection * singular / (singular**2 + damping)
@@ -93,25 +77,14 @@ def factorise(
 ) -> DenseSystem:
     """Factorise a linearised problem.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (m, n)
-        Derivatives of the whitened, weighted residuals.
-    residuals : ndarray, shape (m,)
-        The whitened, weighted residuals.
-    rank_tolerance : float
-        Share of the largest singular value below which one counts as zero.
-    values : ndarray, shape (n,), optional
-        Values of the parameters, for the rounding error of the residuals.
-    constraints : ndarray, shape (n, d), optional
-        Datum: steps obey ``constraints.T @ step = 0``.
-    scale_floor : ndarray, shape (n,), optional
-        Smallest column scale.
-
-    Returns
-    -------
-    DenseSystem
-        QR of ``[J | r]``, then singular values of the small triangle: the condition of J counts, not its square.
+    jacobian (m, n): Derivatives of the whitened, weighted residuals.
+    residuals (m,): The whitened, weighted residuals.
+    rank_tolerance: Share of the largest singular value below which one counts as zero.
+    values (n,): Values of the parameters, for the rounding error of the residuals.
+    constraints (n, d): Datum: steps obey ``constraints.T @ step = 0``.
+    scale_floor (n,): Smallest column scale.
+    Returns: QR of ``[J | r]``, then singular values of the small triangle: the condition of J counts, not its
+        square.
     """
     norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     scale = norms if scale_floor is None else np.maximum(norms, scale_floor)

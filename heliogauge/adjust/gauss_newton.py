@@ -68,22 +68,13 @@ class Evaluation(Protocol):
 class Options:
     """How to iterate.
 
-    Parameters
-    ----------
-    max_iterations : int, optional
-        Accepted or tried steps before the descent gives up.
-    tolerance : float, optional
-        Relative offset at which the descent has converged: the remaining step, in units of the parameters' own
-        standard deviations (Bates and Watts 1981).
-    initial_damping : float, optional
-        Damping of the first step, relative to the squared column norms; 0 starts with a pure Gauss-Newton step.
-    rank_tolerance : float, optional
-        Singular values of the column-scaled Jacobian below this share of the largest count as zero.
-
-    Raises
-    ------
-    InputError
-        A number is out of its range.
+    max_iterations: Accepted or tried steps before the descent gives up.
+    tolerance: Relative offset at which the descent has converged: the remaining step, in units of the parameters'
+        own standard deviations (Bates and Watts 1981).
+    initial_damping: Damping of the first step, relative to the squared column norms; 0 starts with a pure
+        Gauss-Newton step.
+    rank_tolerance: Singular values of the column-scaled Jacobian below this share of the largest count as zero.
+    InputError: A number is out of its range.
     """
 
     max_iterations: int = 200
@@ -105,18 +96,11 @@ class Options:
 class Descent(Generic[StateT, EvaluationT_co]):
     """Where a descent ended and why.
 
-    Parameters
-    ----------
-    state : object
-        The last accepted state.
-    evaluation : Evaluation
-        The residuals there.
-    converged : bool
-        Whether the stop is a minimum to the stated tolerance.
-    reason : str
-        Why the descent stopped, with numbers.
-    iterations : int
-        Steps tried.
+    state: The last accepted state.
+    evaluation: The residuals there.
+    converged: Whether the stop is a minimum to the stated tolerance.
+    reason: Why the descent stopped, with numbers.
+    iterations: Steps tried.
     """
 
     state: StateT
@@ -129,22 +113,11 @@ class Descent(Generic[StateT, EvaluationT_co]):
 def relative_offset(system: LinearSystem, cost: float, n_residuals: int) -> float:
     """Return the remaining step in units of the parameters' standard deviations.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The linearised problem.
-    cost : float
-        Half the sum of squares at the same place.
-    n_residuals : int
-        Number of residuals.
+    system: The linearised problem.
+    cost: Half the sum of squares at the same place.
+    Returns: ``|J step| / sqrt(rank)`` over ``|r + J step| / sqrt(n_residuals - rank)``; infinite without
+        redundancy.
 
-    Returns
-    -------
-    float
-        ``|J step| / sqrt(rank)`` over ``|r + J step| / sqrt(n_residuals - rank)``; infinite without redundancy.
-
-    Notes
-    -----
     Bates and Watts, Technometrics 23 (1981) 179: unlike a small step or a small change of the cost this cannot be
     met by a heavily damped crawl, because the undamped step enters.
     """
@@ -166,29 +139,11 @@ def minimise(
 ) -> Descent[StateT, EvaluationT]:
     """Descend to a minimum of the cost with Levenberg-Marquardt steps.
 
-    Parameters
-    ----------
-    start : object
-        Start state.
-    evaluate : callable
-        State to `Evaluation`.
-    retract : callable
-        State and step, shape (n,), to the moved state.
-    options : Options, optional
-        How to iterate.
+    evaluate: State to `Evaluation`.
+    retract: State and step, shape (n,), to the moved state.
+    Returns: The last state; ``converged`` is False with the reason when it is not a minimum.
+    EstimationError: The model cannot be evaluated at the start.
 
-    Returns
-    -------
-    Descent
-        The last state; ``converged`` is False with the reason when it is not a minimum.
-
-    Raises
-    ------
-    EstimationError
-        The model cannot be evaluated at the start.
-
-    Notes
-    -----
     Damping after Marquardt (scaled by column, scales never shrink), lowered or raised by the ratio of the real to the
     promised decrease. Where the promised decrease is below the rounding error of the cost the step is accepted
     unless the cost rises beyond rounding, so the gradient and not the noise of the cost decides about the end.

@@ -39,12 +39,8 @@ __all__ = [
 class Chart(Generic[StateT]):
     """How a state is moved by a step and written as numbers.
 
-    Parameters
-    ----------
-    retract : callable
-        State and step, shape (n,), to the moved state; derivatives are taken with respect to the step at zero.
-    coordinates : callable
-        State to numbers, shape (n,), for tables and priors.
+    retract: State and step, shape (n,), to the moved state; derivatives are taken with respect to the step at zero.
+    coordinates: State to numbers, shape (n,), for tables and priors.
     """
 
     retract: Callable[[StateT, FloatArray], StateT]
@@ -87,19 +83,10 @@ POSE_NAMES = (
 class Prior:
     """A value known before, as one more observation of one coordinate.
 
-    Parameters
-    ----------
-    name : str
-        Name of the parameter; it must be one to which the step is added (not a rotation: use `Constraint` there).
-    value : float
-        The known value, in the parameter's unit.
-    sigma : float
-        Its standard deviation, in the parameter's unit.
-
-    Raises
-    ------
-    InputError
-        The sigma is not positive.
+    name: Name of the parameter; it must be one to which the step is added (not a rotation: use `Constraint` there).
+    value: The known value, in the parameter's unit.
+    sigma: Its standard deviation, in the parameter's unit.
+    InputError: The sigma is not positive.
     """
 
     name: str
@@ -114,19 +101,11 @@ class Prior:
 class Constraint(Generic[StateT]):
     """Something known about the state, with sigma, as more observations that no robust loss weakens.
 
-    Parameters
-    ----------
-    name : str
-        What is known ("distance screen to mirror").
-    evaluate : callable
-        State to residuals (predicted minus known), shape (k,), and their derivatives by the step, shape (k, n).
-    sigma : float
-        Standard deviation of the residuals.
-
-    Raises
-    ------
-    InputError
-        The sigma is not positive.
+    name: What is known ("distance screen to mirror").
+    evaluate: State to residuals (predicted minus known), shape (k,), and their derivatives by the step, shape (k,
+        n).
+    sigma: Standard deviation of the residuals.
+    InputError: The sigma is not positive.
     """
 
     name: str
@@ -141,27 +120,16 @@ class Constraint(Generic[StateT]):
 class Problem(Generic[StateT]):
     """What is observed and what is sought.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Names of the parameters, with units.
-    evaluate : callable
-        State to whitened residuals (predicted minus observed over sigma), shape (m,), and their derivatives by the
-        step, shape (m, n); `whitened` divides by sigmas or covariance blocks.
-    chart : Chart
-        How a state moves: `VECTOR` for plain arrays, `POSE` for a rigid transform, or the caller's.
-    held : tuple of str, optional
-        Parameters that stay at their start value.
-    extra : tuple of Prior or Constraint, optional
-        Further knowledge with its sigma.
-    datum : callable, optional
-        State to constraint columns, shape (n, d): steps and covariance obey ``columns.T @ step = 0``. Unit columns give
-        minimal constraints, the null space of the observations (of chosen points) gives inner constraints.
-
-    Raises
-    ------
-    InputError
-        A name is repeated or unknown.
+    names length n: Names of the parameters, with units.
+    evaluate: State to whitened residuals (predicted minus observed over sigma), shape (m,), and their derivatives
+        by the step, shape (m, n); `whitened` divides by sigmas or covariance blocks.
+    chart: How a state moves: `VECTOR` for plain arrays, `POSE` for a rigid transform, or the caller's.
+    held: Parameters that stay at their start value.
+    extra: Further knowledge with its sigma.
+    datum: State to constraint columns, shape (n, d): steps and covariance obey ``columns.T @ step = 0``. Unit
+        columns give minimal constraints, the null space of the observations (of chosen points) gives inner
+        constraints.
+    InputError: A name is repeated or unknown.
     """
 
     names: tuple[str, ...]
@@ -223,26 +191,10 @@ class _Rows:
 def whitened(residuals: FloatArray, jacobian: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Divide residuals and derivatives by the square root of their covariance.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (m,)
-        Predicted minus observed.
-    jacobian : ndarray, shape (m, n)
-        Derivatives.
-    covariance : ndarray, shape (m,) or (k, d, d)
-        Variances, or the covariance of each block of d consecutive residuals (k d = m).
-
-    Returns
-    -------
-    residuals : ndarray, shape (m,)
-        Whitened residuals, in sigma.
-    jacobian : ndarray, shape (m, n)
-        Their derivatives.
-
-    Raises
-    ------
-    InputError
-        A covariance is not positive definite, or of another size.
+    Shapes: jacobian (m, n), residuals (m,), jacobian (m, n).
+    residuals (m,): Predicted minus observed.
+    covariance (m,) or (k, d, d): Variances, or the covariance of each block of d consecutive residuals (k d = m).
+    InputError: A covariance is not positive definite, or of another size.
     """
     if covariance.ndim == 1:
         if covariance.shape != residuals.shape or not (covariance > 0).all():
@@ -271,45 +223,23 @@ def solve(
 ) -> Solution[StateT]:
     """Adjust the parameters to the observations.
 
-    Parameters
-    ----------
-    problem : Problem
-        What is observed and what is sought.
-    start : object
-        Start state.
-    loss : Loss, optional
-        Robust loss of the observations; plain least squares if not given. Priors and constraints are never weakened.
-    block_size : int, optional
-        Number of consecutive residuals that belong together (2 for image points) and are weakened together.
-    covariance_scale : CovarianceScale, optional
-        Whether the stated sigmas are believed, or only their ratios.
-    options : Options, optional
-        How to iterate.
+    problem: What is observed and what is sought.
+    loss: Robust loss of the observations; plain least squares if not given. Priors and constraints are never
+        weakened.
+    block_size: Number of consecutive residuals that belong together (2 for image points) and are weakened together.
+    covariance_scale: Whether the stated sigmas are believed, or only their ratios.
+    Returns: ``converged`` is False with the reason if the iteration did not end in a minimum; parameters that
+        nothing holds have covariance NaN and are named by ``undetermined``. `Solution.require` turns both into an
+        error.
+    InputError: The residuals and derivatives do not fit the parameters.
+    EstimationError: The model cannot be evaluated at the start.
 
-    Returns
-    -------
-    Solution
-        ``converged`` is False with the reason if the iteration did not end in a minimum; parameters that nothing
-        holds have covariance NaN and are named by ``undetermined``. `Solution.require` turns both into an error.
+    With whitened residuals r, derivatives J and psi the influence of the loss, the covariance is ``A^-1 B A^-1`` with
+    ``A = mean(psi') J^T J`` and ``B = m / (m - n) mean(psi^2) K^2 J^T J``, ``K = 1 + n / m var(psi') / mean(psi')^2``
+    (Huber 1981, section 7.6), plus the priors' shares; for plain least squares this is ``(J^T J)^-1``, times the
+    variance factor if a posteriori. With a robust loss and a priori scale the averages are those for normal errors of
+    the stated sigma, or those of the residuals if they say that the answer is less certain.
 
-    Raises
-    ------
-    InputError
-        The residuals and derivatives do not fit the parameters.
-    EstimationError
-        The model cannot be evaluated at the start.
-
-    Notes
-    -----
-    With whitened residuals r, derivatives J and psi the influence of the loss, the covariance is
-    ``A^-1 B A^-1`` with ``A = mean(psi') J^T J`` and ``B = m / (m - n) mean(psi^2) K^2 J^T J``,
-    ``K = 1 + n / m var(psi') / mean(psi')^2`` (Huber 1981, section 7.6), plus the priors' shares; for plain least
-    squares this is ``(J^T J)^-1``, times the variance factor if a posteriori. With a robust loss and a priori scale the
-    averages are those for normal errors of the stated sigma, or those of the residuals if they say that the answer is
-    less certain.
-
-    Examples
-    --------
     >>> lengths = np.array([1.0, 2.0, 4.0])
     >>> mean = Problem(("length_m",), lambda x: ((x - lengths) / 0.1, np.full((3, 1), 10.0)), VECTOR)
     >>> solution = solve(mean, np.zeros(1))

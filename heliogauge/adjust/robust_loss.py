@@ -11,12 +11,10 @@ from heliogauge.validate import FloatArray, positive
 class Loss(Protocol):
     """What a loss must offer; ``s >= 0`` is the length of a whitened residual block, 1 for one sigma.
 
-    Notes
-    -----
-    The adjustment minimises ``1/2 sum rho(s)``, with ``rho(s) = s**2`` near zero for every loss here.
-    ``psi(s) = rho'(s) / 2`` is the influence, ``weight(s) = psi(s) / s`` the weight of iterated least squares and
-    ``slope(s) = psi'(s)`` what the covariance needs: an observation that no longer pulls (slope 0) adds nothing to the
-    precision, although its weight is not 0.
+    The adjustment minimises ``1/2 sum rho(s)``, with ``rho(s) = s**2`` near zero for every loss here. ``psi(s) =
+    rho'(s) / 2`` is the influence, ``weight(s) = psi(s) / s`` the weight of iterated least squares and ``slope(s) =
+    psi'(s)`` what the covariance needs: an observation that no longer pulls (slope 0) adds nothing to the precision,
+    although its weight is not 0.
     """
 
     def rho(self, s: FloatArray) -> FloatArray:
@@ -53,15 +51,9 @@ class Squares:
 class Huber:
     """Squares up to a threshold, linear beyond: convex, one minimum; a far outlier keeps a bounded pull.
 
-    Parameters
-    ----------
-    threshold : float, optional
-        Where the linear part begins [sigma]; 1.345 keeps 95 % efficiency for normal errors (Huber 1981, section 4.3).
-
-    Raises
-    ------
-    InputError
-        The threshold is not positive.
+    threshold: Where the linear part begins [sigma]; 1.345 keeps 95 % efficiency for normal errors (Huber 1981,
+        section 4.3).
+    InputError: The threshold is not positive.
     """
 
     threshold: float = 1.345
@@ -87,15 +79,8 @@ class Huber:
 class Cauchy:
     """Logarithmic loss: a far outlier loses its pull slowly; not convex, start near the answer.
 
-    Parameters
-    ----------
-    threshold : float, optional
-        Scale of the loss [sigma]; 2.385 keeps 95 % efficiency for normal errors.
-
-    Raises
-    ------
-    InputError
-        The threshold is not positive.
+    threshold: Scale of the loss [sigma]; 2.385 keeps 95 % efficiency for normal errors.
+    InputError: The threshold is not positive.
     """
 
     threshold: float = 2.385
@@ -121,15 +106,8 @@ class Cauchy:
 class Tukey:
     """Biweight: beyond the threshold an observation has no pull at all; needs a start near the answer.
 
-    Parameters
-    ----------
-    threshold : float, optional
-        Where the pull ends [sigma]; 4.685 keeps 95 % efficiency for normal errors.
-
-    Raises
-    ------
-    InputError
-        The threshold is not positive.
+    threshold: Where the pull ends [sigma]; 4.685 keeps 95 % efficiency for normal errors.
+    InputError: The threshold is not positive.
     """
 
     threshold: float = 4.685
@@ -155,17 +133,7 @@ class Tukey:
 def block_lengths(residuals: FloatArray, block_size: int) -> FloatArray:
     """Return the lengths of consecutive blocks of whitened residuals.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (k * block_size,)
-        Whitened residuals.
-    block_size : int
-        Number of residuals in one block.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Length of each block [sigma].
+    Shapes: residuals (k * block_size,), result (k,).
     """
     if block_size == 1:
         return np.abs(residuals)
@@ -176,14 +144,9 @@ def block_lengths(residuals: FloatArray, block_size: int) -> FloatArray:
 class LossMoments:
     """Averages of a loss over residual blocks, per residual component.
 
-    Parameters
-    ----------
-    slope : float
-        Mean derivative of the influence: 1 for `Squares`.
-    influence : float
-        Mean squared influence: the mean squared residual for `Squares`.
-    slope_variance : float
-        Variance of the derivative over the blocks, for the small-sample correction.
+    slope: Mean derivative of the influence: 1 for `Squares`.
+    influence: Mean squared influence: the mean squared residual for `Squares`.
+    slope_variance: Variance of the derivative over the blocks, for the small-sample correction.
     """
 
     slope: float
@@ -194,20 +157,9 @@ class LossMoments:
 def loss_moments(loss: Loss, s: FloatArray, block_size: int) -> LossMoments:
     """Average a loss over measured residual blocks.
 
-    Parameters
-    ----------
-    loss : Loss
-        The loss.
-    s : ndarray, shape (k,)
-        Lengths of the whitened residual blocks.
-    block_size : int
-        Number of residuals in one block.
-
-    Returns
-    -------
-    LossMoments
-        For blocks of d components the influence is the vector ``weight(s) r``; its derivative has the mean eigenvalue
-        ``((d - 1) weight + slope) / d`` and its square is ``(weight s)**2 / d`` per component.
+    s (k,): Lengths of the whitened residual blocks.
+    Returns: For blocks of d components the influence is the vector ``weight(s) r``; its derivative has the mean
+        eigenvalue ``((d - 1) weight + slope) / d`` and its square is ``(weight s)**2 / d`` per component.
     """
     weight = loss.weight(s)
     slope = ((block_size - 1) * weight + loss.slope(s)) / block_size
@@ -217,20 +169,8 @@ def loss_moments(loss: Loss, s: FloatArray, block_size: int) -> LossMoments:
 def normal_moments(loss: Loss, block_size: int) -> LossMoments:
     """Average a loss over normal errors of the stated sigma (by quadrature, good to 1e-3).
 
-    Parameters
-    ----------
-    loss : Loss
-        The loss.
-    block_size : int
-        Number of residuals in one block.
+    Returns: ``slope**2 / influence`` is the efficiency of the loss against least squares.
 
-    Returns
-    -------
-    LossMoments
-        ``slope**2 / influence`` is the efficiency of the loss against least squares.
-
-    Examples
-    --------
     >>> moments = normal_moments(Huber(), 1)
     >>> round(moments.slope**2 / moments.influence, 2)
     0.95

@@ -24,39 +24,25 @@ class CovarianceScale(StrEnum):
 class Solution(Generic[StateT]):
     """Estimate with its covariance and the evidence for or against it.
 
-    Parameters
-    ----------
-    state : object
-        The estimate as the caller's own type.
-    parameters : ndarray, shape (n,)
-        The estimate as numbers, in the order of ``names``.
-    names : tuple of str, length n
-        Names of the parameters, with units.
-    covariance : ndarray, shape (n, n)
-        Covariance of the step from the truth to the estimate; 0 for held parameters, NaN for those not determined.
-    covariance_scale : CovarianceScale
-        How the covariance was scaled.
-    converged : bool
-        Whether the estimate is a minimum to the stated tolerance.
-    reason : str
-        Why the iteration ended.
-    iterations : int
-        Steps tried.
-    rank : int
-        Number of parameter combinations determined by observations, priors and constraints, on top of the datum.
-    null_space : ndarray, shape (n, defect)
-        Directions in which nothing holds the parameters, largest entry 1; no columns when all are determined.
-    residuals : ndarray, shape (m,)
-        Whitened residuals [sigma]: observations, then priors and constraints in their order.
-    weights : ndarray, shape (m,)
-        Weight that the robust loss left to each residual, 1 for plain least squares.
-    redundancy_numbers : ndarray, shape (m,)
-        Share of an error of each residual that shows in it; they add up to the redundancy. 0: not controlled.
-    redundancy : int
-        Residuals less rank.
-    variance_factor : float
-        Squared residuals over redundancy, 1 if the sigmas are right; NaN without redundancy. With a robust loss
-        the squared influences count, divided by their expectation for normal errors.
+    state: The estimate as the caller's own type.
+    parameters (n,): The estimate as numbers, in the order of ``names``.
+    names length n: Names of the parameters, with units.
+    covariance (n, n): Covariance of the step from the truth to the estimate; 0 for held parameters, NaN for those
+        not determined.
+    covariance_scale: How the covariance was scaled.
+    converged: Whether the estimate is a minimum to the stated tolerance.
+    reason: Why the iteration ended.
+    iterations: Steps tried.
+    rank: Number of parameter combinations determined by observations, priors and constraints, on top of the datum.
+    null_space (n, defect): Directions in which nothing holds the parameters, largest entry 1; no columns when all
+        are determined.
+    residuals (m,): Whitened residuals [sigma]: observations, then priors and constraints in their order.
+    weights (m,): Weight that the robust loss left to each residual, 1 for plain least squares.
+    redundancy_numbers (m,): Share of an error of each residual that shows in it; they add up to the redundancy. 0:
+        not controlled.
+    redundancy: Residuals less rank.
+    variance_factor: Squared residuals over redundancy, 1 if the sigmas are right; NaN without redundancy. With a
+        robust loss the squared influences count, divided by their expectation for normal errors.
     """
 
     state: StateT
@@ -116,15 +102,8 @@ class Solution(Generic[StateT]):
     def largest_correlations(self, at_least: float = 0.9) -> tuple[tuple[str, str, float], ...]:
         """List pairs of parameters that the observations hardly separate.
 
-        Parameters
-        ----------
-        at_least : float, optional
-            Smallest absolute correlation listed.
-
-        Returns
-        -------
-        tuple of (str, str, float)
-            Names and correlation, strongest first.
+        at_least: Smallest absolute correlation listed.
+        Returns: Names and correlation, strongest first.
         """
         correlation = self.correlation
         rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(correlation)) >= at_least, 1))
@@ -134,16 +113,8 @@ class Solution(Generic[StateT]):
     def variance_factor_interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Return the interval in which the variance factor lies if the sigmas are right.
 
-        Parameters
-        ----------
-        confidence : float, optional
-            Probability of the interval.
-
-        Returns
-        -------
-        tuple of float
-            Chi-square quantiles over the redundancy; (nan, nan) without redundancy. Exact for normal errors and plain
-            least squares, a guide with a robust loss.
+        Returns: Chi-square quantiles over the redundancy; (nan, nan) without redundancy. Exact for normal errors
+            and plain least squares, a guide with a robust loss.
         """
         if self.redundancy <= 0:
             return float("nan"), float("nan")
@@ -161,10 +132,7 @@ class Solution(Generic[StateT]):
     def baarda(self) -> FloatArray:
         """Return the residuals over their own sigma (Baarda's w), shape (m,); NaN where nothing controls them.
 
-        Returns
-        -------
-        ndarray, shape (m,)
-            Standard normal if the stated sigmas are right; 3.29 is exceeded by chance once in 1000.
+        Returns (m,): Standard normal if the stated sigmas are right; 3.29 is exceeded by chance once in 1000.
         """
         controlled = np.where(self.redundancy_numbers > 1e-8, self.redundancy_numbers, np.nan)
         return np.asarray(self.residuals / np.sqrt(controlled))
@@ -172,25 +140,15 @@ class Solution(Generic[StateT]):
     def pope(self) -> FloatArray:
         """Return the residuals over their own estimated sigma (Pope's tau), shape (m,).
 
-        Returns
-        -------
-        ndarray, shape (m,)
-            For sigmas known only up to a common factor.
+        Returns (m,): For sigmas known only up to a common factor.
         """
         return np.asarray(self.baarda() / np.sqrt(self.variance_factor))
 
     def outliers(self, significance: float = 0.001) -> BoolArray:
         """Mark residuals that are too large for their own sigma.
 
-        Parameters
-        ----------
-        significance : float, optional
-            Probability of marking one good residual.
-
-        Returns
-        -------
-        ndarray of bool, shape (m,)
-            Baarda's test with a priori scale, Pope's with a posteriori scale.
+        significance: Probability of marking one good residual.
+        Returns (m,): Baarda's test with a priori scale, Pope's with a posteriori scale.
         """
         if self.covariance_scale is CovarianceScale.PRIOR:
             return np.asarray(np.abs(np.nan_to_num(self.baarda())) > NormalDist().inv_cdf(1 - significance / 2))
@@ -206,20 +164,8 @@ class Solution(Generic[StateT]):
     def require(self, what: str) -> Self:
         """Return the solution if it is usable, refuse it otherwise.
 
-        Parameters
-        ----------
-        what : str
-            What was estimated, for the message ("mirror pose").
-
-        Returns
-        -------
-        Solution
-            The same solution.
-
-        Raises
-        ------
-        EstimationError
-            Not converged, or parameters not determined; the message names them.
+        what: What was estimated, for the message ("mirror pose").
+        EstimationError: Not converged, or parameters not determined; the message names them.
         """
         if self.null_space.shape[1]:
             names = self.undetermined

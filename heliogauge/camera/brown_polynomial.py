@@ -31,22 +31,11 @@ class BrownCoefficients(NamedTuple):
 def evaluate(c: BrownCoefficients, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Evaluate the polynomial.
 
-    Parameters
-    ----------
-    c : BrownCoefficients
-        The coefficients.
-    x, y : ndarray, shape (...)
-        Normalised coordinates.
+    x, y (...): Normalised coordinates.
+    Returns: The polynomial's two components, shape (...).
 
-    Returns
-    -------
-    tuple of ndarray
-        The polynomial's two components, shape (...).
-
-    Notes
-    -----
-    ``P(x) = x (1 + k1 s + k2 s^2 + k3 s^3) + s q + 2 x (q . x)`` with ``s = x . x`` and ``q = (p2, p1)``: the usual two
-    lines of Brown's model in vector form.
+    ``P(x) = x (1 + k1 s + k2 s^2 + k3 s^3) + s q + 2 x (q . x)`` with ``s = x . x`` and ``q = (p2, p1)``: the usual
+    two lines of Brown's model in vector form.
     """
     s = x * x
     s += y * y
@@ -91,19 +80,9 @@ def coefficient_derivatives(x: FloatArray, y: FloatArray) -> FloatArray:
 def invertible_radius(c: BrownCoefficients) -> float:
     """Return the radius of the largest disc on which the polynomial is one-to-one with a positive derivative.
 
-    Parameters
-    ----------
-    c : BrownCoefficients
-        The coefficients.
-
-    Returns
-    -------
-    float
-        Radius in normalised coordinates of the polynomial's argument; infinite when it never folds below 1e6
+    Returns: Radius in normalised coordinates of the polynomial's argument; infinite when it never folds below 1e6
         (0.0001 degrees from a right angle to the axis).
 
-    Notes
-    -----
     P is the gradient of a scalar, so its derivative is symmetric; where that is positive definite on a convex region,
     P is one-to-one there. In polar directions the derivative is ``[[a + 3 u cos, u sin], [u sin, b + u cos]]`` with
     ``b = 1 + k1 s + k2 s^2 + k3 s^3``, ``a = b + 2 s db/ds``, ``u = 2 r sqrt(p1^2 + p2^2)``. Its smallest eigenvalue
@@ -154,21 +133,10 @@ def radial(c: BrownCoefficients, radius: float) -> float:
 def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) -> tuple[FloatArray, float]:
     """Fit the factor ``|x| / |P|`` of the radial part as a polynomial in ``|P|^2``, to start Newton near the answer.
 
-    Parameters
-    ----------
-    c : BrownCoefficients
-        The coefficients.
-    limit : float
-        Radius of the disc where P is one-to-one.
-    image_radius : float
-        Largest ``|P|`` wanted.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (degree + 1,)
-        Ascending powers of ``|P|^2 / scale``.
-    scale : float
-        What makes the argument 1 at the largest radius.
+    limit: Radius of the disc where P is one-to-one.
+    image_radius: Largest ``|P|`` wanted.
+    coefficients (degree + 1,): Ascending powers of ``|P|^2 / scale``.
+    scale: What makes the argument 1 at the largest radius.
     """
     high = min(limit, image_radius)
     while high < limit and radial(c, high) < image_radius and high < 1e9:
@@ -196,21 +164,9 @@ def solve(
 ) -> tuple[FloatArray, FloatArray]:
     """Solve ``P(solution) = (x, y)`` by Newton to round-off.
 
-    Parameters
-    ----------
-    c : BrownCoefficients
-        The coefficients.
-    limit : float
-        Radius of the disc where P is one-to-one.
-    x, y : ndarray, shape (n,)
-        Right-hand sides.
-    start : tuple
-        From `start_polynomial`.
-
-    Returns
-    -------
-    tuple of ndarray
-        The solution inside the disc, shape (n,) each; NaN where there is none.
+    limit: Radius of the disc where P is one-to-one.
+    x, y (n,): Right-hand sides.
+    Returns: The solution inside the disc, shape (n,) each; NaN where there is none.
     """
     coefficients, scale = start
     s = x * x

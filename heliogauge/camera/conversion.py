@@ -28,28 +28,13 @@ class DirectionFit(NamedTuple):
 def convert_direction(camera: Camera, direction: DistortionDirection) -> DirectionFit:
     """Fit the coefficients of the other direction to a lens over its image.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera. Its own model is exact in both directions; convert only to hand it to another program.
-    direction : DistortionDirection
-        Wanted direction.
+    camera: The camera. Its own model is exact in both directions; convert only to hand it to another program.
+    Returns: ``camera`` with the same focal lengths, principal point and skew; its covariance is carried through the
+        fit. ``largest_residual_px`` and ``rms_residual_px`` compare the image points of the same rays over the
+        whole image [px]; ``covered_share`` is the share of the image where the given lens is one-to-one: nothing is
+        known of the rest.
+    EstimationError: The best coefficients of the other direction fold inside the image.
 
-    Returns
-    -------
-    DirectionFit
-        ``camera`` with the same focal lengths, principal point and skew; its covariance is carried through the fit.
-        ``largest_residual_px`` and ``rms_residual_px`` compare the image points of the same rays over the whole
-        image [px]; ``covered_share`` is the share of the image where the given lens is one-to-one: nothing is known of
-        the rest.
-
-    Raises
-    ------
-    EstimationError
-        The best coefficients of the other direction fold inside the image.
-
-    Notes
-    -----
     Least squares on the image points of a regular grid of nodes that includes the image's corners: linear start,
     then Gauss-Newton. The inverse of a Brown polynomial is no Brown polynomial, so a residual remains.
     """

@@ -29,28 +29,14 @@ class DistortionDirection(StrEnum):
 class BrownDistortion:
     """Brown's distortion of normalised image coordinates (x/z, y/z of a ray).
 
-    Parameters
-    ----------
-    k1, k2, k3 : float
-        Radial coefficients.
-    p1, p2 : float
-        Tangential coefficients as OpenCV names them: p1 goes with y, p2 with x.
-    direction : DistortionDirection
-        Way of the polynomial.
+    k1, k2, k3: Radial coefficients.
+    p1, p2: Tangential coefficients as OpenCV names them: p1 goes with y, p2 with x.
+    direction: Way of the polynomial.
+    invertible_radius: Radius of the disc on which the polynomial is one-to-one, in normalised coordinates of its
+        argument: ideal coordinates for IDEAL_TO_MEASURED, measured ones for MEASURED_TO_IDEAL. Infinite when it
+        never folds.
+    InputError: A coefficient is not finite or the direction has no such name.
 
-    Attributes
-    ----------
-    invertible_radius : float
-        Radius of the disc on which the polynomial is one-to-one, in normalised coordinates of its argument: ideal
-        coordinates for IDEAL_TO_MEASURED, measured ones for MEASURED_TO_IDEAL. Infinite when it never folds.
-
-    Raises
-    ------
-    InputError
-        A coefficient is not finite or the direction has no such name.
-
-    Notes
-    -----
     With ``s = x^2 + y^2``::
 
         X = x (1 + k1 s + k2 s^2 + k3 s^3) + 2 p1 x y + p2 (s + 2 x^2)
@@ -60,8 +46,6 @@ class BrownDistortion:
     methods give NaN there. The photogrammetric equation (Owkes 2012, eq. 5.22) is the same polynomial from measured
     to ideal with its P1 and P2 swapped and in mm; `heliogauge.camera.formats` converts.
 
-    Examples
-    --------
     >>> lens = BrownDistortion(k1=-0.2, k2=0.05)
     >>> lens.undistort(lens.distort([[0.4, 0.3]])).round(12)
     array([[0.4, 0.3]])
@@ -116,64 +100,29 @@ class BrownDistortion:
     def distort(self, ideal_xy: npt.ArrayLike) -> FloatArray:
         """Map ideal to measured normalised coordinates.
 
-        Parameters
-        ----------
-        ideal_xy : array_like, shape (..., 2)
-            Ideal coordinates.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            Measured coordinates; NaN where the distortion is not one-to-one.
-
-        Raises
-        ------
-        InputError
-            The last axis does not have two elements.
+        Shapes: ideal_xy (..., 2).
+        Returns (..., 2): Measured coordinates; NaN where the distortion is not one-to-one.
+        InputError: The last axis does not have two elements.
         """
         return _in_blocks(coordinates("ideal_xy", ideal_xy, 2), self.distort_components, self._start_of)
 
     def undistort(self, measured_xy: npt.ArrayLike) -> FloatArray:
         """Map measured to ideal normalised coordinates.
 
-        Parameters
-        ----------
-        measured_xy : array_like, shape (..., 2)
-            Measured coordinates.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            Ideal coordinates; NaN where the distortion is not one-to-one.
-
-        Raises
-        ------
-        InputError
-            The last axis does not have two elements.
+        Shapes: measured_xy (..., 2).
+        Returns (..., 2): Ideal coordinates; NaN where the distortion is not one-to-one.
+        InputError: The last axis does not have two elements.
         """
         return _in_blocks(coordinates("measured_xy", measured_xy, 2), self.undistort_components, self._start_of)
 
     def distort_with_jacobians(self, ideal_xy: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map ideal to measured coordinates, with derivatives.
 
-        Parameters
-        ----------
-        ideal_xy : array_like, shape (..., 2)
-            Ideal coordinates.
-
-        Returns
-        -------
-        measured_xy : ndarray, shape (..., 2)
-            Measured coordinates.
-        d_measured_d_ideal : ndarray, shape (..., 2, 2)
-            Derivative with respect to the coordinates.
-        d_measured_d_coefficients : ndarray, shape (..., 2, 5)
-            Derivative with respect to the coefficients, `COEFFICIENT_NAMES` order.
-
-        Raises
-        ------
-        InputError
-            The last axis does not have two elements.
+        Shapes: ideal_xy (..., 2), measured_xy (..., 2).
+        d_measured_d_ideal (..., 2, 2): Derivative with respect to the coordinates.
+        d_measured_d_coefficients (..., 2, 5): Derivative with respect to the coefficients, `COEFFICIENT_NAMES`
+            order.
+        InputError: The last axis does not have two elements.
         """
         ideal = coordinates("ideal_xy", ideal_xy, 2)
         if self.distorts_in_closed_form:
@@ -184,24 +133,10 @@ class BrownDistortion:
     def undistort_with_jacobians(self, measured_xy: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map measured to ideal coordinates, with derivatives.
 
-        Parameters
-        ----------
-        measured_xy : array_like, shape (..., 2)
-            Measured coordinates.
-
-        Returns
-        -------
-        ideal_xy : ndarray, shape (..., 2)
-            Ideal coordinates.
-        d_ideal_d_measured : ndarray, shape (..., 2, 2)
-            Derivative with respect to the coordinates.
-        d_ideal_d_coefficients : ndarray, shape (..., 2, 5)
-            Derivative with respect to the coefficients, `COEFFICIENT_NAMES` order.
-
-        Raises
-        ------
-        InputError
-            The last axis does not have two elements.
+        Shapes: measured_xy (..., 2), ideal_xy (..., 2).
+        d_ideal_d_measured (..., 2, 2): Derivative with respect to the coordinates.
+        d_ideal_d_coefficients (..., 2, 5): Derivative with respect to the coefficients, `COEFFICIENT_NAMES` order.
+        InputError: The last axis does not have two elements.
         """
         measured = coordinates("measured_xy", measured_xy, 2)
         if not self.distorts_in_closed_form:
@@ -269,24 +204,10 @@ class BrownDistortion:
 def coordinates(name: str, values: npt.ArrayLike, size: int) -> FloatArray:
     """Return values as a float64 array (no copy if it is one) whose last axis must have a given length.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument, used in the message.
-    values : array_like, shape (..., size)
-        What the caller gave.
-    size : int
-        Wanted length of the last axis.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., size)
-        The array.
-
-    Raises
-    ------
-    InputError
-        Not numbers or another last axis.
+    Shapes: result (..., size).
+    name: Name of the argument, used in the message.
+    values (..., size): What the caller gave.
+    InputError: Not numbers or another last axis.
     """
     try:
         array = np.asarray(values, dtype=np.float64)

@@ -26,24 +26,12 @@ _COLMAP_ORIGIN_PX = 0.5
 def from_opencv(matrix: npt.ArrayLike, distortion: npt.ArrayLike | None, image_size: Sequence[int]) -> Camera:
     """Build a camera from OpenCV's parameters.
 
-    Parameters
-    ----------
-    matrix : array_like, shape (3, 3)
-        Camera matrix [px].
-    distortion : array_like, with 0, 4, 5, 8, 12 or 14 elements, or None
-        Coefficients k1, k2, p1, p2, k3, ...; those after k3 must be zero.
-    image_size : sequence of int, length 2
-        Width and height [px].
-
-    Returns
-    -------
-    Camera
-        The camera; covariance zero. Element [0, 1] of the matrix becomes the skew (OpenCV's own functions ignore it).
-
-    Raises
-    ------
-    InputError
-        A matrix that is no camera matrix, or coefficients outside Brown's model.
+    Shapes: matrix (3, 3).
+    distortion: Coefficients k1, k2, p1, p2, k3, ...; those after k3 must be zero.
+    image_size length 2: Width and height [px].
+    Returns: The camera; covariance zero. Element [0, 1] of the matrix becomes the skew (OpenCV's own functions
+        ignore it).
+    InputError: A matrix that is no camera matrix, or coefficients outside Brown's model.
     """
     k = float_array("OpenCV camera matrix", matrix, (3, 3))
     if k[1, 0] or k[2, 0] or k[2, 1] or k[2, 2] != 1:
@@ -66,22 +54,10 @@ def from_opencv(matrix: npt.ArrayLike, distortion: npt.ArrayLike | None, image_s
 def to_opencv(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return OpenCV's parameters of a camera.
 
-    Parameters
-    ----------
-    camera : Camera
-        A camera without skew whose polynomial goes from ideal to measured.
-
-    Returns
-    -------
-    matrix : ndarray, shape (3, 3)
-        Camera matrix [px].
-    distortion : ndarray, shape (5,)
-        Coefficients k1, k2, p1, p2, k3.
-
-    Raises
-    ------
-    InputError
-        The other direction, or a skew.
+    Shapes: matrix (3, 3).
+    camera: A camera without skew whose polynomial goes from ideal to measured.
+    distortion (5,): Coefficients k1, k2, p1, p2, k3.
+    InputError: The other direction, or a skew.
     """
     _require_forward(camera, "OpenCV")
     return camera.matrix, camera.distortion.coefficients
@@ -90,24 +66,9 @@ def to_opencv(camera: Camera) -> tuple[FloatArray, FloatArray]:
 def from_colmap(model: str, parameters: npt.ArrayLike, width_px: int, height_px: int) -> Camera:
     """Build a camera from COLMAP's parameters, taking its pixel origin (corner) to ours (centre of the first pixel).
 
-    Parameters
-    ----------
-    model : str
-        One of `COLMAP_MODELS`.
-    parameters : array_like, shape (n,)
-        The model's parameters in COLMAP's order.
-    width_px, height_px : int
-        Size of the image [px].
-
-    Returns
-    -------
-    Camera
-        The camera; covariance zero.
-
-    Raises
-    ------
-    InputError
-        Another model, another number of parameters, or a denominator (k4, k5, k6) that is not zero.
+    parameters (n,): The model's parameters in COLMAP's order.
+    width_px, height_px: Size of the image [px].
+    InputError: Another model, another number of parameters, or a denominator (k4, k5, k6) that is not zero.
     """
     if model not in COLMAP_MODELS:
         known = ", ".join(COLMAP_MODELS)
@@ -128,22 +89,9 @@ def from_colmap(model: str, parameters: npt.ArrayLike, width_px: int, height_px:
 def to_colmap(camera: Camera) -> tuple[str, FloatArray]:
     """Return the smallest COLMAP model that holds a camera exactly.
 
-    Parameters
-    ----------
-    camera : Camera
-        A camera without skew whose polynomial goes from ideal to measured.
-
-    Returns
-    -------
-    model : str
-        One of `COLMAP_MODELS`.
-    parameters : ndarray, shape (n,)
-        The model's parameters in COLMAP's order.
-
-    Raises
-    ------
-    InputError
-        The other direction, or a skew.
+    camera: A camera without skew whose polynomial goes from ideal to measured.
+    parameters (n,): The model's parameters in COLMAP's order.
+    InputError: The other direction, or a skew.
     """
     _require_forward(camera, "COLMAP")
     lens = camera.distortion

@@ -47,28 +47,15 @@ SENSOR_NAMES: dict[LensForm, tuple[str, ...]] = {
 class Sensor:
     """What is not estimated: the sensor, and the conventions of the program that printed the parameters.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        Size of the image [px].
-    pixel_mm : float
-        Height of a pixel [mm].
-    form : LensForm, optional
-        The lens in the words of DBAT and PhotoModeler, or of AICON and Luhmann.
-    zero_radius_mm : float, optional
-        Radius r0 at which AICON's radial distortion is zero [mm].
-    principal_origin : PrincipalOrigin, optional
-        Whether the principal point counts from the outer corner of the first pixel, to the right and down, or from
-        the sensor's centre, to the right and up.
-    y_up : bool, optional
-        Whether y of the lens points up in the image.
-    direction : DistortionDirection, optional
-        Way of the polynomial; MEASURED_TO_IDEAL in photogrammetry.
-
-    Raises
-    ------
-    InputError
-        A size that is not positive, a word that names no convention, or a zero radius in Brown's form.
+    width_px, height_px: Size of the image [px].
+    pixel_mm: Height of a pixel [mm].
+    form: The lens in the words of DBAT and PhotoModeler, or of AICON and Luhmann.
+    zero_radius_mm: Radius r0 at which AICON's radial distortion is zero [mm].
+    principal_origin: Whether the principal point counts from the outer corner of the first pixel, to the right and
+        down, or from the sensor's centre, to the right and up.
+    y_up: Whether y of the lens points up in the image.
+    direction: Way of the polynomial; MEASURED_TO_IDEAL in photogrammetry.
+    InputError: A size that is not positive, a word that names no convention, or a zero radius in Brown's form.
     """
 
     width_px: int
@@ -169,35 +156,24 @@ class Sensor:
 class SensorParameters:
     """The ten parameters of a camera in millimetres.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        The sensor and the conventions.
-    values : array_like, shape (10,)
-        In the order of `SENSOR_NAMES`: camera constant and principal point [mm], K1 to K3 (A1 to A3) [mm^-2, mm^-4,
-        mm^-6], P1, P2 (B1, B2) [mm^-1], aspect and shear (C1, C2).
-    covariance : array_like, shape (10, 10), optional
-        Their covariance; zeros say "treated as exact".
+    sensor: The sensor and the conventions.
+    values (10,): In the order of `SENSOR_NAMES`: camera constant and principal point [mm], K1 to K3 (A1 to A3)
+        [mm^-2, mm^-4, mm^-6], P1, P2 (B1, B2) [mm^-1], aspect and shear (C1, C2).
+    covariance (10, 10): Their covariance; zeros say "treated as exact".
+    InputError: A wrong shape, no covariance, or a camera constant or width of a pixel that is not positive.
 
-    Raises
-    ------
-    InputError
-        A wrong shape, no covariance, or a camera constant or width of a pixel that is not positive.
-
-    Notes
-    -----
-    With x', y' reduced by the principal point, r^2 = x'^2 + y'^2, Brown's form corrects measured coordinates by
-    ``x = x' (1 + K1 r^2 + K2 r^4 + K3 r^6) + P1 (r^2 + 2 x'^2) + 2 P2 x' y' + aspect x' + shear y'`` and
-    ``y = y' (1 + ...) + P2 (r^2 + 2 y'^2) + 2 P1 x' y'``. AICON's (Luhmann et al., Close-Range Photogrammetry and 3D
-    Imaging, sect. 3.3) subtracts ``x' [A1 (r^2 - r0^2) + A2 (r^4 - r0^4) + A3 (r^6 - r0^6)] + B1 (r^2 + 2 x'^2) +
-    2 B2 x' y' + C1 x' + C2 y'``. IDEAL_TO_MEASURED adds the same terms of the ideal coordinates. Everything but the
-    product of affine and other terms is converted exactly: the camera applies aspect and skew to the measured image
-    first, so terms of the order C1 (A1 r^2) differ, 3 x 2e-4 x 0.02 of the radius (0.02 px) for a strong lens.
-    Brown's form is Owkes (2012) eq. 5.22; its eq. 6.2, ``x_I = (x' + s_x/2) N_x/s_x``, counts pixels from the corner:
-    its pixel coordinates are ours + 0.5. DBAT prints the corner origin with y up. Its aspect stretches x' after the
-    principal point has been subtracted, so the printed principal point counts pixels of the height ``pixel_mm`` in both
-    axes: with that reading its published calibration gives back its sigma0 of 0.16148 px, with the other (width of a
-    pixel in x) 0.351 px.
+    With x', y' reduced by the principal point, r^2 = x'^2 + y'^2, Brown's form corrects measured coordinates by ``x =
+    x' (1 + K1 r^2 + K2 r^4 + K3 r^6) + P1 (r^2 + 2 x'^2) + 2 P2 x' y' + aspect x' + shear y'`` and ``y = y' (1 + ...)
+    + P2 (r^2 + 2 y'^2) + 2 P1 x' y'``. AICON's (Luhmann et al., Close-Range Photogrammetry and 3D Imaging, sect. 3.3)
+    subtracts ``x' [A1 (r^2 - r0^2) + A2 (r^4 - r0^4) + A3 (r^6 - r0^6)] + B1 (r^2 + 2 x'^2) + 2 B2 x' y' + C1 x' + C2
+    y'``. IDEAL_TO_MEASURED adds the same terms of the ideal coordinates. Everything but the product of affine and
+    other terms is converted exactly: the camera applies aspect and skew to the measured image first, so terms of the
+    order C1 (A1 r^2) differ, 3 x 2e-4 x 0.02 of the radius (0.02 px) for a strong lens. Brown's form is Owkes (2012)
+    eq. 5.22; its eq. 6.2, ``x_I = (x' + s_x/2) N_x/s_x``, counts pixels from the corner: its pixel coordinates are
+    ours + 0.5. DBAT prints the corner origin with y up. Its aspect stretches x' after the principal point has been
+    subtracted, so the printed principal point counts pixels of the height ``pixel_mm`` in both axes: with that
+    reading its published calibration gives back its sigma0 of 0.16148 px, with the other (width of a pixel in x)
+    0.351 px.
     """
 
     sensor: Sensor
@@ -220,10 +196,7 @@ class SensorParameters:
     def camera(self) -> Camera:
         """Return the camera in pixels, with its covariance and its distortion in the same direction.
 
-        Raises
-        ------
-        InputError
-            Aspect or lens leave no positive focal length.
+        InputError: Aspect or lens leave no positive focal length.
         """
         sensor = self.sensor
         values = np.real(sensor.to_camera_values(self.values))
@@ -237,22 +210,10 @@ class SensorParameters:
 def sensor_parameters(camera: Camera, sensor: Sensor) -> SensorParameters:
     """Return a camera's parameters in millimetres with their covariance.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera; its distortion must have the sensor's direction (`heliogauge.camera.conversion.convert_direction`).
-    sensor : Sensor
-        Pixel size and conventions.
-
-    Returns
-    -------
-    SensorParameters
-        The same camera in millimetres.
-
-    Raises
-    ------
-    InputError
-        The distortion has the other direction.
+    camera: The camera; its distortion must have the sensor's direction
+        (`heliogauge.camera.conversion.convert_direction`).
+    sensor: Pixel size and conventions.
+    InputError: The distortion has the other direction.
     """
     if camera.distortion.direction is not sensor.direction:
         raise InputError(
@@ -265,18 +226,10 @@ def sensor_parameters(camera: Camera, sensor: Sensor) -> SensorParameters:
 def carried_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
     """Carry a covariance through the inverse of a linear map.
 
-    Parameters
-    ----------
-    forward : ndarray, shape (n, n)
-        Derivative of the quantities whose covariance is known by the wanted ones.
-    covariance : ndarray, shape (n, n)
-        The known covariance.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Covariance of the wanted quantities; exactly zero for those that only rounding moves, such as the ratio of two
-        focal lengths that were estimated as one.
+    Shapes: covariance (n, n).
+    forward (n, n): Derivative of the quantities whose covariance is known by the wanted ones.
+    Returns (n, n): Covariance of the wanted quantities; exactly zero for those that only rounding moves, such as
+        the ratio of two focal lengths that were estimated as one.
     """
     # Columns differ by ten powers of ten (K3 in mm^-6 against px): scale before inverting.
     scale = np.abs(forward).max(axis=0)

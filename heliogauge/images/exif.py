@@ -12,15 +12,8 @@ _SHORT, _LONG = 3, 4
 def focal_length_35mm(content: bytes) -> float | None:
     """Return the focal length for a film of 36 mm x 24 mm from the beginning of a file.
 
-    Parameters
-    ----------
-    content : bytes
-        The first `EXIF_BYTES`, or more.
-
-    Returns
-    -------
-    float or None
-        The focal length [mm]; None where the file does not say it, or is no JPEG.
+    content: The first `EXIF_BYTES`, or more.
+    Returns: The focal length [mm]; None where the file does not say it, or is no JPEG.
     """
     start = content.find(_EXIF_MARK)
     if not content.startswith(b"\xff\xd8") or start < 0:

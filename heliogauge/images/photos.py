@@ -51,14 +51,10 @@ _JPEG_END, _JPEG_SCAN, _JPEG_EXIF = 0xD9, 0xDA, 0xE1
 class Frames:
     """Photographs of one size.
 
-    Parameters
-    ----------
-    images_dn : ndarray, shape (n, height, width)
-        Grey values; uint8, uint16, or float32 where at least one photograph is in colour [DN].
-    full_scale_dn : int
-        Largest value the files can hold: 255 or 65535 [DN].
-    files : tuple of Path
-        Where each photograph comes from.
+    images_dn (n, height, width): Grey values; uint8, uint16, or float32 where at least one photograph is in colour
+        [DN].
+    full_scale_dn: Largest value the files can hold: 255 or 65535 [DN].
+    files: Where each photograph comes from.
     """
 
     images_dn: Image
@@ -69,25 +65,11 @@ class Frames:
 def read_image(path: Path) -> Image:
     """Read one photograph as grey values.
 
-    Parameters
-    ----------
-    path : Path
-        JPEG, PNG, TIFF or another format OpenCV reads; 8 or 16 bit, mono or colour. Or a frame of a video, such as
-        ``pass.mp4#00012`` (`heliogauge.images.video`).
+    path: JPEG, PNG, TIFF or another format OpenCV reads; 8 or 16 bit, mono or colour. Or a frame of a video, such
+        as ``pass.mp4#00012`` (`heliogauge.images.video`).
+    Returns (height, width): Grey values in the file's depth; float32 luminance of a photograph in colour [DN].
+        Luminance of a frame is rounded to uint8: a video holds no more.
 
-    Returns
-    -------
-    ndarray of uint8, uint16 or float32, shape (height, width)
-        Grey values in the file's depth; float32 luminance of a photograph in colour [DN]. Luminance of a frame is
-        rounded to uint8: a video holds no more.
-
-    Raises
-    ------
-    InputError
-        No such file, empty, cut off, damaged, not an image, or of another depth.
-
-    Notes
-    -----
     Luminance is the weighted sum of `LUMINANCE_WEIGHTS` of the file's values as they are (no gamma is undone). Where
     one colour is at full scale, the luminance is set to full scale, so that a pixel with one saturated colour counts
     as saturated. A colour file whose three colours are equal is read as mono, with its integers. An alpha channel is
@@ -101,22 +83,9 @@ def read_image(path: Path) -> Image:
 def read_channel(path: Path, channel: str) -> Image:
     """Read one colour of a photograph.
 
-    Parameters
-    ----------
-    path : Path
-        As for `read_image`, but a file.
-    channel : str
-        "red", "green" or "blue"; "luminance" is what `read_image` gives.
-
-    Returns
-    -------
-    ndarray of uint8, uint16 or float32, shape (height, width)
-        Values of that colour, or of a photograph without colours, in the file's depth [DN].
-
-    Raises
-    ------
-    InputError
-        No such channel; or as `read_image`.
+    channel: "red", "green" or "blue"; "luminance" is what `read_image` gives.
+    Returns (height, width): Values of that colour, or of a photograph without colours, in the file's depth [DN].
+    InputError: No such channel; or as `read_image`.
     """
     if channel == "luminance":
         return read_image(path)
@@ -131,24 +100,11 @@ def read_channel(path: Path, channel: str) -> Image:
 def read_luma(path: Path) -> Image:
     """Read one photograph as grey values for measuring edges: of a JPEG in colour its own luma, without the colours.
 
-    Parameters
-    ----------
-    path : Path
-        As for `read_image`.
+    Returns (height, width): Luma of a JPEG (weights 0.299, 0.587, 0.114 of red, green and blue, ITU-R BT.601),
+        which has the full resolution and is decoded in less time than the colours; of other files what `read_image`
+        gives [DN].
+    InputError: As `read_image`.
 
-    Returns
-    -------
-    ndarray of uint8, uint16 or float32, shape (height, width)
-        Luma of a JPEG (weights 0.299, 0.587, 0.114 of red, green and blue, ITU-R BT.601), which has the full resolution
-        and is decoded in less time than the colours; of other files what `read_image` gives [DN].
-
-    Raises
-    ------
-    InputError
-        As `read_image`.
-
-    Notes
-    -----
     A pixel counts as saturated only where all colours are.
     """
     if video_of(path) == path:
@@ -165,31 +121,12 @@ def read_frames(
 ) -> Frames:
     """Read photographs of one size into one array, several at a time.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files, in the order wanted.
-    jobs : int, optional
-        Threads that decode; as many as there are processors (at most 8) if absent.
-    progress : Progress, optional
-        Told of each photograph.
-    stage : str, optional
-        Name of this work for the progress.
-
-    Returns
-    -------
-    Frames
-        The photographs in the order of the paths.
-
-    Raises
-    ------
-    InputError
-        No paths, a photograph cannot be read, or sizes or depths differ; the odd ones are named.
-
-    Warns
-    -----
-    QualityWarning
-        The photographs carry different orientation tags: the camera was turned, or a program turned some of them.
+    paths: The files, in the order wanted.
+    jobs: Threads that decode; as many as there are processors (at most 8) if absent.
+    stage: Name of this work for the progress.
+    InputError: No paths, a photograph cannot be read, or sizes or depths differ; the odd ones are named.
+    Warns QualityWarning: The photographs carry different orientation tags: the camera was turned, or a program
+        turned some of them.
     """
     if not paths:
         raise InputError("images: at least one file is needed")
@@ -224,17 +161,9 @@ def read_frames(
 def write_image(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
     """Write a picture without loss; the file is whole or not there.
 
-    Parameters
-    ----------
-    path : Path
-        Name that ends in .png, .tif or .tiff.
-    image : ndarray of uint8 or uint16, shape (height, width) or (height, width, 3)
-        Grey values, or red, green, blue [DN].
-
-    Raises
-    ------
-    InputError
-        Another name, type or shape, or the file cannot be written.
+    path: Name that ends in .png, .tif or .tiff.
+    image (height, width) or (height, width, 3): Grey values, or red, green, blue [DN].
+    InputError: Another name, type or shape, or the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in {".png", ".tif", ".tiff"}:
@@ -405,15 +334,7 @@ def _png_fault(content: bytes) -> str:
 def orientation_tag(content: bytes) -> int:
     """Return the EXIF orientation of a JPEG file.
 
-    Parameters
-    ----------
-    content : bytes
-        The file.
-
-    Returns
-    -------
-    int
-        1 (as the sensor took it) to 8; 1 where there is no tag.
+    Returns: 1 (as the sensor took it) to 8; 1 where there is no tag.
     """
     if not content.startswith(b"\xff\xd8"):
         return 1

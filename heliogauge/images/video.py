@@ -26,12 +26,8 @@ _OWN = threading.local()
 class VideoFrames:
     """The frames of a video.
 
-    Parameters
-    ----------
-    files : tuple of Path
-        Path of each frame, to be read with `heliogauge.images.photos.read_image`.
-    doubts : tuple of str
-        What is wrong with the video and was got round.
+    files: Path of each frame, to be read with `heliogauge.images.photos.read_image`.
+    doubts: What is wrong with the video and was got round.
     """
 
     files: tuple[Path, ...]
@@ -51,22 +47,8 @@ class _Reader:
 def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
     """Decode a whole video once and name its frames.
 
-    Parameters
-    ----------
-    video : Path
-        The video.
-    every_nth : int, optional
-        Take only every nth frame, the first one included.
-
-    Returns
-    -------
-    VideoFrames
-        Its frames; exact copies of the frame taken before are left out, because they measure nothing new.
-
-    Raises
-    ------
-    InputError
-        No such file, or no frame can be decoded.
+    every_nth: Take only every nth frame, the first one included.
+    Returns: Its frames; exact copies of the frame taken before are left out, because they measure nothing new.
     """
     capture = _open(video)
     files, copies, number = [], 0, 0
@@ -99,20 +81,8 @@ def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
 def read_frame(path: Path) -> npt.NDArray[np.uint8]:
     """Decode one frame.
 
-    Parameters
-    ----------
-    path : Path
-        As named by `list_frames`.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width, 3)
-        Blue, green, red [DN], in the raster of the sensor: the container's note that the picture was turned is ignored.
-
-    Raises
-    ------
-    InputError
-        No such file or frame.
+    Returns (height, width, 3): Blue, green, red [DN], in the raster of the sensor: the container's note that the
+        picture was turned is ignored.
     """
     found = FRAME.fullmatch(path.name)
     if found is None:

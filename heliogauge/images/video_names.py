@@ -10,15 +10,7 @@ FRAME = re.compile(r"(?P<video>.+)#(?P<number>\d{5,})")
 def video_of(path: Path) -> Path:
     """Return the file that holds an image.
 
-    Parameters
-    ----------
-    path : Path
-        A photograph or a frame of a video.
-
-    Returns
-    -------
-    Path
-        The video of a frame; any other path as it is.
+    path: A photograph or a frame of a video.
     """
     found = FRAME.fullmatch(path.name)
     if found is None or path.exists():

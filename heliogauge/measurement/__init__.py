@@ -1,1 +1,1 @@
-"""measurement.toml: found by kind, checked, written."""
+"""The file measurement.toml: found by its kind, checked, written."""

@@ -23,15 +23,7 @@ from heliogauge.validate import FloatArray
 def build_design(section: DesignKeys) -> Quadric:
     """Build the design surface of a facet in the facet's own frame.
 
-    Parameters
-    ----------
-    section : DesignKeys
-        Shape, numbers, and where on its optic the facet sits.
-
-    Returns
-    -------
-    Quadric
-        The design, carried into the facet's frame.
+    section: Shape, numbers, and where on its optic the facet sits.
     """
     optic = _optic(section)
     if section.design_center_m == (0.0, 0.0):
@@ -56,16 +48,10 @@ def _optic(section: DesignKeys) -> Quadric:
 class DesignFamily:
     """A design with its lengths still free, where on its optic it sits as stated.
 
-    Parameters
-    ----------
-    make : callable
-        Lengths [m] to the optic's surface.
-    lengths_m : ndarray, shape (k,)
-        The stated lengths [m].
-    names : tuple of str, length k
-        Their keys.
-    facet_from_optic : RigidTransform
-        From the optic's frame to that of the facet, with the stated lengths.
+    make: Lengths [m] to the optic's surface.
+    lengths_m (k,): The stated lengths [m].
+    names length k: Their keys.
+    facet_from_optic: From the optic's frame to that of the facet, with the stated lengths.
     """
 
     make: Callable[..., Quadric]
@@ -77,15 +63,8 @@ class DesignFamily:
 def build_design_family(section: DesignKeys) -> DesignFamily:
     """Build the design of a facet with its lengths free.
 
-    Parameters
-    ----------
-    section : DesignKeys
-        Shape, numbers, and where on its optic the facet sits.
-
-    Returns
-    -------
-    DesignFamily
-        Constructor, lengths and place; a general quadric has no lengths.
+    section: Shape, numbers, and where on its optic the facet sits.
+    Returns: Constructor, lengths and place; a general quadric has no lengths.
     """
     optic = _optic(section)
     place = RigidTransform.identity()

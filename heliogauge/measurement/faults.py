@@ -14,17 +14,7 @@ _MOST_FAULTS = 5
 def fault_lines(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """Say what is wrong with the content of a file.
 
-    Parameters
-    ----------
-    error : ValidationError
-        Pydantic's faults.
-    model : type of BaseModel
-        The model of the whole file.
-
-    Returns
-    -------
-    list of str
-        One sentence for each fault, the first ones of many.
+    error: Pydantic's faults.
     """
     faults = error.errors(include_url=False)
     places = [fault["loc"] for fault in faults]

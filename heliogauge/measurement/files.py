@@ -10,18 +10,8 @@ from heliogauge.errors import InputError
 def natural_order(name: str) -> list[tuple[int, int | str]]:
     """Return a sort key that counts: ``frame_2`` comes before ``frame_10``.
 
-    Parameters
-    ----------
-    name : str
-        A file's name.
+    name: A file's name.
 
-    Returns
-    -------
-    list of tuple
-        Key for `sorted`.
-
-    Examples
-    --------
     >>> sorted(["b10", "b9", "a"], key=natural_order)
     ['a', 'b9', 'b10']
     """
@@ -32,24 +22,9 @@ def natural_order(name: str) -> list[tuple[int, int | str]]:
 def image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Path, ...]:
     """Find the images that a measurement.toml names.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    key : str
-        Key of the file that names them, for messages.
-    named : str or sequence of str
-        A text with ``*`` for all files that match, in natural order; or a list of files.
-
-    Returns
-    -------
-    tuple of Path
-        The files; each is there.
-
-    Raises
-    ------
-    InputError
-        A text without ``*``, no file that matches, or a file that is not there.
+    key: Key of the file that names them, for messages.
+    named: A text with ``*`` for all files that match, in natural order; or a list of files.
+    InputError: A text without ``*``, no file that matches, or a file that is not there.
     """
     file = folder / "measurement.toml"
     if isinstance(named, str):

@@ -57,14 +57,9 @@ COMMANDS = {
 class DeflectometryMeasurement:
     """A checked deflectometry measurement: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : DeflectometryModel
-        What measurement.toml says.
-    fringe_files : tuple of Path
-        Image of each frame, in the order of the pattern.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    fringe_files: Image of each frame, in the order of the pattern.
     """
 
     folder: Path
@@ -86,14 +81,9 @@ class DeflectometryMeasurement:
 class ResponseMeasurement:
     """Checked photographs of grey levels: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : ResponseModel
-        What measurement.toml says.
-    grey_files : tuple of Path
-        Photograph of each level, in the order of the levels.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    grey_files: Photograph of each level, in the order of the levels.
     """
 
     folder: Path
@@ -110,14 +100,8 @@ class ResponseMeasurement:
 class CameraCalibrationMeasurement:
     """Checked photos of a calibration board: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : CameraCalibrationModel
-        What measurement.toml says.
-    photo_files : tuple of Path
-        The photos.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
     """
 
     folder: Path
@@ -136,14 +120,9 @@ class CameraCalibrationMeasurement:
 class PhotogrammetryMeasurement:
     """Checked photos, or image points, of targets: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : PhotogrammetryModel
-        What measurement.toml says.
-    photo_files : tuple of Path
-        The photos; none with image points.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    photo_files: The photos; none with image points.
     """
 
     folder: Path
@@ -166,21 +145,10 @@ class PhotogrammetryMeasurement:
 def load_measurement(folder: Path) -> DeflectometryMeasurement:
     """Read and check the folder of a deflectometry measurement.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    DeflectometryMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type or out
-        of range, a file that does not exist, or a number of frames that does not fit the pattern.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type
+        or out of range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
     file, model = _checked(folder, DeflectometryModel)
     for key, text in model.named_files():
@@ -199,20 +167,9 @@ def load_measurement(folder: Path) -> DeflectometryMeasurement:
 def load_response(folder: Path) -> ResponseMeasurement:
     """Read and check a folder with photographs of grey levels.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    ResponseMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`; or a number of photographs that differs from that of the levels.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `load_measurement`; or a number of photographs that differs from that of the levels.
     """
     file, model = _checked(folder, ResponseModel)
     grey_files = image_files(folder, "images.grey", model.images.grey)
@@ -227,20 +184,9 @@ def load_response(folder: Path) -> ResponseMeasurement:
 def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
     """Read and check a folder with photos of a calibration board.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    CameraCalibrationMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     file, model = _checked(folder, CameraCalibrationModel)
     for key, name in model.board.named_files if isinstance(model.board, TargetFieldSection) else ():
@@ -252,20 +198,9 @@ def load_camera_calibration(folder: Path) -> CameraCalibrationMeasurement:
 def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     """Read and check a folder with photos, or image points, of targets.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    PhotogrammetryMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     file, model = _checked(folder, PhotogrammetryModel)
     photos = () if model.images is None else image_files(folder, "images.photos", model.images.photos)
@@ -277,20 +212,9 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
 def load_observer(folder: Path) -> ObserverMeasurement:
     """Read and check a folder with photos of a trough.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    ObserverMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     file, model = _checked(folder, ObserverModel)
     images = model.images
@@ -313,20 +237,9 @@ def load_observer(folder: Path) -> ObserverMeasurement:
 def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
     """Read and check a folder with the plan of a photo network.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    PhotogrammetryPlanMeasurement
-        The plan; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The plan; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     file, model = _checked(folder, PhotogrammetryPlanModel)
     found = PhotogrammetryPlanMeasurement(folder, model)
@@ -337,20 +250,9 @@ def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
 def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
     """Read and check a folder with the plan of a pass over a trough.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml; the files it names are relative to it.
-
-    Returns
-    -------
-    ObserverPlanMeasurement
-        The plan; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The plan; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     file, model = _checked(folder, ObserverPlanModel)
     found = ObserverPlanMeasurement(folder, model)
@@ -361,20 +263,9 @@ def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
 def load_heliostat(folder: Path) -> HeliostatMeasurement:
     """Read and check a folder with observations of heliostats.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with measurement.toml, or one as of the PAINT database, which needs none.
-
-    Returns
-    -------
-    HeliostatMeasurement
-        The measurement; every file it names exists.
-
-    Raises
-    ------
-    InputError
-        As for `load_measurement`.
+    folder: Folder with measurement.toml, or one as of the PAINT database, which needs none.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `load_measurement`.
     """
     found = paint_measurement(folder)
     if found is None:
@@ -405,22 +296,9 @@ def _checked(folder: Path, model_type: type[_ModelT]) -> tuple[Path, _ModelT]:
 def parse_measurement(content: dict[str, Any], file: Path) -> Model:
     """Check the content of a measurement.toml, without looking for the files it names.
 
-    Parameters
-    ----------
-    content : dict
-        The tables of the file.
-    file : Path
-        Where they come from, for messages.
-
-    Returns
-    -------
-    Model
-        The checked content.
-
-    Raises
-    ------
-    InputError
-        Another kind, an unknown or missing key, or a value that cannot be meant.
+    content: The tables of the file.
+    file: Where they come from, for messages.
+    InputError: Another kind, an unknown or missing key, or a value that cannot be meant.
     """
     model_type = KINDS[_kind(content, file)]
     try:

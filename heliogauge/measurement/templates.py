@@ -448,24 +448,8 @@ _TEMPLATES: dict[str, str] = {
 def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:
     """Write a commented measurement.toml for one kind of measurement.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of measurement.
-    folder : Path
-        Where; made if absent.
-    force : bool, optional
-        Replace a file that is there.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The kind is not available, the file exists already, or the folder cannot be made.
+    force: Replace a file that is there.
+    InputError: The kind is not available, the file exists already, or the folder cannot be made.
     """
     if kind not in _TEMPLATES:
         near = get_close_matches(kind, _TEMPLATES, n=1)

@@ -15,27 +15,11 @@ from heliogauge.measurement.load import MEASUREMENT_FILE, Model, parse_measureme
 def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comment: str = "") -> Path:
     """Write a measurement.toml that `heliogauge.measurement.load.load_measurement` accepts.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder; made if absent. An existing measurement.toml is replaced.
-    content : model or mapping
-        What the file shall say; arrays and numbers of numpy are taken, None leaves a key out.
-    comment : str, optional
-        Lines to put at the top.
+    folder: The measurement's folder; made if absent. An existing measurement.toml is replaced.
+    content: What the file shall say; arrays and numbers of numpy are taken, None leaves a key out.
+    comment: Lines to put at the top.
+    InputError: The content is not a measurement.
 
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The content is not a measurement.
-
-    Notes
-    -----
     The file is written beside and moved into place: it is whole or not there.
     """
     file = folder / MEASUREMENT_FILE
@@ -50,22 +34,8 @@ def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comme
 def write_text(file: Path, text: str) -> Path:
     """Write a text file so that it is whole or not there.
 
-    Parameters
-    ----------
-    file : Path
-        The file; replaced if it exists.
-    text : str
-        Its content.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written to.
+    file: The file; replaced if it exists.
+    InputError: The folder cannot be written to.
     """
     beside = file.with_name(f".{file.name}.{os.getpid()}")
     try:
@@ -80,23 +50,10 @@ def write_text(file: Path, text: str) -> Path:
 def dump_toml(content: Mapping[str, Any]) -> str:
     """Format tables as TOML: values first, then sub-tables, then lists of tables.
 
-    Parameters
-    ----------
-    content : mapping
-        Text, numbers, dates, lists and tables of them.
+    content: Text, numbers, dates, lists and tables of them.
+    Returns: TOML that `tomllib` reads back to the same values.
+    InputError: A number is not finite, or a value is of a type TOML does not know.
 
-    Returns
-    -------
-    str
-        TOML that `tomllib` reads back to the same values.
-
-    Raises
-    ------
-    InputError
-        A number is not finite, or a value is of a type TOML does not know.
-
-    Examples
-    --------
     >>> print(dump_toml({"name": "A", "camera": {"focal_px": 1e3}}))
     name = "A"
     <BLANKLINE>

@@ -57,21 +57,8 @@ _CELL_S = 600
 def build_report(folder: Path) -> Path:
     """Write ``report.html``, and ``report.ipynb`` as it was run, from the results in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with ``summary.json`` and the other results.
-
-    Returns
-    -------
-    Path
-        The HTML file.
-
-    Raises
-    ------
-    InputError
-        No results in the folder, results of a kind without a report, a file of results that is missing or damaged, or
-        the folder cannot be written to.
+    InputError: No results in the folder, results of a kind without a report, a file of results that is missing or
+        damaged, or the folder cannot be written to.
     """
     folder = folder.resolve()
     summary = read_summary(folder / "summary.json")
@@ -142,8 +129,6 @@ def _execute(notebook: Any, folder: Path) -> Any:
 class _InterruptibleRun:
     """Executes a notebook in a thread of its own, so that Ctrl-C and a termination signal reach the caller.
 
-    Notes
-    -----
     In the main thread nbclient takes over both signals and ends with a traceback of its own when one comes. Here the
     caller waits; what interrupts it cancels the run and stops the kernel, which would live on in its own session.
     """

@@ -41,22 +41,13 @@ _STEPS = np.array([1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])
 class MapStyle:
     """What stands around a map.
 
-    Parameters
-    ----------
-    title : str
-        One line.
-    unit : str
-        Unit of the printed values.
-    factor : float
-        Printed value for a stored value of one.
-    diverging : bool
-        Colours symmetric about zero; otherwise from `low` upwards.
-    limit : float or None
-        Where the colours end, in the printed unit; None: `robust_limit`.
-    low : float
-        Where sequential colours begin, in the printed unit.
-    note : str
-        Small line under the title, before what is said about clipping.
+    title: One line.
+    unit: Unit of the printed values.
+    factor: Printed value for a stored value of one.
+    diverging: Colours symmetric about zero; otherwise from `low` upwards.
+    limit: Where the colours end, in the printed unit; None: `robust_limit`.
+    low: Where sequential colours begin, in the printed unit.
+    note: Small line under the title, before what is said about clipping.
     """
 
     title: str
@@ -69,18 +60,7 @@ class MapStyle:
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
-    """Return an empty figure with its own canvas.
-
-    Parameters
-    ----------
-    height_in, width_in : float
-        Size [inch].
-
-    Returns
-    -------
-    Figure
-        The figure.
-    """
+    """Return an empty figure with its own canvas."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -89,15 +69,7 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 def png_of(figure: Figure) -> bytes:
     """Draw a figure as PNG.
 
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-
-    Returns
-    -------
-    bytes
-        The file's content.
+    Returns: The file's content.
     """
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
@@ -107,17 +79,8 @@ def png_of(figure: Figure) -> bytes:
 def axes_in_inches(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
     """Add axes placed in inches (quicker by 50 ms a figure than a layout engine).
 
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    left, bottom, width, height : float
-        Place and size of the axes' box [inch].
-
-    Returns
-    -------
-    Axes
-        The axes, with light ticks and frame.
+    left, bottom, width, height: Place and size of the axes' box [inch].
+    Returns: The axes, with light ticks and frame.
     """
     size_x, size_y = figure.get_size_inches()
     axes = figure.add_axes((left / size_x, bottom / size_y, width / size_x, height / size_y))
@@ -129,15 +92,7 @@ def axes_in_inches(figure: Figure, left: float, bottom: float, width: float, hei
 
 
 def add_legend(axes: Axes, **options: Any) -> None:
-    """Add a small legend that stays readable over lines.
-
-    Parameters
-    ----------
-    axes : Axes
-        The axes.
-    **options : object
-        Options of ``Axes.legend``.
-    """
+    """Add a small legend that stays readable over lines."""
     legend = axes.legend(fontsize=7, labelcolor=INK, handlelength=1.6, borderpad=0.3, framealpha=0.85, **options)
     legend.get_frame().set(edgecolor="none")
     legend.set_zorder(6)
@@ -146,12 +101,7 @@ def add_legend(axes: Axes, **options: Any) -> None:
 def add_title(figure: Figure, title: str, note: str = "") -> None:
     """Write the title of a figure, and a smaller line under it.
 
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    title, note : str
-        The two lines.
+    title, note: The two lines.
     """
     width, height = figure.get_size_inches()
     figure.text(0.12 / width, 1 - 0.12 / height, title, fontsize=10, fontweight="bold", color=INK, va="top")
@@ -161,19 +111,7 @@ def add_title(figure: Figure, title: str, note: str = "") -> None:
 def chart_figure(title: str, note: str, x_label: str, y_label: str, height_in: float = 3.3) -> tuple[Figure, Axes]:
     """Return a figure with one chart for lines.
 
-    Parameters
-    ----------
-    title, note : str
-        Lines above the chart.
-    x_label, y_label : str
-        Names of the axes with units.
-    height_in : float, optional
-        Height [inch].
-
-    Returns
-    -------
-    tuple of Figure and Axes
-        The figure and its chart.
+    x_label, y_label: Names of the axes with units.
     """
     figure = new_figure(height_in)
     axes = axes_in_inches(figure, 0.72, 0.55, WIDTH_IN - 0.95, height_in - 1.2)
@@ -190,18 +128,8 @@ def chart_figure(title: str, note: str, x_label: str, y_label: str, height_in: f
 def nice_ceiling(value: float) -> float:
     """Return the next round number at or above a value (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten).
 
-    Parameters
-    ----------
-    value : float
-        A positive number; zero and NaN give 1.
+    value: A positive number; zero and NaN give 1.
 
-    Returns
-    -------
-    float
-        The round number.
-
-    Examples
-    --------
     >>> nice_ceiling(0.0021)
     0.0025
     """
@@ -215,15 +143,7 @@ def nice_ceiling(value: float) -> float:
 def robust_limit(*fields: npt.NDArray[np.floating[Any]]) -> float:
     """Return a round number that `ROBUST_PERCENT` of the sizes of all values stay below.
 
-    Parameters
-    ----------
-    *fields : ndarray
-        Values; NaN is left out.
-
-    Returns
-    -------
-    float
-        The limit for colours.
+    *fields: Values; NaN is left out.
     """
     sizes = np.abs(np.concatenate([field[np.isfinite(field)].ravel() for field in fields]))
     return nice_ceiling(float(np.percentile(sizes, ROBUST_PERCENT))) if sizes.size else 1.0
@@ -232,19 +152,9 @@ def robust_limit(*fields: npt.NDArray[np.floating[Any]]) -> float:
 def map_figure(slope_map: SlopeMap, values: FloatArray, style: MapStyle) -> Figure:
     """Draw values on the mirror as colours; parts of the mirror without a value are grey and hatched.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        Gives the grid and the aperture.
-    values : ndarray, shape (ny, nx)
-        Values in stored units; NaN where there is none.
-    style : MapStyle
-        Title, unit, colours.
-
-    Returns
-    -------
-    Figure
-        One map with its colour bar.
+    slope_map: Gives the grid and the aperture.
+    values (ny, nx): Values in stored units; NaN where there is none.
+    style: Title, unit, colours.
     """
     figure, axes, box = mirror_axes(slope_map)
     shown = thinned(np.where(slope_map.aperture, values, np.nan)) * style.factor
@@ -268,15 +178,8 @@ def map_figure(slope_map: SlopeMap, values: FloatArray, style: MapStyle) -> Figu
 def mirror_axes(slope_map: SlopeMap) -> tuple[Figure, Axes, tuple[float, float, float, float]]:
     """Return a figure with axes of the mirror's own proportions, x to the right and y up seen from the front.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        Gives the extent.
-
-    Returns
-    -------
-    tuple
-        Figure, axes, and the box of the axes: left, bottom, width, height [inch].
+    slope_map: Gives the extent.
+    Returns: Figure, axes, and the box of the axes: left, bottom, width, height [inch].
     """
     left_m, right_m, low_m, high_m = extent_of(slope_map)
     left, right, bottom, top = 0.62, 0.95, 0.5, 0.62
@@ -305,12 +208,7 @@ def mirror_axes(slope_map: SlopeMap) -> tuple[Figure, Axes, tuple[float, float, 
 def cover_outside(axes: Axes, slope_map: SlopeMap) -> None:
     """Paint what lies outside the mirror white and draw the mirror's edge.
 
-    Parameters
-    ----------
-    axes : Axes
-        Axes of `mirror_axes`.
-    slope_map : SlopeMap
-        Gives the aperture.
+    slope_map: Gives the aperture.
     """
     outside = ~thinned(slope_map.aperture)
     if not outside.any():
@@ -335,18 +233,8 @@ def add_color_bar(
 ) -> None:
     """Add a colour bar to the right of a map, with arrows where values are clipped.
 
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    image : ScalarMappable
-        The coloured values.
-    box : tuple of float
-        Box of the map [inch].
-    style : MapStyle
-        Gives the unit.
-    shown : ndarray
-        The values, to know which ends are clipped.
+    style: Gives the unit.
+    shown: The values, to know which ends are clipped.
     """
     low, high = image.get_clim()
     values = shown[np.isfinite(shown)]
@@ -364,19 +252,8 @@ def add_color_bar(
 def clipping_words(shown: npt.NDArray[np.floating[Any]], limit: float, style: MapStyle) -> str:
     """Say which share of the values lies beyond the colours, and how far they go.
 
-    Parameters
-    ----------
-    shown : ndarray
-        Values in the printed unit.
-    limit : float
-        Where the colours end.
-    style : MapStyle
-        Unit and kind of colours.
-
-    Returns
-    -------
-    str
-        Words; empty where nothing is clipped.
+    shown: Values in the printed unit.
+    style: Unit and kind of colours.
     """
     values = shown[np.isfinite(shown)]
     if not values.size:
@@ -392,14 +269,9 @@ def clipping_words(shown: npt.NDArray[np.floating[Any]], limit: float, style: Ma
 def set_equal_limits(axes: Axes, x: FloatArray, y: FloatArray, *, spare: float = 0.08) -> None:
     """Set limits around points so that both axes have one scale, whatever the box.
 
-    Parameters
-    ----------
-    axes : Axes
-        The axes; their figure has its final size.
-    x, y : ndarray, shape (n,)
-        Points that must be seen.
-    spare : float, optional
-        Margin on each side as a share of the span.
+    axes: The axes; their figure has its final size.
+    x, y (n,): Points that must be seen.
+    spare: Margin on each side as a share of the span.
     """
     figure_width, figure_height = axes.figure.get_size_inches()  # type: ignore[union-attr]
     box = axes.get_position()
@@ -411,18 +283,7 @@ def set_equal_limits(axes: Axes, x: FloatArray, y: FloatArray, *, spare: float =
 
 
 def extent_of(slope_map: SlopeMap) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top edge of the grid's cells [m].
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    tuple of float
-        As matplotlib wants it.
-    """
+    """Return left, right, bottom and top edge of the grid's cells [m]."""
     edges: list[float] = []
     for axis in (slope_map.x_m, slope_map.y_m):
         half = float(axis[-1] - axis[0]) / max(axis.size - 1, 1) / 2 or 0.5
@@ -433,33 +294,14 @@ def extent_of(slope_map: SlopeMap) -> tuple[float, float, float, float]:
 def thinned(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return every n-th node, so that no side has more than `MOST_NODES`.
 
-    Parameters
-    ----------
-    field : ndarray, shape (ny, nx)
-        Values on the grid.
-
-    Returns
-    -------
-    ndarray
-        A view.
+    field (ny, nx): Values on the grid.
     """
     step_y, step_x = (-(-size // MOST_NODES) for size in field.shape)
     return field[step_y // 2 :: step_y, step_x // 2 :: step_x]
 
 
 def thinned_map(slope_map: SlopeMap) -> SlopeMap:
-    """Return a map of every n-th node, so that no side has more than `MOST_NODES`; the same map where none has.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    SlopeMap
-        A map with the same uncertainty at each node it keeps.
-    """
+    """Return a map of every n-th node, so that no side has more than `MOST_NODES`; the same map where none has."""
     if max(slope_map.shape) <= MOST_NODES:
         return slope_map
     fields = (
@@ -474,17 +316,7 @@ def thinned_map(slope_map: SlopeMap) -> SlopeMap:
 def values_within(field: FloatArray, within: BoolArray) -> FloatArray:
     """Return the finite values of a field at chosen nodes, as a flat array.
 
-    Parameters
-    ----------
-    field : ndarray, shape (ny, nx)
-        Values on the grid.
-    within : ndarray of bool, shape (ny, nx)
-        Nodes.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The values.
+    Shapes: field (ny, nx), within (ny, nx), result (n,).
     """
     chosen = field[within]
     return chosen[np.isfinite(chosen)]

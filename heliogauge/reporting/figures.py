@@ -68,19 +68,7 @@ _FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf"
 def slope_error_map(slope_map: SlopeMap, axis: str, *, removed: Removal = Removal.NOTHING) -> Figure:
     """Draw the slope error in x or y.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x" or "y".
-    removed : Removal, optional
-        What is taken out first.
-
-    Returns
-    -------
-    Figure
-        A map [mrad]; x and y share their colours.
+    removed: What is taken out first.
     """
     # Without common modes: they do not change what is drawn, and projecting them takes 2 s for a million nodes.
     shown = slope_map if removed == Removal.NOTHING else remove(replace(slope_map, common=no_common_modes()), removed)
@@ -97,38 +85,14 @@ _REMOVAL_WORDS = {Removal.TILT: "tilt", Removal.FOCUS: "tilt and focus", Removal
 
 
 def slope_error_magnitude_map(slope_map: SlopeMap) -> Figure:
-    """Draw the length of the slope error vector.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Figure
-        A map [mrad].
-    """
+    """Draw the length of the slope error vector."""
     size = _measured(slope_map, np.hypot(slope_map.slope_error_x, slope_map.slope_error_y))
     note = f"RMS {_rms(size) * MRAD:.3f} mrad"
     return map_figure(slope_map, size, MapStyle("Slope error, magnitude", "mrad", MRAD, diverging=False, note=note))
 
 
 def slope_map_figure(slope_map: SlopeMap, axis: str) -> Figure:
-    """Draw the measured slope in x or y.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    Figure
-        A map [mrad].
-    """
+    """Draw the measured slope in x or y."""
     slope = slope_map.slope_x if axis == "x" else slope_map.slope_y
     return map_figure(slope_map, _measured(slope_map, slope), MapStyle(f"Measured slope dz/d{axis}", "mrad", MRAD))
 
@@ -136,19 +100,7 @@ def slope_map_figure(slope_map: SlopeMap, axis: str) -> Figure:
 def sigma_map(slope_map: SlopeMap, axis: str, share: str = "total") -> Figure:
     """Draw the standard deviation of the slope in x or y, or of one of its shares.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x" or "y".
-    share : str, optional
-        "total", "random" or "common".
-
-    Returns
-    -------
-    Figure
-        A map [urad].
+    share: "total", "random" or "common".
     """
     slope_map = thinned_map(slope_map)
     index = "xy".index(axis)
@@ -169,18 +121,7 @@ def sigma_map(slope_map: SlopeMap, axis: str, share: str = "total") -> Figure:
 
 
 def curl_map(slope_map: SlopeMap) -> Figure:
-    """Draw the curl of the slopes over its sigma: a real surface has none, so this shows errors of the measurement.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Figure
-        A map without unit.
-    """
+    """Draw the curl of the slopes over its sigma: a real surface has none, so this shows errors of the measurement."""
     result = curl(slope_map)
     ratio = np.divide(
         result.value_per_m, result.sigma_per_m, out=np.full(slope_map.shape, np.nan), where=result.sigma_per_m > 0
@@ -192,17 +133,7 @@ def curl_map(slope_map: SlopeMap) -> Figure:
 def curvature_map(slope_map: SlopeMap, axis: str) -> Figure:
     """Draw the curvature of the measured surface beyond its mean.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    Figure
-        A map [mrad/m].
+    axis: "x" or "y".
     """
     value = curvature(replace(slope_map, common=no_common_modes()))["xy".index(axis)].value_per_m
     finite = value[np.isfinite(value)]
@@ -215,18 +146,7 @@ def curvature_map(slope_map: SlopeMap, axis: str) -> Figure:
 
 
 def height_map(slope_map: SlopeMap) -> Figure:
-    """Draw the integrated height.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Figure
-        A map [mm].
-    """
+    """Draw the integrated height."""
     height = slope_map.height_m * MRAD
     low = float(np.nanmin(height)) if np.isfinite(height).any() else 0.0
     high = float(np.nanmax(height)) if np.isfinite(height).any() else 1.0
@@ -235,18 +155,7 @@ def height_map(slope_map: SlopeMap) -> Figure:
 
 
 def height_deviation_map(slope_map: SlopeMap) -> Figure:
-    """Draw the integrated height minus its best-fit quadratic.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Figure
-        A map [um].
-    """
+    """Draw the integrated height minus its best-fit quadratic."""
     x, y = np.meshgrid(*(axis / max(float(np.abs(axis).max()), 1e-9) for axis in (slope_map.x_m, slope_map.y_m)))
     known = np.isfinite(slope_map.height_m)
     terms = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
@@ -262,19 +171,8 @@ def height_deviation_map(slope_map: SlopeMap) -> Figure:
 def common_mode_map(slope_map: SlopeMap, source: str, axis: str) -> Figure:
     """Draw how far one common source of uncertainty moves the slope, 1 sigma of all its modes together.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    source : str
-        One of ``slope_map.common.sources``.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    Figure
-        A map [urad].
+    source: One of ``slope_map.common.sources``.
+    axis: "x" or "y".
     """
     slope_map = thinned_map(slope_map)
     modes = slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))
@@ -287,18 +185,7 @@ def common_mode_map(slope_map: SlopeMap, source: str, axis: str) -> Figure:
 
 
 def flag_map(slope_map: SlopeMap) -> Figure:
-    """Draw why nodes of the mirror have no value or a doubtful one.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Figure
-        A map with its legend.
-    """
+    """Draw why nodes of the mirror have no value or a doubtful one."""
     counts = count_flags(slope_map.flags, slope_map.aperture)
     counts.pop(SampleFlag.OUTSIDE_MIRROR, None)
     order = sorted(counts, key=lambda flag: counts[flag], reverse=True)[: len(_FLAG_COLORS)]

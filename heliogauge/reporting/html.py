@@ -10,13 +10,7 @@ from heliogauge.reporting.canvas import WIDTH_IN, png_of
 
 
 class Html:
-    """A piece of HTML that a notebook shows.
-
-    Parameters
-    ----------
-    text : str
-        The HTML.
-    """
+    """A piece of HTML that a notebook shows."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -28,17 +22,9 @@ class Html:
 def show(*figures: Figure | None, caption: str = "") -> Html:
     """Return figures side by side, as images within the page.
 
-    Parameters
-    ----------
-    *figures : Figure or None
-        The figures; None is left out.
-    caption : str, optional
-        A line under them.
-
-    Returns
-    -------
-    Html
-        The images with a text for those who cannot see them.
+    *figures: The figures; None is left out.
+    caption: A line under them.
+    Returns: The images with a text for those who cannot see them.
     """
     parts = []
     for figure in filter(None, figures):
@@ -52,37 +38,16 @@ def show(*figures: Figure | None, caption: str = "") -> Html:
 
 
 def join(*pieces: Html) -> Html:
-    """Put pieces below each other.
-
-    Parameters
-    ----------
-    *pieces : Html
-        The pieces.
-
-    Returns
-    -------
-    Html
-        All of them.
-    """
+    """Put pieces below each other."""
     return Html("".join(piece.text for piece in pieces))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterable[int] = ()) -> Html:
     """Return a table.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Names of the columns; no head line where all are empty.
-    rows : iterable of sequence of str
-        Cells as text.
-    numbers : iterable of int, optional
-        Columns that are aligned to the right.
-
-    Returns
-    -------
-    Html
-        The table.
+    head: Names of the columns; no head line where all are empty.
+    rows: Cells as text.
+    numbers: Columns that are aligned to the right.
     """
     right = set(numbers)
 

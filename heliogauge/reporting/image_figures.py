@@ -30,19 +30,9 @@ from heliogauge.validate import FloatArray
 def camera_image(values: npt.NDArray[Any], style: MapStyle, *, origin_px: tuple[int, int] = (0, 0)) -> Figure:
     """Draw a quantity of each camera pixel as the camera saw it: row 0 at the top.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n_rows, n_columns)
-        Values; NaN (drawn grey) where there is none.
-    style : MapStyle
-        Title, unit, colours.
-    origin_px : tuple of int, optional
-        Column and row of the first value in the whole image.
-
-    Returns
-    -------
-    Figure
-        The image with its colour bar.
+    values (n_rows, n_columns): Values; NaN (drawn grey) where there is none.
+    style: Title, unit, colours.
+    origin_px: Column and row of the first value in the whole image.
     """
     rows, columns = values.shape
     width = WIDTH_IN - 1.62
@@ -75,16 +65,9 @@ def camera_image(values: npt.NDArray[Any], style: MapStyle, *, origin_px: tuple[
 def setup_sketch(geometry_m: Mapping[str, Any]) -> Figure:
     """Draw camera, screen and mirror from the side and from above, to scale.
 
-    Parameters
-    ----------
-    geometry_m : mapping
-        Points in the mirror's frame [m]: ``camera`` (3,), ``camera_axis`` (3,) viewing direction, ``screen`` (n, 3) and
-        ``mirror`` (n, 3) outlines.
-
-    Returns
-    -------
-    Figure
-        Side view (z to the right, y up) and top view (z to the right, x up).
+    geometry_m: Points in the mirror's frame [m]: ``camera`` (3,), ``camera_axis`` (3,) viewing direction,
+        ``screen`` (n, 3) and ``mirror`` (n, 3) outlines.
+    Returns: Side view (z to the right, y up) and top view (z to the right, x up).
     """
     names = ("camera", "screen", "mirror")
     points = {name: np.atleast_2d(np.asarray(geometry_m[name], dtype=np.float64)) for name in names}
@@ -126,17 +109,9 @@ def _draw_view(axes: Axes, points: Mapping[str, FloatArray], camera_axis: FloatA
 def outline_residuals(points_px: FloatArray, residuals_px: FloatArray) -> Figure:
     """Draw the mirror's edge points on the image with their residuals, enlarged.
 
-    Parameters
-    ----------
-    points_px : ndarray, shape (n, 2)
-        Measured edge points (column, row) [px].
-    residuals_px : ndarray, shape (n, 2)
-        Measured minus adjusted [px].
-
-    Returns
-    -------
-    Figure
-        Arrows on the outline; row 0 at the top.
+    points_px (n, 2): Measured edge points (column, row) [px].
+    residuals_px (n, 2): Measured minus adjusted [px].
+    Returns: Arrows on the outline; row 0 at the top.
     """
     figure = new_figure(4.2)
     axes = axes_in_inches(figure, 0.65, 0.55, WIDTH_IN - 0.85, 3.0)

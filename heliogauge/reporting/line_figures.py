@@ -37,17 +37,7 @@ ENERGY_SHARES = (0.5, 0.9, 0.99)
 def histogram(slope_map: SlopeMap, axis: str) -> Figure:
     """Draw the distribution of the slope errors with its mean, SD and the normal distribution of the same width.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    Figure
-        The histogram [mrad].
+    axis: "x" or "y".
     """
     error = slope_map.slope_error_x if axis == "x" else slope_map.slope_error_y
     values = values_within(error, slope_map.valid) * MRAD
@@ -83,17 +73,7 @@ def histogram(slope_map: SlopeMap, axis: str) -> Figure:
 def cross_sections(slope_map: SlopeMap, axis: str) -> Figure:
     """Draw the slope errors along the middle row (axis x) or column (axis y) with a band of one sigma.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    axis : str
-        "x": along x through the middle of the mirror; "y": along y.
-
-    Returns
-    -------
-    Figure
-        Both slope errors [mrad].
+    axis: "x": along x through the middle of the mirror; "y": along y.
     """
     along, across = (slope_map.x_m, slope_map.y_m) if axis == "x" else (slope_map.y_m, slope_map.x_m)
     counts = np.count_nonzero(slope_map.valid, axis=1 if axis == "x" else 0)
@@ -132,15 +112,7 @@ def _middle_line(counts: np.ndarray) -> int:
 def sigma_shares(shares: Mapping[str, tuple[float, float]]) -> Figure:
     """Draw where the uncertainty comes from, as bars for x and y.
 
-    Parameters
-    ----------
-    shares : mapping of str to tuple of float
-        RMS over the map of each source's standard deviation, in x and in y [rad].
-
-    Returns
-    -------
-    Figure
-        Horizontal bars [urad].
+    shares: RMS over the map of each source's standard deviation, in x and in y [rad].
     """
     names = list(shares)
     height = 0.42 * len(names) + 1.35
@@ -166,15 +138,7 @@ def sigma_shares(shares: Mapping[str, tuple[float, float]]) -> Figure:
 def spot_image(spot: "SpotImage") -> Figure:
     """Draw the flux on the target with circles of equal energy.
 
-    Parameters
-    ----------
-    spot : SpotImage
-        The traced spot.
-
-    Returns
-    -------
-    Figure
-        Flux for unit power [1/m^2], seen by someone who looks at the target from the mirror.
+    Returns: Flux for unit power [1/m^2], seen by someone who looks at the target from the mirror.
     """
     half = _spot_half_width(spot)
     box = (0.72, 0.6, WIDTH_IN - 1.75, WIDTH_IN - 1.75)
@@ -216,15 +180,7 @@ def _spot_half_width(spot: "SpotImage") -> float:
 def encircled_energy(spots: "Mapping[str, SpotImage]") -> Figure:
     """Draw the share of the energy within a circle about the spot's centre.
 
-    Parameters
-    ----------
-    spots : mapping of str to SpotImage
-        Spots by name, usually the measured and the ideal mirror.
-
-    Returns
-    -------
-    Figure
-        One curve for each spot.
+    spots: Spots by name, usually the measured and the ideal mirror.
     """
     first = next(iter(spots.values()))
     share = ENERGY_SHARES[1]

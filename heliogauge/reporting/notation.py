@@ -6,26 +6,11 @@ import math
 def number_text(value: float, sigma: float | None, unit: str, name: str = "") -> str:
     """Print a number with its standard deviation, both to the digits that the latter allows.
 
-    Parameters
-    ----------
-    value : float
-        The number.
-    sigma : float or None
-        Its standard deviation.
-    unit : str
-        Its unit; rad is printed in mrad, lengths below 0.1 m in mm.
-    name : str, optional
-        A name ending with ``_share`` is printed in per cent.
+    unit: Its unit; rad is printed in mrad, lengths below 0.1 m in mm.
+    name: A name ending with ``_share`` is printed in per cent.
 
-    Returns
-    -------
-    str
-        The text.
-
-    Examples
-    --------
     >>> number_text(1.23456e-3, 1.2e-6, "rad")
-    '1.2346 \u00b1 0.0012 mrad'
+    '1.2346 ± 0.0012 mrad'
     >>> number_text(0.98765, None, "", "measured_share")
     '98.77 %'
     """

@@ -75,15 +75,7 @@ class HasSummary(Protocol):
 def name_and_line(name: str, line: str) -> Html:
     """Return a name as heading of the report with a line below it.
 
-    Parameters
-    ----------
-    name, line : str
-        Both as text.
-
-    Returns
-    -------
-    Html
-        The heading.
+    name, line: Both as text.
     """
     return Html(f'<h1>{html.escape(name)}</h1><p class="subtitle">{html.escape(line)}</p>')
 
@@ -91,17 +83,8 @@ def name_and_line(name: str, line: str) -> Html:
 def head(results: HasSummary, line: str) -> Html:
     """Return heading and warnings of a report.
 
-    Parameters
-    ----------
-    results : HasSummary
-        The results.
-    line : str
-        What they are; the version is added.
-
-    Returns
-    -------
-    Html
-        Name, line and the box of warnings.
+    line: What they are; the version is added.
+    Returns: Name, line and the box of warnings.
     """
     summary = results.summary
     return join(name_and_line(summary.name, f"{line}; heliogauge {summary.version}"), warnings_box(results))
@@ -110,15 +93,7 @@ def head(results: HasSummary, line: str) -> Html:
 def title(results: Results) -> Html:
     """Return the head of the report.
 
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        Name, kind, design, version.
+    Returns: Name, kind, design, version.
     """
     summary = results.summary
     line = f"{summary.kind}; design: {results.slope_map.design}; heliogauge {summary.version}"
@@ -126,18 +101,7 @@ def title(results: Results) -> Html:
 
 
 def warnings_box(results: HasSummary) -> Html:
-    """Return the warnings, or the statement that there are none.
-
-    Parameters
-    ----------
-    results : HasSummary
-        The results.
-
-    Returns
-    -------
-    Html
-        A coloured box.
-    """
+    """Return the warnings, or the statement that there are none."""
     warnings = results.summary.warnings
     if not warnings:
         return Html('<div class="fine">No warnings: every check of the measurement passed.</div>')
@@ -147,18 +111,7 @@ def warnings_box(results: HasSummary) -> Html:
 
 
 def headline_table(results: Results) -> Html:
-    """Return the headline numbers with their standard deviations and units.
-
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        A table, in the order of the summary.
-    """
+    """Return the headline numbers with their standard deviations and units."""
     numbers, reasons = results.summary.numbers, results.summary.not_determined
     headline, others = [], []
     for key, value in numbers.items():
@@ -185,18 +138,7 @@ def _plain_label(name: str) -> str:
 
 
 def statistics_table(slope_map: SlopeMap) -> Html:
-    """Return SDx, SDy and SD of a map, as measured and with more and more removed.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Html
-        A table [mrad].
-    """
+    """Return SDx, SDy and SD of a map, as measured and with more and more removed."""
     rows = []
     for removal in Removal:
         result = statistics(slope_map, removed=removal)
@@ -210,18 +152,7 @@ def statistics_table(slope_map: SlopeMap) -> Html:
 
 
 def flag_table(slope_map: SlopeMap) -> Html:
-    """Return how many nodes of the mirror carry each flag.
-
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    Html
-        A table.
-    """
+    """Return how many nodes of the mirror carry each flag."""
     total = max(int(np.count_nonzero(slope_map.aperture)), 1)
     counts = count_flags(slope_map.flags, slope_map.aperture)
     rows = [("measured", "", f"{int(np.count_nonzero(slope_map.valid))}", f"{slope_map.measured_share:.2%}")]
@@ -234,15 +165,7 @@ def flag_table(slope_map: SlopeMap) -> Html:
 def facet_table(results: Results) -> Html:
     """Return the numbers of each facet.
 
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        A table with one line for each facet; empty for a single facet.
+    Returns: A table with one line for each facet; empty for a single facet.
     """
     facets = results.summary.facets
     if not facets:
@@ -261,18 +184,7 @@ def facet_table(results: Results) -> Html:
 
 
 def text_table(results: Results) -> Html:
-    """Return what is said in words: design, frame, what was removed, and what the pipeline adds.
-
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        A table.
-    """
+    """Return what is said in words: design, frame, what was removed, and what the pipeline adds."""
     slope_map = results.slope_map
     own = {"design": slope_map.design, "frame": slope_map.frame, "removed": slope_map.removed}
     rows = [(name.replace("_", " "), text) for name, text in (own | dict(results.summary.texts)).items()]
@@ -282,18 +194,7 @@ def text_table(results: Results) -> Html:
 
 
 def pose_table(results: Results) -> Html:
-    """Return the pose of the mirror in the camera's frame with its uncertainty.
-
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        A table with one line for each pose.
-    """
+    """Return the pose of the mirror in the camera's frame with its uncertainty."""
     rows = []
     for name, pose in results.poses.items():
         sigma = np.sqrt(np.diag(pose.covariance))
@@ -308,36 +209,14 @@ def pose_table(results: Results) -> Html:
 
 
 def duration_table(results: HasSummary) -> Html:
-    """Return how long each stage took.
-
-    Parameters
-    ----------
-    results : HasSummary
-        The results.
-
-    Returns
-    -------
-    Html
-        A table.
-    """
+    """Return how long each stage took."""
     durations = results.summary.durations_s
     rows = [(stage, f"{seconds:.2f} s") for stage, seconds in durations.items()]
     return table(("stage", "wall time"), [*rows, ("together", f"{sum(durations.values()):.2f} s")], numbers=(1,))
 
 
 def input_table(results: HasSummary) -> Html:
-    """Return the files that were read, with their hashes, folded away.
-
-    Parameters
-    ----------
-    results : HasSummary
-        The results.
-
-    Returns
-    -------
-    Html
-        A table that opens on a click.
-    """
+    """Return the files that were read, with their hashes, folded away."""
     hashes = results.summary.input_sha256
     rows = "".join(
         f'<tr><td>{html.escape(name)}</td><td class="hash">{html.escape(digest)}</td></tr>'

@@ -23,22 +23,12 @@ from heliogauge.slopes.map import SlopeMap
 class Results:
     """What a folder of results holds.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    summary : Summary
-        Headline numbers, warnings, texts.
-    slope_map : SlopeMap
-        The map, or the assembled one of several facets.
-    facets : dict of str to SlopeMap
-        Maps of single facets; empty for one facet.
-    pixels : dict of str to ndarray
-        Per-pixel results; empty where the file is not there.
-    cameras : dict of str to Camera
-        Cameras by name.
-    poses : dict of str to PhotoPose
-        Poses by photo.
+    summary: Headline numbers, warnings, texts.
+    slope_map: The map, or the assembled one of several facets.
+    facets: Maps of single facets; empty for one facet.
+    pixels: Per-pixel results; empty where the file is not there.
+    cameras: Cameras by name.
+    poses: Poses by photo.
     """
 
     folder: Path
@@ -53,20 +43,8 @@ class Results:
 def open_results(folder: str | Path = ".") -> Results:
     """Read a folder of results.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it, where reports run.
-
-    Returns
-    -------
-    Results
-        Its content.
-
-    Raises
-    ------
-    InputError
-        ``summary.json`` or ``slope_map.nc`` is missing, or a file is damaged.
+    folder: The folder; the working directory without it, where reports run.
+    InputError: ``summary.json`` or ``slope_map.nc`` is missing, or a file is damaged.
     """
     folder = Path(folder)
     map_path, pixel_path, camera_path = (folder / name for name in ("slope_map.nc", "pixels.nc", "cameras.json"))

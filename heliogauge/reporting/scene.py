@@ -22,27 +22,14 @@ _DIGITS_SHARE = 1e-6
 class SceneGroup:
     """Points or lines of one kind, which the reader can switch off.
 
-    Parameters
-    ----------
-    name : str
-        What they are; the legend shows it.
-    xyz_m : array_like, shape (n, 3)
-        Points; for lines the vertices of one line after the other [m].
-    colors : sequence of str
-        One colour for all, or one for each point, as ``#rrggbb``.
-    lengths : sequence of int, optional
-        Number of vertices of each line; none for points.
-    labels : sequence of str, optional
-        What is shown when the pointer is at a point.
-    size_px : float, optional
-        Diameter of the points, width of the lines.
-    shown : bool, optional
-        Whether it is switched on at first.
-
-    Raises
-    ------
-    InputError
-        Numbers of points, colours, labels and vertices do not fit.
+    name: What they are; the legend shows it.
+    xyz_m (n, 3): Points; for lines the vertices of one line after the other [m].
+    colors: One colour for all, or one for each point, as ``#rrggbb``.
+    lengths: Number of vertices of each line; none for points.
+    labels: What is shown when the pointer is at a point.
+    size_px: Diameter of the points, width of the lines.
+    shown: Whether it is switched on at first.
+    InputError: Numbers of points, colours, labels and vertices do not fit.
     """
 
     name: str
@@ -67,26 +54,10 @@ class SceneGroup:
 def scene(groups: Sequence[SceneGroup], *, name: str, note: str = "", height_px: int = 620) -> Html:
     """Return a scene that turns with the pointer and grows with the wheel.
 
-    Parameters
-    ----------
-    groups : sequence of SceneGroup
-        What is in it.
-    name : str
-        What it shows, for those who cannot see it and as the place of its script; letters, digits and hyphens.
-    note : str, optional
-        A line under it.
-    height_px : int, optional
-        Height [px].
-
-    Returns
-    -------
-    Html
-        Canvas, legend and script.
-
-    Raises
-    ------
-    InputError
-        There is nothing to show.
+    name: What it shows, for those who cannot see it and as the place of its script; letters, digits and hyphens.
+    note: A line under it.
+    Returns: Canvas, legend and script.
+    InputError: There is nothing to show.
     """
     everything = np.concatenate([group.xyz_m for group in groups]) if groups else np.zeros((0, 3))
     if not len(everything):

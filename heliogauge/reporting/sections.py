@@ -23,17 +23,8 @@ from heliogauge.validate import BoolArray, FloatArray
 def spot_figures(results: Results, *, rays: int = 1_500_000) -> Html:
     """Return the spot on the target and the energy within a circle.
 
-    Parameters
-    ----------
-    results : Results
-        The results.
-    rays : int, optional
-        Rays from the measured mirror.
-
-    Returns
-    -------
-    Html
-        Two figures; a sentence where the light cannot be traced.
+    rays: Rays from the measured mirror.
+    Returns: Two figures; a sentence where the light cannot be traced.
     """
     try:
         traced = spots(results, rays=rays)
@@ -46,20 +37,8 @@ def spot_figures(results: Results, *, rays: int = 1_500_000) -> Html:
 def spots(results: Results, *, rays: int = 1_500_000) -> dict[str, SpotImage]:
     """Trace sunlight from the measured mirror, and from its design, to a target in its focus.
 
-    Parameters
-    ----------
-    results : Results
-        The results.
-    rays : int, optional
-        Rays from the measured mirror; the design gets a fifth.
+    rays: Rays from the measured mirror; the design gets a fifth.
 
-    Returns
-    -------
-    dict of str to SpotImage
-        "as measured" and "design".
-
-    Notes
-    -----
     Sun: a uniform disc of 4.65 mrad half angle, placed so that the middle of the design mirror lights the target's
     centre. Target: ``target_distance_m`` of the summary, or the design's focal length (the shorter of x and y), or
     100 m where that is beyond 1 km.
@@ -106,15 +85,7 @@ def _target_distance_m(summary: Summary, shape: QuadraticFit) -> float:
 def uncertainty_shares(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
     """Return the RMS over the measured nodes of each share of the uncertainty, in x and in y.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    dict of str to tuple of float
-        "random noise", then each common source [rad].
+    Returns: "random noise", then each common source [rad].
     """
     valid, common = slope_map.valid, slope_map.common
     count = max(int(np.count_nonzero(valid)), 1)
@@ -138,15 +109,7 @@ def _rms(values: npt.NDArray[np.float64]) -> float:
 def image_figures(results: Results) -> Html:
     """Return what the camera saw: modulation, disagreement of the frames, points on the screen.
 
-    Parameters
-    ----------
-    results : Results
-        The results.
-
-    Returns
-    -------
-    Html
-        Figures; a sentence where there are no per-pixel results.
+    Returns: Figures; a sentence where there are no per-pixel results.
     """
     pixels = results.pixels
     styles = {
@@ -178,15 +141,9 @@ def _seen_part(seen: BoolArray) -> tuple[slice, slice]:
 def setup_figures(results: Results) -> Html:
     """Return where things stood, and how well the mirror's outline fits.
 
-    Parameters
-    ----------
-    results : Results
-        The results; ``outline.csv`` (x_px, y_px, residual_x_px, residual_y_px) in the folder gives the second figure.
-
-    Returns
-    -------
-    Html
-        The figures that the results have data for.
+    results: The results; ``outline.csv`` (x_px, y_px, residual_x_px, residual_y_px) in the folder gives the second
+        figure.
+    Returns: The figures that the results have data for.
     """
     shown = []
     if results.summary.geometry_m:

@@ -22,18 +22,10 @@ from heliogauge.results.slope_map_file import (
 class LabelledArray:
     """Values with the names of their axes, their unit and what they are.
 
-    Parameters
-    ----------
-    name : str
-        Name of the variable; one whose only axis has the same name is a coordinate.
-    axes : sequence of str
-        Name of each axis.
-    values : ndarray
-        Numbers.
-    unit : str
-        Unit; "1" where there is none.
-    meaning : str
-        In words.
+    name: Name of the variable; one whose only axis has the same name is a coordinate.
+    axes: Name of each axis.
+    unit: Unit; "1" where there is none.
+    meaning: In words.
     """
 
     name: str
@@ -46,19 +38,8 @@ class LabelledArray:
 def write_arrays(path: Path, arrays: Sequence[LabelledArray], attributes: Mapping[str, Any] | None = None) -> None:
     """Write arrays that share their coordinates.
 
-    Parameters
-    ----------
-    path : Path
-        The file, ending with ``.nc``.
-    arrays : sequence of LabelledArray
-        Coordinates first: each axis is that of a coordinate.
-    attributes : mapping, optional
-        What holds for all of them.
-
-    Raises
-    ------
-    InputError
-        An axis without coordinate or of another length, or the file cannot be written.
+    arrays: Coordinates first: each axis is that of a coordinate.
+    InputError: An axis without coordinate or of another length, or the file cannot be written.
     """
     with written_at_once(path) as file:
         write_global_attributes(file, attributes or {})
@@ -83,24 +64,7 @@ def write_arrays(path: Path, arrays: Sequence[LabelledArray], attributes: Mappin
 def read_arrays(path: Path, needed: Sequence[str] = ()) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     """Read what `write_arrays` wrote.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    needed : sequence of str, optional
-        Variables that must be there.
-
-    Returns
-    -------
-    arrays : dict of str to ndarray
-        Values by name.
-    attributes : dict
-        What holds for all of them.
-
-    Raises
-    ------
-    InputError
-        Not such a file, or a variable is missing.
+    needed: Variables that must be there.
     """
     with open_file(path) as file:
         arrays = {name: item[...] for name, item in file.items()}

@@ -82,32 +82,20 @@ UNITS: dict[str, str] = {
 class Summary:
     """What ``summary.json`` holds.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of measurement ("deflectometry", ...): names the package whose report is run.
-    name : str
-        Name of the measured thing.
-    numbers : mapping of str to float, int or None
-        Headline numbers in the order of their importance; the key ends with the unit (`UNITS`), and the standard
-        deviation of ``sdx_rad`` is ``sigma_sdx_rad``. None: not determined, see `not_determined`.
-    texts : mapping of str to str
-        What must be said beside the numbers: design, removed, reference, frame, mounting orientation, setup, pattern.
-    warnings : sequence of str
-        What makes the result doubtful.
-    durations_s : mapping of str to float
-        Wall time of each stage [s].
-    input_sha256 : mapping of str to str
-        Hash of each file that was read.
-    not_determined : mapping of str to str
-        Why a number is None.
-    facets : mapping of str to mapping
-        For several facets: numbers of each by the name of the facet.
-    geometry_m : mapping of str to nested lists
-        Points for the sketch of the setup, in the frame of the map [m]: ``camera`` (3,), ``camera_axis`` (3,),
-        ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline.
-    version : str
-        Version of the software that measured.
+    kind: Kind of measurement ("deflectometry", ...): names the package whose report is run.
+    name: Name of the measured thing.
+    numbers: Headline numbers in the order of their importance; the key ends with the unit (`UNITS`), and the
+        standard deviation of ``sdx_rad`` is ``sigma_sdx_rad``. None: not determined, see `not_determined`.
+    texts: What must be said beside the numbers: design, removed, reference, frame, mounting orientation, setup,
+        pattern.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file that was read.
+    not_determined: Why a number is None.
+    facets: For several facets: numbers of each by the name of the facet.
+    geometry_m: Points for the sketch of the setup, in the frame of the map [m]: ``camera`` (3,), ``camera_axis``
+        (3,), ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline.
+    version: Version of the software that measured.
     """
 
     kind: str
@@ -126,23 +114,8 @@ class Summary:
 def unit_of(key: str) -> tuple[str, str]:
     """Split the key of a number into its name and its unit.
 
-    Parameters
-    ----------
-    key : str
-        A key of `Summary.numbers`.
+    InputError: The key does not end with a unit of `UNITS`.
 
-    Returns
-    -------
-    tuple of str
-        Name without the unit, unit as it is printed.
-
-    Raises
-    ------
-    InputError
-        The key does not end with a unit of `UNITS`.
-
-    Examples
-    --------
     >>> unit_of("sdx_rad")
     ('sdx', 'rad')
     """
@@ -155,17 +128,8 @@ def unit_of(key: str) -> tuple[str, str]:
 def write_summary(path: Path, summary: Summary) -> None:
     """Write ``summary.json``.
 
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    summary : Summary
-        What to write.
-
-    Raises
-    ------
-    InputError
-        A key without a unit; a number that is missing or not finite without a reason; the file cannot be written.
+    InputError: A key without a unit; a number that is missing or not finite without a reason; the file cannot be
+        written.
     """
     numbers = {key: _finite_or_reason(key, value, summary) for key, value in summary.numbers.items()}
     facets = {
@@ -193,20 +157,7 @@ def write_summary(path: Path, summary: Summary) -> None:
 def read_summary(path: Path) -> Summary:
     """Read ``summary.json``.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or the folder of results that holds it.
-
-    Returns
-    -------
-    Summary
-        Its content.
-
-    Raises
-    ------
-    InputError
-        No such file, no JSON, or not written by this software.
+    path: The file, or the folder of results that holds it.
     """
     path = path / SUMMARY_FILE if path.is_dir() else path
     content = read_json(path)
@@ -237,22 +188,8 @@ def _finite_or_reason(
 def hash_files(paths: Iterable[Path], relative_to: Path | None = None) -> dict[str, str]:
     """Hash files, several at a time.
 
-    Parameters
-    ----------
-    paths : iterable of Path
-        The files.
-    relative_to : Path, optional
-        Folder the names are given from; the bare file name for files elsewhere and without it.
-
-    Returns
-    -------
-    dict of str to str
-        Name with forward slashes, SHA-256 in hexadecimal digits, in the order given.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read.
+    relative_to: Folder the names are given from; the bare file name for files elsewhere and without it.
+    Returns: Name with forward slashes, SHA-256 in hexadecimal digits, in the order given.
     """
     files = list(dict.fromkeys(paths))
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
@@ -278,25 +215,14 @@ def _hash_file(path: Path) -> str:
 class ResultFolder(WholeFolder):
     """A folder of results that appears whole or not at all.
 
-    Parameters
-    ----------
-    target : Path
-        Where the results shall stand.
-    force : bool, optional
-        Replace earlier results. Only a folder that is empty or holds a ``summary.json`` is ever replaced.
+    target: Where the results shall stand.
+    force: Replace earlier results. Only a folder that is empty or holds a ``summary.json`` is ever replaced.
+    InputError: On entering: results are there already, the place is not one for results, or it cannot be written
+        to.
 
-    Raises
-    ------
-    InputError
-        On entering: results are there already, the place is not one for results, or it cannot be written to.
-
-    Notes
-    -----
     ``with ResultFolder(out) as folder:`` gives a temporary folder beside the target. On success it is moved into
     place (one rename); after an error or Ctrl-C it is removed and earlier results stay as they were.
 
-    Examples
-    --------
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp()) / "result"
     >>> with ResultFolder(out) as folder:

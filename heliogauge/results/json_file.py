@@ -11,17 +11,7 @@ from heliogauge.errors import InputError
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file, readable, UTF-8, never with NaN.
 
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    content : mapping
-        What to write.
-
-    Raises
-    ------
-    InputError
-        A number is not finite, or the file cannot be written.
+    InputError: A number is not finite, or the file cannot be written.
     """
     try:
         text = _laid_out(content, "\n")
@@ -36,23 +26,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that holds an object.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        Its content.
-
-    Raises
-    ------
-    InputError
-        No such file, not JSON, or not an object.
-    """
+    """Read a JSON file that holds an object."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -70,24 +70,13 @@ _FIELDS = (
 def write_slope_map(path: Path, maps: Mapping[str, SlopeMap], attributes: Mapping[str, Any] | None = None) -> None:
     """Write slope maps into one NetCDF-4 file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, usually ``slope_map.nc``; replaced where it exists.
-    maps : mapping of str to SlopeMap
-        One map: it stands at the root of the file. Several: one group for each name, and the map of the name
+    path: The file, usually ``slope_map.nc``; replaced where it exists.
+    maps: One map: it stands at the root of the file. Several: one group for each name, and the map of the name
         `ASSEMBLED` (the empty string) at the root.
-    attributes : mapping, optional
-        More global attributes: strings and numbers as they are, mappings and lists as JSON text
+    attributes: More global attributes: strings and numbers as they are, mappings and lists as JSON text
         (``input_sha256`` is such a mapping).
+    InputError: No map, several maps without an assembled one, or the file cannot be written.
 
-    Raises
-    ------
-    InputError
-        No map, several maps without an assembled one, or the file cannot be written.
-
-    Notes
-    -----
     No compression: on measured maps deflate saves a third of the bytes and costs 1.3 s of CPU for 1200 x 1200 nodes.
     """
     facets = {name: slope_map for name, slope_map in maps.items() if name != ASSEMBLED}
@@ -108,23 +97,6 @@ def write_slope_map(path: Path, maps: Mapping[str, SlopeMap], attributes: Mappin
 def written_at_once(path: Path) -> Iterator[h5py.File]:
     """Build an HDF5 file in memory and write it in one go.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Yields
-    ------
-    h5py.File
-        To be filled.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-
-    Notes
-    -----
     On a full disk HDF5 fails again when it closes its file, and the interpreter crashes when it ends.
     """
     with h5py.File(path.name, "w", driver="core", backing_store=False, block_size=2**22, track_order=True) as file:
@@ -142,22 +114,7 @@ def written_at_once(path: Path) -> Iterator[h5py.File]:
 def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
     """Read one slope map back, its fields to float32.
 
-    Parameters
-    ----------
-    path : Path
-        A file written by `write_slope_map`.
-    group : str, optional
-        Name of a facet; the map at the root without it.
-
-    Returns
-    -------
-    SlopeMap
-        The map.
-
-    Raises
-    ------
-    InputError
-        Not such a file, a newer one, or no such facet.
+    group: Name of a facet; the map at the root without it.
     """
     with open_file(path) as file:
         if group is None:
@@ -170,35 +127,13 @@ def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
 
 
 def facet_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the facets in a slope map file, in the order of writing; empty for a single map.
-
-    Parameters
-    ----------
-    path : Path
-        A file written by `write_slope_map`.
-
-    Returns
-    -------
-    tuple of str
-        Names for `read_slope_map`.
-    """
+    """Return the names of the facets in a slope map file, in the order of writing; empty for a single map."""
     with open_file(path) as file:
         return _group_names(file)
 
 
 def read_slope_map_attributes(path: Path) -> dict[str, Any]:
-    """Return the global attributes of a slope map file; JSON texts are parsed.
-
-    Parameters
-    ----------
-    path : Path
-        A file written by `write_slope_map`.
-
-    Returns
-    -------
-    dict
-        Names and values.
-    """
+    """Return the global attributes of a slope map file; JSON texts are parsed."""
     with open_file(path) as file:
         return {name: plain_value(value) for name, value in file.attrs.items() if not name.startswith("_")}
 
@@ -208,22 +143,11 @@ def write_pixels(
 ) -> None:
     """Write what each camera pixel saw, dims (row, column).
 
-    Parameters
-    ----------
-    path : Path
-        The file, usually ``pixels.nc``.
-    arrays : mapping of str to ndarray, shape (n_rows, n_columns)
-        Some of `PIXEL_VARIABLES`; floating values are stored as float32.
-    attributes : mapping, optional
-        Global attributes. ``first_row``, ``first_column`` place a cut-out, ``step`` a decimated one, in the image [px].
+    arrays (n_rows, n_columns): Some of `PIXEL_VARIABLES`; floating values are stored as float32.
+    attributes: Global attributes. ``first_row``, ``first_column`` place a cut-out, ``step`` a decimated one, in the
+        image [px].
+    InputError: Unknown variable, differing shapes, or the file cannot be written.
 
-    Raises
-    ------
-    InputError
-        Unknown variable, differing shapes, or the file cannot be written.
-
-    Notes
-    -----
     float32 keeps 0.2 um on a 3 m facet and 1e-5 of a sigma: below every measured noise, at half the bytes.
     """
     shapes = {np.shape(array) for array in arrays.values()}
@@ -249,20 +173,7 @@ def write_pixels(
 def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Read what `write_pixels` wrote.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n_rows, n_columns)
-        The arrays by name.
-
-    Raises
-    ------
-    InputError
-        Not such a file.
+    Returns (n_rows, n_columns): The arrays by name.
     """
     with open_file(path) as file:
         return {name: file[name][...] for name in file if name in PIXEL_VARIABLES}
@@ -271,20 +182,7 @@ def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
 def open_file(path: Path) -> Any:
     """Open a NetCDF-4 file of results.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    h5py.File
-        Open for reading; to be closed by the caller.
-
-    Raises
-    ------
-    InputError
-        Not such a file, or a newer one than this version reads.
+    Returns: Open for reading; to be closed by the caller.
     """
     try:
         file = h5py.File(path, "r")
@@ -322,12 +220,7 @@ def _write_attributes(owner: Any, attributes: Mapping[str, Any]) -> None:
 def write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
     """Write what every file of results says of itself, and more.
 
-    Parameters
-    ----------
-    file : h5py.File
-        The file.
-    attributes : mapping
-        The rest; what is neither text nor number is written as JSON.
+    attributes: The rest; what is neither text nor number is written as JSON.
     """
     own = {"heliogauge_schema": np.int32(SLOPE_MAP_SCHEMA), "software": "heliogauge", "software_version": __version__}
     _write_attributes(file, {"Conventions": "CF-1.11", **own})
@@ -342,15 +235,8 @@ def write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
 def plain_value(value: Any) -> Any:
     """Return an attribute as a Python value; JSON is read.
 
-    Parameters
-    ----------
-    value : object
-        As HDF5 gives it.
-
-    Returns
-    -------
-    object
-        Text, number, list or dict.
+    value: As HDF5 gives it.
+    Returns: Text, number, list or dict.
     """
     if isinstance(value, bytes):
         value = value.decode("utf-8")
@@ -406,18 +292,9 @@ def write_variable(
 ) -> None:
     """Write one variable with its dimensions.
 
-    Parameters
-    ----------
-    group : h5py.Group
-        Where to.
-    name : str
-        Its name.
-    values : ndarray
-        Its values; NaN is missing.
-    scales : sequence of h5py.Dataset
-        One dimension scale for each axis.
-    attributes : mapping
-        Unit, long name and the like.
+    values: Its values; NaN is missing.
+    scales: One dimension scale for each axis.
+    attributes: Unit, long name and the like.
     """
     is_float = np.issubdtype(values.dtype, np.floating)
     fill = values.dtype.type(np.nan) if is_float else None

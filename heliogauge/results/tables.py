@@ -29,23 +29,12 @@ _POINT_COLUMNS = ("id", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_
 class PointTable:
     """Measured points, as ``points.csv`` holds them.
 
-    Parameters
-    ----------
-    ids : sequence of str, length n
-        Names.
-    xyz_m : array_like, shape (n, 3)
-        Coordinates [m]; NaN where not determined.
-    sigma_m : array_like, shape (n, 3)
-        Standard deviations [m].
-    n_rays : array_like of int, shape (n,)
-        Rays that determine each point.
-    flags : array_like of int, shape (n,)
-        Bits of `heliogauge.flags.SampleFlag`.
-
-    Raises
-    ------
-    InputError
-        Lengths differ.
+    ids length n: Names.
+    xyz_m (n, 3): Coordinates [m]; NaN where not determined.
+    sigma_m (n, 3): Standard deviations [m].
+    n_rays (n,): Rays that determine each point.
+    flags (n,): Bits of `heliogauge.flags.SampleFlag`.
+    InputError: Lengths differ.
     """
 
     ids: tuple[str, ...]
@@ -71,16 +60,10 @@ class PointTable:
 class PhotoPose:
     """Where a camera stood for one photo.
 
-    Parameters
-    ----------
-    camera : str
-        Name of the camera.
-    cam_from_world : RigidTransform
-        World (mirror, object) frame to camera frame.
-    covariance : array_like, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved`: rotation [rad], translation [m].
-    residual_rms_px : float or None
-        RMS of the image residuals; None where there are none [px].
+    camera: Name of the camera.
+    cam_from_world: World (mirror, object) frame to camera frame.
+    covariance (6, 6): Covariance of the steps of `RigidTransform.moved`: rotation [rad], translation [m].
+    residual_rms_px: RMS of the image residuals; None where there are none [px].
     """
 
     camera: str
@@ -93,15 +76,7 @@ class PhotoPose:
 
 
 def write_points_csv(path: Path, points: PointTable) -> None:
-    """Write ``points.csv``; floats so that reading returns them bit for bit.
-
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    points : PointTable
-        What to write.
-    """
+    """Write ``points.csv``; floats so that reading returns them bit for bit."""
     columns: dict[str, Sequence[Any]] = {"id": points.ids}
     for index, axis in enumerate("xyz"):
         columns[f"{axis}_m"] = points.xyz_m[:, index].tolist()
@@ -112,23 +87,7 @@ def write_points_csv(path: Path, points: PointTable) -> None:
 
 
 def read_points_csv(path: Path) -> PointTable:
-    """Read ``points.csv``.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    PointTable
-        Its content.
-
-    Raises
-    ------
-    InputError
-        No such file, a missing column, or a cell that is no number.
-    """
+    """Read ``points.csv``."""
     columns = read_table_csv(path, _POINT_COLUMNS)
     values = {name: _numbers(path, name, columns[name]) for name in _POINT_COLUMNS[1:]}
     return PointTable(
@@ -143,17 +102,8 @@ def read_points_csv(path: Path) -> PointTable:
 def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
     """Write columns of one length as CSV with a header line; NaN becomes an empty cell.
 
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    columns : mapping of str to sequence or ndarray
-        Columns by name, units in the names.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, or the file cannot be written.
+    columns: Columns by name, units in the names.
+    InputError: Lengths differ, or the file cannot be written.
     """
     lists = [np.asarray(column).tolist() for column in columns.values()]
     if len({len(column) for column in lists}) > 1:
@@ -199,22 +149,7 @@ def _csv_cell(text: str) -> str:
 def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str]]:
     """Read a CSV file with a header line as columns of text.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    needed : sequence of str, optional
-        Columns that must be there.
-
-    Returns
-    -------
-    dict of str to list of str
-        Columns by name.
-
-    Raises
-    ------
-    InputError
-        No such file, a missing column, or a line with another number of cells.
+    needed: Columns that must be there.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -246,34 +181,15 @@ def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
 
 
 def write_camera_json(path: Path, camera: Camera) -> None:
-    """Write one camera, to be used as ``camera.json`` of a measurement.
-
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    camera : Camera
-        The camera.
-    """
+    """Write one camera, to be used as ``camera.json`` of a measurement."""
     write_json(path, {"schema_version": CAMERA_SCHEMA, **_camera_content(camera)})
 
 
 def write_cameras_json(path: Path, cameras: Mapping[str, Camera], poses: Mapping[str, PhotoPose]) -> None:
     """Write cameras and the pose of each photo (``cameras.json``).
 
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    cameras : mapping of str to Camera
-        Cameras by name.
-    poses : mapping of str to PhotoPose
-        Poses by the name of the photo (or of the facet whose pose was measured).
-
-    Raises
-    ------
-    InputError
-        A pose of a camera that is not given.
+    poses: Poses by the name of the photo (or of the facet whose pose was measured).
+    InputError: A pose of a camera that is not given.
     """
     strangers = sorted({pose.camera for pose in poses.values()} - set(cameras))
     if strangers:
@@ -289,22 +205,7 @@ def write_cameras_json(path: Path, cameras: Mapping[str, Camera], poses: Mapping
 def read_camera_json(path: Path, name: str | None = None) -> Camera:
     """Read a camera from ``camera.json`` or from a ``cameras.json``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str, optional
-        Name of the camera; not needed where the file holds one only.
-
-    Returns
-    -------
-    Camera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        No such file or camera, a missing or unknown key, or an impossible value.
+    name: Name of the camera; not needed where the file holds one only.
     """
     content = read_json(path)
     if "cameras" not in content:
@@ -321,20 +222,7 @@ def read_camera_json(path: Path, name: str | None = None) -> Camera:
 def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPose]]:
     """Read ``cameras.json``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    tuple of dict
-        Cameras by name, poses by photo.
-
-    Raises
-    ------
-    InputError
-        No such file, a missing or unknown key, or an impossible value.
+    Returns: Cameras by name, poses by photo.
     """
     content = read_json(path)
     for key in ("cameras", "poses"):

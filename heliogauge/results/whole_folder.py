@@ -18,16 +18,10 @@ _DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, er
 class FolderKind:
     """What a folder holds, and how an earlier one of its kind is told from anything else.
 
-    Parameters
-    ----------
-    content : str
-        What it holds, in the plural, for messages: "results".
-    mark : str, optional
-        A file that every such folder holds. Without it an earlier folder is never replaced.
-    strangers : frozenset of str, optional
-        Files that such a folder never holds.
-    remedy : str, optional
-        How the caller names another folder.
+    content: What it holds, in the plural, for messages: "results".
+    mark: A file that every such folder holds. Without it an earlier folder is never replaced.
+    strangers: Files that such a folder never holds.
+    remedy: How the caller names another folder.
     """
 
     content: str
@@ -39,23 +33,12 @@ class FolderKind:
 class WholeFolder:
     """A folder that appears whole or not at all.
 
-    Parameters
-    ----------
-    target : Path
-        Where the folder shall stand.
-    kind : FolderKind
-        What it will hold.
-    force : bool, optional
-        Replace an earlier folder. Only one that is empty or an earlier one of the same kind is ever replaced.
+    target: Where the folder shall stand.
+    kind: What it will hold.
+    force: Replace an earlier folder. Only one that is empty or an earlier one of the same kind is ever replaced.
+    InputError: On entering: the target holds files already, is no place for a folder, or cannot be written to. On
+        leaving: it became so meanwhile, or a file in it could not be written.
 
-    Raises
-    ------
-    InputError
-        On entering: the target holds files already, is no place for a folder, or cannot be written to. On leaving:
-        it became so meanwhile, or a file in it could not be written.
-
-    Notes
-    -----
     ``with WholeFolder(out, kind) as folder:`` gives a temporary folder beside the target. On success it is moved into
     place (one rename); after an error or Ctrl-C it is removed and an earlier folder stays as it was.
     """

@@ -48,8 +48,6 @@ ORDER = ("demo", "init", "synth", "calibrate", "photogrammetry", "deflectometry"
 class LazyGroup(TyperGroup):
     """A group that knows its commands by name and loads a package only when its command is called.
 
-    Notes
-    -----
     Contexts and formatters are `Any`: typer below 0.26 takes them from click, later ones carry their own copy.
     """
 
@@ -170,15 +168,8 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave the process.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Arguments without the program's name; those of the process if absent.
-
-    Raises
-    ------
-    SystemExit
-        Always: 0 success, 2 a user's mistake or an undetermined measurement, 130 Ctrl-C, 143 terminated.
+    arguments: Arguments without the program's name; those of the process if absent.
+    SystemExit: Always: 0 success, 2 a user's mistake or an undetermined measurement, 130 Ctrl-C, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.

@@ -1,7 +1,7 @@
 """What every package's command line is built from: the common flags and the group with a default command.
 
-A package that has commands exposes ``app: typer.Typer`` in its ``cli.py``; `heliogauge.running.cli` mounts it by name and
-imports it only when it is called. Flags that mean the same everywhere are the annotated types below, so that they
+A package that has commands exposes ``app: typer.Typer`` in its ``cli.py``; `heliogauge.running.cli` mounts it by name
+and imports it only when it is called. Flags that mean the same everywhere are the annotated types below, so that they
 have one name, one help text and one meaning.
 """
 
@@ -45,8 +45,6 @@ COMMON_PARAMETERS = frozenset({"folder", "out", "force", "quiet", "verbose", "no
 class DefaultCommandGroup(TyperGroup):
     """A group whose command ``run`` needs no name: ``heliogauge deflectometry FOLDER`` beside named commands.
 
-    Notes
-    -----
     Anything that is not the name of a command is taken as the first argument of ``run``. A folder that is called like
     a command is given as ``./name``.
     """
@@ -62,18 +60,7 @@ class DefaultCommandGroup(TyperGroup):
 
 
 def make_app(summary: str) -> typer.Typer:
-    """Make the typer application of a package: plain help (no rich, 0.2 s quicker), ``run`` as default command.
-
-    Parameters
-    ----------
-    summary : str
-        One sentence for ``--help``.
-
-    Returns
-    -------
-    typer.Typer
-        The application; add commands with ``@app.command("run")`` (the default one) or other names.
-    """
+    """Make the typer application of a package: plain help (no rich, 0.2 s quicker), ``run`` as default command."""
     app = typer.Typer(
         cls=DefaultCommandGroup,
         help=summary,
@@ -98,32 +85,11 @@ def into_folder(
 ) -> _ResultT:
     """Do a command's work and write its result into a folder that is whole or not there.
 
-    Parameters
-    ----------
-    out : Path
-        The folder.
-    job : callable
-        Does the work; is called when the folder is known to be usable.
-    write : callable
-        Writes the result into the folder it is given.
-    force : bool
-        Replace an earlier result.
-    progress : Progress
-        Told of the writing.
-    report : bool, optional
-        Add ``report.html``.
-
-    Returns
-    -------
-    object
-        What the job returned.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be used, or the job refuses its input.
-    EstimationError
-        The job's answer is not determined.
+    job: Does the work; is called when the folder is known to be usable.
+    force: Replace an earlier result.
+    report: Add ``report.html``.
+    InputError: The folder cannot be used, or the job refuses its input.
+    EstimationError: The job's answer is not determined.
     """
     from heliogauge.results.folder import ResultFolder
 
@@ -142,16 +108,9 @@ def into_folder(
 def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, quiet: bool) -> None:
     """Say how a command ended: warnings on standard error, the numbers and where they are on standard output.
 
-    Parameters
-    ----------
-    warnings : iterable of str
-        What makes the result doubtful; is said even where nothing else is.
-    headline : callable
-        Returns the most important numbers in a few lines.
-    ending : str
-        The last line: where the results are.
-    quiet : bool
-        Say warnings only.
+    warnings: What makes the result doubtful; is said even where nothing else is.
+    headline: Returns the most important numbers in a few lines.
+    ending: The last line: where the results are.
     """
     for text in warnings:
         typer.echo(f"warning: {text}", err=True)
@@ -163,23 +122,9 @@ def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, q
 def parse_periods(text: str) -> tuple[float, ...]:
     """Read numbers of fringe periods that are separated by commas.
 
-    Parameters
-    ----------
-    text : str
-        Such as ``0.9,3.9,15.9``.
+    text: Such as ``0.9,3.9,15.9``.
+    InputError: Something else than numbers.
 
-    Returns
-    -------
-    tuple of float
-        The numbers.
-
-    Raises
-    ------
-    InputError
-        Something else than numbers.
-
-    Examples
-    --------
     >>> parse_periods("0.9,3.9")
     (0.9, 3.9)
     """

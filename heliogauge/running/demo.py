@@ -25,21 +25,10 @@ HELIOSTATS = "heliostats"
 def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report: bool = True) -> None:
     """Draw fringe images of a facet and beams of heliostats with known errors, measure them, and say how near it comes.
 
-    Parameters
-    ----------
-    out : Path
-        Folder for the results; the images lie in its folder ``measurement``, the heliostats in ``heliostats``.
-    progress : SilentProgress
-        Told of each stage.
-    force : bool, optional
-        Replace an earlier result.
-    report : bool, optional
-        Also write report.html.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or holds something else.
+    out: Folder for the results; the images lie in its folder ``measurement``, the heliostats in ``heliostats``.
+    force: Replace an earlier result.
+    report: Also write report.html.
+    InputError: The folder cannot be written, or holds something else.
     """
     with ResultFolder(out, force=force) as working:
         folder = working / MEASUREMENT
@@ -64,20 +53,8 @@ def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report
 def compare_with_truth(result: Result, folder: Path) -> str:
     """Say how far the measured slopes are from the true ones, beside what their sigma expects.
 
-    Parameters
-    ----------
-    result : Result
-        What the measurement gave.
-    folder : Path
-        The synthetic measurement.
+    result: What the measurement gave.
 
-    Returns
-    -------
-    str
-        One line.
-
-    Notes
-    -----
     The frame of the slopes is defined by the measured normal itself, so the mean tilt is taken out of the difference;
     what pose and camera do to the map is smooth and has a sigma of its own, so a cubic is taken out as well before
     the rest is compared with the random sigma.
@@ -107,24 +84,8 @@ def compare_with_truth(result: Result, folder: Path) -> str:
 def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool) -> str:
     """Draw the beams of four heliostats, calibrate them, and say how near their models come to the true ones.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder for the results, to be made; the tables lie in its folder ``measurement``.
-    progress : SilentProgress
-        Told of each stage.
-    report : bool
-        Also write report.html.
-
-    Returns
-    -------
-    str
-        Lines for the terminal.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written.
+    folder: Folder for the results, to be made; the tables lie in its folder ``measurement``.
+    report: Also write report.html.
     """
     folder.mkdir()
     place = folder / MEASUREMENT

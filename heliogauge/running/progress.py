@@ -40,14 +40,9 @@ class Progress(Protocol):
 class RunningStage:
     """A stage that counts its steps and reports each to its listener.
 
-    Parameters
-    ----------
-    listener : SilentProgress
-        Who is told.
-    name : str
-        What is being done.
-    steps : int
-        Number of steps; 0 where nobody knows.
+    listener: Who is told.
+    name: What is being done.
+    steps: Number of steps; 0 where nobody knows.
     """
 
     __slots__ = ("_listener", "done", "name", "steps")
@@ -67,8 +62,6 @@ class RunningStage:
 class SilentProgress:
     """Progress that shows nothing and only keeps the time; displays override `started`, `advanced` and `finished`.
 
-    Notes
-    -----
     A stage that runs several times (once for each facet, say) is one entry with the sum. Stages may nest; the time of
     an inner stage is then part of the outer one's.
     """

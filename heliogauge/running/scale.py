@@ -35,12 +35,8 @@ _CONNECT_S = 10
 class Workers:
     """Who does the work.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Processes on this machine; None for as many as it has processors, 1 for none but this one.
-    scheduler : str or None
-        Address of a Dask scheduler, ``tcp://host:port``; then `jobs` does not count.
+    jobs: Processes on this machine; None for as many as it has processors, 1 for none but this one.
+    scheduler: Address of a Dask scheduler, ``tcp://host:port``; then `jobs` does not count.
     """
 
     jobs: int | None = None
@@ -55,14 +51,9 @@ class Workers:
 class Failure:
     """Why a task has no result.
 
-    Parameters
-    ----------
-    reason : str
-        What the person who reads it can do something about.
-    trace : str
-        Where it happened, if it was not foreseen; empty for impossible data and for undetermined answers.
-    kind : str
-        What the error itself calls its kind (its attribute ``kind``); empty where it does not.
+    reason: What the person who reads it can do something about.
+    trace: Where it happened, if it was not foreseen; empty for impossible data and for undetermined answers.
+    kind: What the error itself calls its kind (its attribute ``kind``); empty where it does not.
     """
 
     reason: str
@@ -74,12 +65,7 @@ class Failure:
 class Done(Generic[_TaskT, _ResultT]):
     """A task and what came of it.
 
-    Parameters
-    ----------
-    task : object
-        The task.
-    outcome : object or Failure
-        The result.
+    outcome: The result.
     """
 
     task: _TaskT
@@ -103,28 +89,13 @@ def run_each(
 ) -> Iterator[Done[_TaskT, _ResultT]]:
     """Run a function on each of many tasks, in any order.
 
-    Parameters
-    ----------
-    function : callable
-        Takes the context and a task; a function of a module, since other processes must find it.
-    context : object
-        What all tasks share; sent to each worker once.
-    tasks : iterable
-        The tasks; taken only as they are needed.
-    workers : Workers
-        Who works: a cluster if it names a scheduler.
-    processes : int, optional
-        Processes on this machine otherwise (`Workers.processes`); 1 works in this one.
-
-    Yields
-    ------
-    Done
-        Each task with its result or its failure, as they come.
-
-    Raises
-    ------
-    InputError
-        No such scheduler, no workers there, workers with another version, or Dask is not installed.
+    function: Takes the context and a task; a function of a module, since other processes must find it.
+    context: What all tasks share; sent to each worker once.
+    tasks: The tasks; taken only as they are needed.
+    workers: Who works: a cluster if it names a scheduler.
+    processes: Processes on this machine otherwise (`Workers.processes`); 1 works in this one.
+    Returns: Each task with its result or its failure, as they come.
+    InputError: No such scheduler, no workers there, workers with another version, or Dask is not installed.
     """
     if workers.scheduler is not None:
         yield from _on_cluster(function, context, tasks, workers.scheduler)

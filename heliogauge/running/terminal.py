@@ -14,12 +14,8 @@ if TYPE_CHECKING:
 class LineProgress(SilentProgress):
     """One plain line for each finished stage; right for logs, pipes and continuous integration.
 
-    Parameters
-    ----------
-    stream : TextIO
-        Where the lines go.
-    verbose : bool
-        Also say when a stage starts.
+    stream: Where the lines go.
+    verbose: Also say when a stage starts.
     """
 
     def __init__(self, stream: TextIO, *, verbose: bool = False) -> None:
@@ -43,13 +39,7 @@ class LineProgress(SilentProgress):
 
 
 class BarProgress(SilentProgress):
-    """Bars that grow on a terminal, drawn by rich; each stage stays as a line when it is done.
-
-    Parameters
-    ----------
-    stream : TextIO
-        The terminal.
-    """
+    """Bars that grow on a terminal, drawn by rich; each stage stays as a line when it is done."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -100,17 +90,8 @@ class BarProgress(SilentProgress):
 def terminal_progress(*, quiet: bool = False, verbose: bool = False) -> SilentProgress:
     """Choose how to show progress on standard error.
 
-    Parameters
-    ----------
-    quiet : bool, optional
-        Show nothing.
-    verbose : bool, optional
-        Plain lines with the start of each stage, also on a terminal.
-
-    Returns
-    -------
-    SilentProgress
-        Silent, bars on a terminal, plain lines otherwise.
+    verbose: Plain lines with the start of each stage, also on a terminal.
+    Returns: Silent, bars on a terminal, plain lines otherwise.
     """
     if quiet:
         return SilentProgress()

@@ -10,27 +10,9 @@ ResultT = TypeVar("ResultT")
 def side_by_side(work: Callable[[int], ResultT], numbers: Sequence[int], jobs: int | None) -> list[ResultT]:
     """Do the same for many numbers in several threads; the first error ends it.
 
-    Parameters
-    ----------
-    work : callable
-        What to do with a number.
-    numbers : sequence of int
-        The numbers.
-    jobs : int or None
-        Threads at most; as many as there are cores without.
+    jobs: Threads at most; as many as there are cores without.
+    Exception: What the work raised first; what had not begun is left.
 
-    Returns
-    -------
-    list
-        Results in the order of the numbers.
-
-    Raises
-    ------
-    Exception
-        What the work raised first; what had not begun is left.
-
-    Examples
-    --------
     >>> side_by_side(lambda number: 2 * number, [3, 1], jobs=2)
     [6, 2]
     """

@@ -15,12 +15,9 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
 class Derivative:
     """A derivative of the slopes on the map's grid.
 
-    Parameters
-    ----------
-    value_per_m : ndarray, shape (ny, nx)
-        Central differences between nodes that share no pixel; NaN where one of them is missing [1/m].
-    sigma_per_m : ndarray, shape (ny, nx)
-        Standard deviation, random and common [1/m].
+    value_per_m (ny, nx): Central differences between nodes that share no pixel; NaN where one of them is missing
+        [1/m].
+    sigma_per_m (ny, nx): Standard deviation, random and common [1/m].
     """
 
     value_per_m: FloatArray
@@ -30,15 +27,7 @@ class Derivative:
 def curl(slope_map: SlopeMap) -> Derivative:
     """Return ``d slope_x / dy - d slope_y / dx``: zero for the slopes of any real surface, so a check of the map.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The measured map.
-
-    Returns
-    -------
-    Derivative
-        Curl and its sigma [1/m]; NaN at nodes with a missing neighbour.
+    Returns: Curl and its sigma [1/m]; NaN at nodes with a missing neighbour.
     """
     valid, reach = slope_map.valid, _reach(slope_map)
     x_by_y = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.y_m, 0, reach)
@@ -54,15 +43,7 @@ def curl(slope_map: SlopeMap) -> Derivative:
 def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
     """Return ``d slope_x / dx`` and ``d slope_y / dy``, the curvatures in x and y (1 / (2 f) on a paraboloid).
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The measured map.
-
-    Returns
-    -------
-    tuple of Derivative
-        Curvature in x and in y with sigma [1/m]; NaN at nodes with a missing neighbour.
+    Returns: Curvature in x and in y with sigma [1/m]; NaN at nodes with a missing neighbour.
     """
     valid, reach = slope_map.valid, _reach(slope_map)
     variance_x = _central_variance(slope_map.sigma_random_x, slope_map.x_m, 1, reach)
@@ -112,28 +93,12 @@ def _central_variance(sigma: FloatArray, positions_m: FloatArray, axis: int, rea
 def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> SlopeMap:
     """Interpolate a map to another grid (bilinear).
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-    x_m : array_like, shape (nx,)
-        New columns, ascending, in the same frame [m].
-    y_m : array_like, shape (ny,)
-        New rows, ascending [m].
+    x_m (nx,): New columns, ascending, in the same frame [m].
+    y_m (ny,): New rows, ascending [m].
+    Returns: The map on the new grid. A node has a value only where all nodes it draws on have one; otherwise it
+        carries their flags. Nodes beyond the old grid are outside the aperture.
+    InputError: The new grid is not finite or not ascending.
 
-    Returns
-    -------
-    SlopeMap
-        The map on the new grid. A node has a value only where all nodes it draws on have one; otherwise it carries
-        their flags. Nodes beyond the old grid are outside the aperture.
-
-    Raises
-    ------
-    InputError
-        The new grid is not finite or not ascending.
-
-    Notes
-    -----
     The random sigma is that of the weighted mean of up to four nodes. Neighbours on a finer grid share their noise;
     the noise correlation is raised so that the mean over an area keeps its sigma.
     """
@@ -221,22 +186,11 @@ def _within(grid_m: FloatArray, positions_m: FloatArray) -> BoolArray:
 def difference(map_a: SlopeMap, map_b: SlopeMap) -> SlopeMap:
     """Subtract one map from another on the same grid.
 
-    Parameters
-    ----------
-    map_a, map_b : SlopeMap
-        Maps in the same frame, on the same grid (see `resample`).
-
-    Returns
-    -------
-    SlopeMap
-        Slopes and heights a - b with a design of zero, so that its slope errors are the difference; the aperture is
-        what both share; sigmas add in squares, as for independent measurements (an upper bound where the two share
-        an instrument).
-
-    Raises
-    ------
-    InputError
-        The grids differ.
+    map_a, map_b: Maps in the same frame, on the same grid (see `resample`).
+    Returns: Slopes and heights a - b with a design of zero, so that its slope errors are the difference; the
+        aperture is what both share; sigmas add in squares, as for independent measurements (an upper bound where
+        the two share an instrument).
+    InputError: The grids differ.
     """
     same = map_a.shape == map_b.shape and all(
         np.allclose(a, b, rtol=0, atol=1e-9) for a, b in ((map_a.x_m, map_b.x_m), (map_a.y_m, map_b.y_m))

@@ -14,25 +14,11 @@ MAX_ITERATIONS = 400
 def integrate_slopes(slope_x: FloatArray, slope_y: FloatArray, step_m: tuple[float, float]) -> FloatArray:
     """Find the height whose differences between neighbours agree best with the slopes.
 
-    Parameters
-    ----------
-    slope_x, slope_y : ndarray, shape (ny, nx)
-        dz/dx and dz/dy at the nodes; NaN where not known.
-    step_m : tuple of float
-        Grid step in x and in y [m].
+    slope_x, slope_y (ny, nx): dz/dx and dz/dy at the nodes; NaN where not known.
+    step_m: Grid step in x and in y [m].
+    Returns (ny, nx): Height with mean zero over each connected part [m]; NaN where not known.
+    EstimationError: No two neighbouring nodes carry slopes, or the solution does not settle.
 
-    Returns
-    -------
-    ndarray, shape (ny, nx)
-        Height with mean zero over each connected part [m]; NaN where not known.
-
-    Raises
-    ------
-    EstimationError
-        No two neighbouring nodes carry slopes, or the solution does not settle.
-
-    Notes
-    -----
     Southwell (1980): for each pair of neighbours ``(z_j - z_i) / step = (s_i + s_j) / 2``; least squares over all
     pairs. The normal equations are a Poisson problem with gaps, solved by conjugate gradients with the cosine
     transform's exact solution of the gap-free grid as preconditioner. The rule is exact for quadratic surfaces; take

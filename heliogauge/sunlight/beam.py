@@ -35,19 +35,10 @@ _RADIUS_STEPS = 1000
 class TargetPlane:
     """A plane that catches the light, and the window of it that becomes an image.
 
-    Parameters
-    ----------
-    facet_from_target : RigidTransform
-        Place of the target: its origin is the window's centre, x and y run along the window.
-    width_m, height_m : float
-        Size of the window along x and y [m].
-    columns, rows : int, optional
-        Pixels of the image.
-
-    Raises
-    ------
-    InputError
-        A size or a number of pixels is not positive.
+    facet_from_target: Place of the target: its origin is the window's centre, x and y run along the window.
+    width_m, height_m: Size of the window along x and y [m].
+    columns, rows: Pixels of the image.
+    InputError: A size or a number of pixels is not positive.
     """
 
     facet_from_target: RigidTransform
@@ -71,19 +62,9 @@ class TargetPlane:
 def facing_target(distance_m: float, width_m: float, height_m: float | None = None) -> TargetPlane:
     """Return a target on the mirror's axis, parallel to it, with its x and y along the mirror's.
 
-    Parameters
-    ----------
-    distance_m : float
-        Distance from the mirror's origin along z [m]; for the sharpest spot its focal length.
-    width_m : float
-        Width of the window [m].
-    height_m : float, optional
-        Height of the window [m]; the width when left out.
-
-    Returns
-    -------
-    TargetPlane
-        The target; x and y of the spot image are those of the mirror, so a normal that leans to +x lights +x.
+    distance_m: Distance from the mirror's origin along z [m]; for the sharpest spot its focal length.
+    height_m: Height of the window [m]; the width when left out.
+    Returns: The target; x and y of the spot image are those of the mirror, so a normal that leans to +x lights +x.
     """
     place = RigidTransform(np.eye(3), np.array([0.0, 0.0, positive("distance_m", distance_m, "metres")]))
     return TargetPlane(place, width_m, width_m if height_m is None else height_m)
@@ -92,19 +73,9 @@ def facing_target(distance_m: float, width_m: float, height_m: float | None = No
 def direction_to_sun_for(target: TargetPlane, normal: npt.ArrayLike, point_m: npt.ArrayLike = (0, 0, 0)) -> FloatArray:
     """Return where the sun must stand so that one point of a mirror lights the target's centre.
 
-    Parameters
-    ----------
-    target : TargetPlane
-        The target.
-    normal : array_like, shape (3,)
-        The mirror's normal at that point, in the map's frame.
-    point_m : array_like, shape (3,), optional
-        The point, by default the frame's origin [m].
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Unit direction to the sun.
+    Shapes: result (3,).
+    normal (3,): The mirror's normal at that point, in the map's frame.
+    point_m (3,): The point, by default the frame's origin [m].
     """
     towards = target.facet_from_target.translation_m - float_array("point_m", point_m, (3,))
     sun = -reflect(towards, float_array("normal", normal, (3,)))
@@ -115,34 +86,19 @@ def direction_to_sun_for(target: TargetPlane, normal: npt.ArrayLike, point_m: np
 class SpotImage:
     """The light on a target, with everything that must be said beside it.
 
-    Parameters
-    ----------
-    x_m, y_m : ndarray, shape (nx,), (ny,)
-        Pixel centres in the target's frame [m].
-    flux_per_m2 : ndarray, shape (ny, nx)
-        Flux density for one unit of power reflected by the measured part of the mirror [1/m^2].
-    radius_m, encircled_share : ndarray, shape (n,)
-        Share of the power within each radius around `center_m`.
-    center_m : ndarray, shape (2,)
-        Where the sun's centre lands on average, without sun shape and scatter [m].
-    centroid_m : ndarray, shape (2,)
-        Mean of all rays that meet the plane, inside the window or not [m].
-    sd_x_m, sd_y_m : float
-        Standard deviation of the same rays about their centroid [m].
-    rays : int
-        Number of rays traced.
-    share_in_window : float
-        Share of them that the image shows.
-    slope : SlopeStatistics
-        SDx and SDy of the traced map.
-    distance_m : float
-        Distance of the target from the mirror's origin [m].
-    design, removed : str
-        Design shape of the map and what was removed from its slopes.
-    measured_share : float
-        Share of the mirror that was measured and emits.
-    light : str
-        Sun shape and scatter in words.
+    x_m, y_m (nx,): Pixel centres in the target's frame [m].
+    flux_per_m2 (ny, nx): Flux density for one unit of power reflected by the measured part of the mirror [1/m^2].
+    radius_m, encircled_share (n,): Share of the power within each radius around `center_m`.
+    center_m (2,): Where the sun's centre lands on average, without sun shape and scatter [m].
+    centroid_m (2,): Mean of all rays that meet the plane, inside the window or not [m].
+    sd_x_m, sd_y_m: Standard deviation of the same rays about their centroid [m].
+    rays: Number of rays traced.
+    share_in_window: Share of them that the image shows.
+    slope: SDx and SDy of the traced map.
+    distance_m: Distance of the target from the mirror's origin [m].
+    design, removed: Design shape of the map and what was removed from its slopes.
+    measured_share: Share of the mirror that was measured and emits.
+    light: Sun shape and scatter in words.
     """
 
     x_m: FloatArray
@@ -188,15 +144,8 @@ class SpotImage:
     def radius_of_share(self, share: float) -> float:
         """Return the radius around `center_m` that holds a share of the power.
 
-        Parameters
-        ----------
-        share : float
-            Between 0 and 1.
-
-        Returns
-        -------
-        float
-            Radius [m]; infinite where the window's corner does not reach that far.
+        share: Between 0 and 1.
+        Returns: Radius [m]; infinite where the window's corner does not reach that far.
         """
         if not 0 <= share <= 1:
             raise InputError(f"share: 0 to 1 is needed, not {share}")
@@ -226,36 +175,16 @@ def trace(
 ) -> SpotImage:
     """Trace sunlight from a slope map to a target plane.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror; its measured slopes reflect.
-    height_m : array_like, shape (ny, nx)
-        Height of the mirror's surface at the nodes, usually the design's [m].
-    light : Illumination
-        Sun shape, its direction, and scatter.
-    target : TargetPlane
-        Where the light is caught.
-    rays : int
-        How many rays.
-    rng : numpy.random.Generator
-        Source of randomness; SFC64 is the fastest.
+    slope_map: The mirror; its measured slopes reflect.
+    height_m (ny, nx): Height of the mirror's surface at the nodes, usually the design's [m].
+    light: Sun shape, its direction, and scatter.
+    target: Where the light is caught.
+    rng: Source of randomness; SFC64 is the fastest.
+    Returns: Flux density, encircled energy, centroid and spread, with SDx and SDy of the map, its design, what was
+        removed and the share measured.
+    EstimationError: No measured node is lit, or no ray meets the plane.
+    InputError: No rays, or heights of another shape or missing at a measured node.
 
-    Returns
-    -------
-    SpotImage
-        Flux density, encircled energy, centroid and spread, with SDx and SDy of the map, its design, what was removed
-        and the share measured.
-
-    Raises
-    ------
-    EstimationError
-        No measured node is lit, or no ray meets the plane.
-    InputError
-        No rays, or heights of another shape or missing at a measured node.
-
-    Notes
-    -----
     See `reflected_rays` for how rays are spread over the mirror.
     """
     heights = mirror_heights(slope_map, height_m)

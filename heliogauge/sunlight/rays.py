@@ -24,19 +24,11 @@ _BLOCK = 16384
 class Illumination:
     """The sunlight on a mirror, and how its surface scatters it.
 
-    Parameters
-    ----------
-    sun_shape : SunShape
-        Radiance over the angle from the sun's centre.
-    direction_to_sun : array_like, shape (3,), optional
-        From the mirror to the sun's centre, in the frame of the slope map, of any length.
-    specularity_sigma_rad : float, optional
-        Gaussian scatter of the reflected *beam* in one direction, 1 sigma, on top of the slopes [rad].
-
-    Raises
-    ------
-    InputError
-        The sun stands behind the mirror, or the scatter is negative.
+    sun_shape: Radiance over the angle from the sun's centre.
+    direction_to_sun (3,): From the mirror to the sun's centre, in the frame of the slope map, of any length.
+    specularity_sigma_rad: Gaussian scatter of the reflected *beam* in one direction, 1 sigma, on top of the slopes
+        [rad].
+    InputError: The sun stands behind the mirror, or the scatter is negative.
     """
 
     sun_shape: SunShape
@@ -65,12 +57,8 @@ class Illumination:
 class RayBlock:
     """Reflected rays, in the frame of the slope map.
 
-    Parameters
-    ----------
-    origins_m : ndarray of float32, shape (3, n)
-        Points on the mirror [m].
-    directions : ndarray of float32, shape (3, n)
-        Directions of travel, near unit length.
+    origins_m (3, n): Points on the mirror [m].
+    directions (3, n): Directions of travel, near unit length.
     """
 
     origins_m: Float32Array
@@ -82,33 +70,12 @@ def reflected_rays(
 ) -> Iterator[RayBlock]:
     """Trace sunlight to the mirror and reflect it, block by block.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    height_m : array_like, shape (ny, nx)
-        Height of the mirror's surface at the nodes, usually the design's [m].
-    light : Illumination
-        The sunlight.
-    rays : int
-        How many rays.
-    rng : numpy.random.Generator
-        Source of randomness; SFC64 is the fastest.
+    height_m (ny, nx): Height of the mirror's surface at the nodes, usually the design's [m].
+    rng: Source of randomness; SFC64 is the fastest.
+    Returns: At most 16384 rays; the arrays are overwritten by the next block.
+    EstimationError: No measured node is lit.
+    InputError: No rays, or heights of another shape or missing at a measured node.
 
-    Yields
-    ------
-    RayBlock
-        At most 16384 rays; the arrays are overwritten by the next block.
-
-    Raises
-    ------
-    EstimationError
-        No measured node is lit.
-    InputError
-        No rays, or heights of another shape or missing at a measured node.
-
-    Notes
-    -----
     Every node emits from its grid cell in proportion to the sunlight it catches (its area across the sun); positions
     are uniform within the cell. The numbers of rays of the nodes are spread systematically, so they differ from
     proportional by less than one. Within a cell the design's slope follows the position and the slope error is the
@@ -134,24 +101,10 @@ def reflected_rays(
 def mirror_heights(slope_map: SlopeMap, height_m: npt.ArrayLike) -> FloatArray:
     """Check the heights that rays start from.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    height_m : array_like, shape (ny, nx)
-        Height of the surface at its nodes [m].
-
-    Returns
-    -------
-    ndarray, shape (ny, nx)
-        The heights, read-only [m].
-
-    Raises
-    ------
-    EstimationError
-        No node was measured.
-    InputError
-        Another shape, or a measured node without a height.
+    height_m (ny, nx): Height of the surface at its nodes [m].
+    Returns (ny, nx): The heights, read-only [m].
+    EstimationError: No node was measured.
+    InputError: Another shape, or a measured node without a height.
     """
     heights = float_array("height_m", height_m, slope_map.shape, finite=False)
     if slope_map.measured_share == 0:

@@ -32,15 +32,8 @@ class SunShape(ABC):
     def radiance(self, theta_rad: npt.ArrayLike) -> FloatArray:
         """Return the radiance relative to the centre.
 
-        Parameters
-        ----------
-        theta_rad : array_like, shape (...)
-            Angles from the sun's centre [rad].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            1 at the centre, 0 beyond the limit.
+        theta_rad (...): Angles from the sun's centre [rad].
+        Returns (...): 1 at the centre, 0 beyond the limit.
         """
 
     @abstractmethod
@@ -50,15 +43,8 @@ class SunShape(ABC):
     def share_within(self, theta_rad: npt.ArrayLike) -> FloatArray:
         """Return the share of the power that comes from within an angle of the centre.
 
-        Parameters
-        ----------
-        theta_rad : array_like, shape (...)
-            Angles from the sun's centre [rad].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Between 0 and 1.
+        theta_rad (...): Angles from the sun's centre [rad].
+        Returns (...): Between 0 and 1.
         """
         angles, shares = self._cumulative()
         return np.asarray(np.interp(np.asarray(theta_rad, dtype=np.float64), angles, shares), dtype=np.float64)
@@ -76,17 +62,7 @@ class SunShape(ABC):
     def sample(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Draw directions from the sun.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of randomness.
-        count : int
-            Number of directions.
-
-        Returns
-        -------
-        ndarray, shape (count, 2)
-            Offsets from the sun's centre in the tangent plane of the sky, tan(angle) long.
+        Returns (count, 2): Offsets from the sun's centre in the tangent plane of the sky, tan(angle) long.
         """
         table = self.inverse_table().astype(np.float64)
         radius = np.interp(np.sqrt(rng.random(count)) * _TABLE_STEPS, np.arange(table.size), table)
@@ -109,13 +85,8 @@ class SunShape(ABC):
 class PillboxSun(SunShape):
     """A disc of even radiance.
 
-    Parameters
-    ----------
-    half_angle_rad : float, optional
-        Its angular radius [rad].
+    half_angle_rad: Its angular radius [rad].
 
-    Examples
-    --------
     >>> PillboxSun().share_within([0.0, 4.65e-3 / 2, 4.65e-3]).round(6).tolist()
     [0.0, 0.25, 1.0]
     """
@@ -143,10 +114,7 @@ class PillboxSun(SunShape):
 class GaussianSun(SunShape):
     """A Gaussian, cut at six sigma (1.5e-8 of the power lies beyond).
 
-    Parameters
-    ----------
-    sigma_rad : float
-        Standard deviation in one direction [rad].
+    sigma_rad: Standard deviation in one direction [rad].
     """
 
     sigma_rad: float
@@ -173,18 +141,9 @@ class GaussianSun(SunShape):
 class BuieSun(SunShape):
     """The sun shape of Buie, Monger and Dey: a darkened disc and an aureole that follows a power law.
 
-    Parameters
-    ----------
-    circumsolar_ratio : float
-        The model's chi: share of the power that comes from outside the disc, 0 (disc only) to 0.8.
+    circumsolar_ratio: The model's chi: share of the power that comes from outside the disc, 0 (disc only) to 0.8.
+    InputError: The ratio is outside 0 to 0.8.
 
-    Raises
-    ------
-    InputError
-        The ratio is outside 0 to 0.8.
-
-    Notes
-    -----
     Buie, Monger, Dey, Solar Energy 74 (2003) 113-122, with theta in mrad::
 
         phi = cos(0.326 theta) / cos(0.308 theta)      theta <= 4.65
@@ -223,20 +182,9 @@ class BuieSun(SunShape):
     def of_share(cls, circumsolar_share: float) -> "BuieSun":
         """Return the shape that really has a given share of its power outside the disc.
 
-        Parameters
-        ----------
-        circumsolar_share : float
-            Wanted share, 0 to 0.7.
-
-        Returns
-        -------
-        BuieSun
-            The shape, its chi found by bisection to 1e-7.
-
-        Raises
-        ------
-        InputError
-            The share is outside 0 to 0.7.
+        circumsolar_share: Wanted share, 0 to 0.7.
+        Returns: The shape, its chi found by bisection to 1e-7.
+        InputError: The share is outside 0 to 0.7.
         """
         if not 0 <= circumsolar_share <= 0.7:
             raise InputError(f"circumsolar_share: 0 to 0.7 is needed, not {circumsolar_share}")
@@ -267,19 +215,11 @@ class BuieSun(SunShape):
 class TabulatedSun(SunShape):
     """A measured sun shape, straight between its points.
 
-    Parameters
-    ----------
-    angle_rad : array_like, shape (n,)
-        Angles from the sun's centre, ascending [rad]; below the first the radiance is that of the first.
-    radiance_table : array_like, shape (n,)
-        Radiance at these angles, in any unit; zero beyond the last.
-    name : str, optional
-        Where it comes from.
-
-    Raises
-    ------
-    InputError
-        Fewer than two points, angles that do not ascend from zero or above, negative or no radiance.
+    angle_rad (n,): Angles from the sun's centre, ascending [rad]; below the first the radiance is that of the
+        first.
+    radiance_table (n,): Radiance at these angles, in any unit; zero beyond the last.
+    name: Where it comes from.
+    InputError: Fewer than two points, angles that do not ascend from zero or above, negative or no radiance.
     """
 
     angle_rad: FloatArray

@@ -59,25 +59,16 @@ _SUPPORT_MARGIN_M = 0.25
 class Bearings:
     """Directions across the trough under which photos see the tube's axis.
 
-    Parameters
-    ----------
-    photo : ndarray of int, shape (m,)
-        Photo.
-    y_m : ndarray, shape (m,)
-        Place along the trough [m].
-    angle_rad : ndarray, shape (m,)
-        eta of the module's text [rad].
-    sigma_rad : ndarray, shape (m,)
-        Standard deviation [rad].
-    diameter_m : ndarray, shape (m,)
-        How thick the tube looks at the distance where it is expected [m].
-    shared_rad : ndarray, shape (m,), optional
-        Error that neighbouring rows of a photo have in common, from the background and the grid of pixels [rad].
-    pixel_m : ndarray, shape (m,), optional
-        What a pixel of the photo covers at the tube; 0 where that is not known [m].
-    to_reflection_rad : ndarray, shape (m,), optional
-        By what angle the line of sight through the tube misses it after the mirror: the smaller, the nearer to the tube
-        a prism of glass beside it shows its reflection [rad].
+    photo (m,): Photo.
+    y_m (m,): Place along the trough [m].
+    angle_rad (m,): eta of the module's text [rad].
+    sigma_rad (m,): Standard deviation [rad].
+    diameter_m (m,): How thick the tube looks at the distance where it is expected [m].
+    shared_rad (m,): Error that neighbouring rows of a photo have in common, from the background and the grid of
+        pixels [rad].
+    pixel_m (m,): What a pixel of the photo covers at the tube; 0 where that is not known [m].
+    to_reflection_rad (m,): By what angle the line of sight through the tube misses it after the mirror: the
+        smaller, the nearer to the tube a prism of glass beside it shows its reflection [rad].
     """
 
     photo: IntArray
@@ -102,17 +93,8 @@ class Bearings:
 def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
     """Return under what angle across the trough a camera sees a point.
 
-    Parameters
-    ----------
-    x_m, z_m : ndarray, shape (m,)
-        Points [m].
-    eyes_m : ndarray, shape (m, 3)
-        Cameras [m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Angle from straight down, positive towards +x [rad].
+    Shapes: x_m, z_m (m,), eyes_m (m, 3).
+    Returns (m,): Angle from straight down, positive towards +x [rad].
     """
     return np.arctan2(x_m - eyes_m[:, 0], eyes_m[:, 2] - z_m)
 
@@ -120,20 +102,9 @@ def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
 def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings]:
     """Find the tube itself in photos.
 
-    Parameters
-    ----------
-    shots : sequence of Shot
-        The photos.
-    expected : Expectation
-        Collector, where the tube should be, and rows along the trough.
+    expected: Collector, where the tube should be, and rows along the trough.
+    Returns: Of each photo one for each row in which both edges were found, away from known supports.
 
-    Returns
-    -------
-    list of Bearings
-        Of each photo one for each row in which both edges were found, away from known supports.
-
-    Notes
-    -----
     Step by step for all photos, as `observer.photo_edges.reflection_edges.reflection_edges`.
     """
     plane = quadric([0, 0, 0, 0, 0, float(np.mean(expected.absorber.z_m))], name="plane of the focal line")
@@ -254,19 +225,8 @@ def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:
     """Return which places along the tube a known support hides, or nearly so.
 
-    Parameters
-    ----------
-    y_m : ndarray, shape (m,)
-        Places along the trough [m].
-    support_y_m : ndarray, shape (n,)
-        Supports [m].
-    support_width_m : float
-        Length that each of them hides [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Whether the tube is hidden there.
+    Shapes: y_m (m,), support_y_m (n,).
+    Returns (m,): Whether the tube is hidden there.
     """
     reach = support_width_m / 2 + _SUPPORT_MARGIN_M
     return np.asarray((np.abs(y_m[:, None] - support_y_m) < reach).any(axis=1))
@@ -282,21 +242,10 @@ def paired_edges(
 ) -> tuple[IntArray, IntArray]:
     """Return all pairs of edges of one row that are as far apart as the tube is wide and step opposite ways.
 
-    Parameters
-    ----------
-    found : Edges
-        Edges on the plane of the focal line.
-    seen_rad : ndarray, shape (n,)
-        Angle across the trough under which each is seen [rad].
-    height_m : float or ndarray, shape (n,)
-        Height of the camera above that plane [m].
-    radius_m : float
-        The tube's radius [m].
-
-    Returns
-    -------
-    first, second : ndarray of int, shape (m,)
-        The edges at the smaller and at the larger x.
+    found: Edges on the plane of the focal line.
+    seen_rad (n,): Angle across the trough under which each is seen [rad].
+    height_m (n,): Height of the camera above that plane [m].
+    first, second (m,): The edges at the smaller and at the larger x.
     """
     if found.row.size == 0:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)

@@ -68,27 +68,16 @@ STATION_TEXTS = {
 class AbsorberSolution:
     """The tube's axis as measured.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis at its stations, with covariance; stations that were not measured are bridged.
-    n_photos : ndarray of int, shape (n,)
-        Photos that saw each station.
-    fate : ndarray of int, shape (n,)
-        `StationFate` of each station.
-    used : ndarray of bool, shape (m,)
-        Which averaged bearings were used.
-    residual_rms_rad : float
-        What remains of the bearings used [rad].
-    diameter_m : float
-        How thick the tube looks: to be held against the collector's data [m].
-    with_poses : ndarray, shape (2 n, 6 p), optional
-        Covariance of the axis (x of all stations, then z) with the steps of all poses: both err together with the
-        coordinates of the targets [m rad, m^2].
-    pixel_m : float, optional
-        What a pixel covers at the tube, in the median; 0 where that is not known [m].
-    widening : Widening or None, optional
-        How much wider the tube looks near its own reflection; None where too few photos tell.
+    path: The axis at its stations, with covariance; stations that were not measured are bridged.
+    n_photos (n,): Photos that saw each station.
+    fate (n,): `StationFate` of each station.
+    used (m,): Which averaged bearings were used.
+    residual_rms_rad: What remains of the bearings used [rad].
+    diameter_m: How thick the tube looks: to be held against the collector's data [m].
+    with_poses (2 n, 6 p): Covariance of the axis (x of all stations, then z) with the steps of all poses: both err
+        together with the coordinates of the targets [m rad, m^2].
+    pixel_m: What a pixel covers at the tube, in the median; 0 where that is not known [m].
+    widening: How much wider the tube looks near its own reflection; None where too few photos tell.
     """
 
     path: AbsorberPath
@@ -121,26 +110,8 @@ class _Directions:
 def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray) -> AbsorberSolution:
     """Adjust the tube's axis to all bearings, with the cameras' poses as uncertain as they are.
 
-    Parameters
-    ----------
-    bearings : Bearings
-        Of all photos.
-    photos : Photos
-        Poses with their covariance.
-    start : AbsorberPath
-        Where the tube should be.
-    stations_m : ndarray, shape (n,)
-        Ascending stations along the trough [m].
-
-    Returns
-    -------
-    AbsorberSolution
-        The axis with its covariance.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than two photos see the tube, or all see it from one side.
+    stations_m (n,): Ascending stations along the trough [m].
+    EstimationError: Fewer than two photos see the tube, or all see it from one side.
     """
     count = np.unique(bearings.photo).size
     if count < 2:
@@ -266,8 +237,8 @@ def _sparse_rows(
 ) -> tuple[IntArray, FloatArray, int]:
     """Return the unknowns of each averaged bearing and its derivatives, shape (m, 5 + modes), and how many there are.
 
-    Unknowns are x at all stations, z at all stations, modes, and what one side has in common; between stations the axis
-    is straight.
+    Unknowns are x at all stations, z at all stations, modes, and what one side has in common; between stations the
+    axis is straight.
     """
     before, share = path.shares(directions.y_m)
     after = np.minimum(before + 1, path.n - 1)
@@ -299,23 +270,12 @@ def _bearing_derivatives(directions: _Directions, photos: Photos, path: Absorber
 def bearing_derivatives(points_m: FloatArray, photos: Photos, photo: IntArray) -> tuple[FloatArray, FloatArray]:
     """Differentiate bearings of points.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (m, 3)
-        Points on the tube's axis [m].
-    photos : Photos
-        Poses.
-    photo : ndarray of int, shape (m,)
-        Which photo sees each.
-
-    Returns
-    -------
-    place : ndarray, shape (m, 2)
-        Derivatives with respect to x and z of the point [rad/m].
-    pose : ndarray, shape (m, 6)
-        Derivatives of the bearing that a pixel gives, less that of the point, with respect to the step of the pose
-        (`RigidTransform.moved`), pixel and point held: minus what a movement of the pose by mistake puts in
-        [rad/rad, rad/m].
+    Shapes: photo (m,).
+    points_m (m, 3): Points on the tube's axis [m].
+    place (m, 2): Derivatives with respect to x and z of the point [rad/m].
+    pose (m, 6): Derivatives of the bearing that a pixel gives, less that of the point, with respect to the step of
+        the pose (`RigidTransform.moved`), pixel and point held: minus what a movement of the pose by mistake puts
+        in [rad/rad, rad/m].
     """
     eyes = photos.eyes_m[photo]
     to_x, to_z = points_m[:, 0] - eyes[:, 0], eyes[:, 2] - points_m[:, 2]

@@ -30,17 +30,8 @@ _SUPPORT_TEXT = "hidden by a receiver support"
 def measured_stations(path: AbsorberPath, solution: AbsorberSolution | None) -> BoolArray:
     """Return which stations of the tube were measured, or given.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    solution : AbsorberSolution or None
-        Its measurement; None where the axis was given.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        Stations with a value.
+    Shapes: result (n,).
+    solution: Its measurement; None where the axis was given.
     """
     return np.ones(path.n, dtype=bool) if solution is None else solution.fate == StationFate.MEASURED
 
@@ -48,19 +39,8 @@ def measured_stations(path: AbsorberPath, solution: AbsorberSolution | None) -> 
 def absorber_columns(path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector) -> dict[str, Any]:
     """Return the columns of ``absorber.csv``.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    solution : AbsorberSolution or None
-        Its measurement; None where the axis was given.
-    collector : Collector
-        Its supports.
-
-    Returns
-    -------
-    dict
-        Columns; stations that were not measured have no value but a flag and a reason.
+    solution: Its measurement; None where the axis was given.
+    Returns: Columns; stations that were not measured have no value but a flag and a reason.
     """
     sigma_x, sigma_z = path.sigma_at(path.y_m)
     without = ~measured_stations(path, solution)
@@ -86,39 +66,15 @@ def tube_spans(
 ) -> tuple[Span, ...]:
     """Return the sag between the supports.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    solution : AbsorberSolution or None
-        Its measurement; None where the axis was given.
-    collector : Collector
-        Its supports.
-    orientation_rad : float
-        Turn of the collector from zenith, by the right hand about +y [rad].
-
-    Returns
-    -------
-    tuple of Span
-        One for each span.
+    solution: Its measurement; None where the axis was given.
+    orientation_rad: Turn of the collector from zenith, by the right hand about +y [rad].
     """
     measured = measured_stations(path, solution)
     return spans(path, measured, supports_of(path, measured, collector), orientation_rad)
 
 
 def span_columns(found: tuple[Span, ...]) -> dict[str, Any]:
-    """Return the columns of ``absorber_spans.csv``.
-
-    Parameters
-    ----------
-    found : tuple of Span
-        From `tube_spans`.
-
-    Returns
-    -------
-    dict
-        Columns.
-    """
+    """Return the columns of ``absorber_spans.csv``."""
     rows = [asdict(span) for span in found]
     return {name: [row[name] for row in rows] for name in Span.__slots__}
 
@@ -128,21 +84,9 @@ def shape_numbers(
 ) -> dict[str, float | int | None]:
     """Return the numbers of the tube's tilt and sag.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    solution : AbsorberSolution or None
-        Its measurement; None where the axis was given.
-    collector : Collector
-        The design.
-    orientation_rad : float
-        Turn of the collector from zenith, by the right hand about +y [rad].
-
-    Returns
-    -------
-    dict
-        Numbers with units in their names; the sag is that of the span where it is largest.
+    solution: Its measurement; None where the axis was given.
+    orientation_rad: Turn of the collector from zenith, by the right hand about +y [rad].
+    Returns: Numbers with units in their names; the sag is that of the span where it is largest.
     """
     measured = measured_stations(path, solution)
     line = alignment(path, measured, collector.focal_length_m)
@@ -168,21 +112,8 @@ def absorber_warnings(
 ) -> tuple[str, ...]:
     """Say what is doubtful of the absorber's place.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    solution : AbsorberSolution or None
-        Its measurement; None where the axis was given.
-    collector : Collector
-        The design.
-    is_design : bool
-        Whether the design's place was taken for want of a measured one.
-
-    Returns
-    -------
-    tuple of str
-        Sentences.
+    solution: Its measurement; None where the axis was given.
+    is_design: Whether the design's place was taken for want of a measured one.
     """
     if is_design:
         per_mm = 1e3 * 1e-3 / (2 * collector.focal_length_m)

@@ -21,16 +21,10 @@ _SUPPORT_GAP_M = 0.15
 class Alignment:
     """The straight line that fits the tube best, beside the design's focal line.
 
-    Parameters
-    ----------
-    offset_x_m, offset_z_m : float
-        Offset in the middle of the length [m].
-    tilt_x_rad, tilt_z_rad : float
-        Change of the offsets along the trough [rad].
-    sigma_offset_x_m, sigma_offset_z_m : float
-        Standard deviations [m].
-    sigma_tilt_x_rad, sigma_tilt_z_rad : float
-        Standard deviations [rad].
+    offset_x_m, offset_z_m: Offset in the middle of the length [m].
+    tilt_x_rad, tilt_z_rad: Change of the offsets along the trough [rad].
+    sigma_offset_x_m, sigma_offset_z_m: Standard deviations [m].
+    sigma_tilt_x_rad, sigma_tilt_z_rad: Standard deviations [rad].
     """
 
     offset_x_m: float
@@ -47,16 +41,10 @@ class Alignment:
 class Span:
     """The tube between two supports.
 
-    Parameters
-    ----------
-    from_y_m, to_y_m : float
-        The supports [m].
-    sag_x_m, sag_z_m : float
-        How far the middle of the span is from the middle between its ends; NaN where too little was seen [m].
-    sag_down_m : float
-        The same along gravity, positive where the tube hangs down [m].
-    sigma_sag_x_m, sigma_sag_z_m, sigma_sag_down_m : float
-        Standard deviations [m].
+    sag_x_m, sag_z_m: How far the middle of the span is from the middle between its ends; NaN where too little was
+        seen [m].
+    sag_down_m: The same along gravity, positive where the tube hangs down [m].
+    sigma_sag_x_m, sigma_sag_z_m, sigma_sag_down_m: Standard deviations [m].
     """
 
     from_y_m: float
@@ -72,19 +60,9 @@ class Span:
 def alignment(path: AbsorberPath, measured: BoolArray, focal_length_m: float) -> Alignment:
     """Fit a straight line to the tube.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    measured : ndarray of bool, shape (n,)
-        Stations that count; at least two.
-    focal_length_m : float
-        Height of the design's focal line [m].
-
-    Returns
-    -------
-    Alignment
-        Offset and tilt; tilts are NaN with one station.
+    measured (n,): Stations that count; at least two.
+    focal_length_m: Height of the design's focal line [m].
+    Returns: Offset and tilt; tilts are NaN with one station.
     """
     degree = 1 if np.count_nonzero(measured) >= 2 else 0
     rows = _polynomial_rows(path.y_m, measured, degree)
@@ -103,19 +81,9 @@ def alignment(path: AbsorberPath, measured: BoolArray, focal_length_m: float) ->
 def supports_of(path: AbsorberPath, measured: BoolArray, collector: Collector) -> FloatArray:
     """Return where the tube is held: as the collector's data say, else where it was hidden; and its ends.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    measured : ndarray of bool, shape (n,)
-        Stations that were measured.
-    collector : Collector
-        Length and supports.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Ascending places, at least two [m].
+    measured (n,): Stations that were measured.
+    collector: Length and supports.
+    Returns (k,): Ascending places, at least two [m].
     """
     if collector.support_y_m.size >= 2:
         return collector.support_y_m
@@ -131,24 +99,10 @@ def supports_of(path: AbsorberPath, measured: BoolArray, collector: Collector) -
 def spans(path: AbsorberPath, measured: BoolArray, supports_m: FloatArray, orientation_rad: float) -> tuple[Span, ...]:
     """Return the sag of the tube between each two supports.
 
-    Parameters
-    ----------
-    path : AbsorberPath
-        The axis.
-    measured : ndarray of bool, shape (n,)
-        Stations that count.
-    supports_m : ndarray, shape (k,)
-        Ascending places where the tube is held [m].
-    orientation_rad : float
-        Turn of the collector from zenith, by the right hand about +y: says where down is [rad].
+    measured (n,): Stations that count.
+    supports_m (k,): Ascending places where the tube is held [m].
+    orientation_rad: Turn of the collector from zenith, by the right hand about +y: says where down is [rad].
 
-    Returns
-    -------
-    tuple of Span
-        One for each two neighbouring supports.
-
-    Notes
-    -----
     Under its own even weight a beam takes the shape of a polynomial of fourth degree, whatever moments its supports
     put on it. That polynomial, fitted to the stations seen, says where the tube is at the supports, which hide it:
     the sag is the middle's distance from the middle between both ends. With few stations the degree is two.

@@ -36,10 +36,7 @@ KIND = "observer-absorber"
 class Options:
     """Choices of the evaluation.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Photos that are measured side by side; None for all processors.
+    jobs: Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -49,24 +46,14 @@ class Options:
 class Result:
     """Where the absorber is.
 
-    Parameters
-    ----------
-    name : str
-        Name of what was measured.
-    collector : Collector
-        The design.
-    orientation_rad : float
-        Turn of the collector from zenith [rad].
-    network : photogrammetry.pipeline.measure.Result
-        Cameras and targets.
-    solution : AbsorberSolution
-        The tube.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of what was measured.
+    collector: The design.
+    orientation_rad: Turn of the collector from zenith [rad].
+    network: Cameras and targets.
+    solution: The tube.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -82,26 +69,9 @@ class Result:
 def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Measure where the absorber is; the mirror is not evaluated.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        From `heliogauge.measurement.load.load_observer`.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        The absorber's axis with covariance, and what is doubtful.
-
-    Raises
-    ------
-    InputError
-        Photos, targets or camera that cannot be used.
-    EstimationError
-        The photos do not hang together, or do not show the absorber from two sides.
+    Returns: The absorber's axis with covariance, and what is doubtful.
+    InputError: Photos, targets or camera that cannot be used.
+    EstimationError: The photos do not hang together, or do not show the absorber from two sides.
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model
@@ -153,17 +123,7 @@ def _bearings(
 def write(result: Result, folder: Path) -> None:
     """Write the files of a result into an existing folder.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     solution, collector = result.solution, result.collector
     write_table_csv(folder / "absorber.csv", absorber_columns(solution.path, solution, collector))
@@ -179,18 +139,7 @@ def write(result: Result, folder: Path) -> None:
 
 
 def summarise(result: Result) -> Summary:
-    """Collect the headline numbers.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers."""
     solution, collector = result.solution, result.collector
     bundle = result.network.solved.bundle
     numbers = {
@@ -212,18 +161,7 @@ def summarise(result: Result) -> Summary:
 
 
 def headline_text(summary: Summary) -> str:
-    """Say the most important numbers in a few lines for the terminal.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        Lines with values.
-    """
+    """Say the most important numbers in a few lines for the terminal."""
     numbers = summary.numbers
 
     def said(key: str, unit: str) -> str:

@@ -38,24 +38,15 @@ _FIRST_PANEL = 1
 class Result:
     """A prescription.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design with its panels.
-    to_absorber, to_design : PanelTilts
-        Mean angles of the panels against the absorber as it is, and against the design's focal line.
-    mounts_m : ndarray, shape (n, 2)
-        x and y of the mounts [m].
-    absorber : AbsorberPath
-        The tube's axis.
-    cameras : dict of str to (Camera, PhotoPose)
-        Photos on which the theoretical image is laid.
-    warnings : tuple of str
-        What makes the prescription doubtful.
-    input_sha256 : dict of str to str
-        Hash of each file read.
-    picture : Figure or None, optional
-        The theoretical image over the photo that the result holds; None where it holds none.
+    collector: The design with its panels.
+    to_absorber, to_design: Mean angles of the panels against the absorber as it is, and against the design's focal
+        line.
+    mounts_m (n, 2): x and y of the mounts [m].
+    absorber: The tube's axis.
+    cameras: Photos on which the theoretical image is laid.
+    warnings: What makes the prescription doubtful.
+    input_sha256: Hash of each file read.
+    picture: The theoretical image over the photo that the result holds; None where it holds none.
     """
 
     collector: Collector
@@ -72,23 +63,9 @@ class Result:
 def run(folder: Path, mounts: Path | None = None) -> Result:
     """Prescribe how the panels of a measured trough are to be aligned.
 
-    Parameters
-    ----------
-    folder : Path
-        Result of ``heliogauge observer``.
-    mounts : Path, optional
-        Table with the columns x_m, y_m of all mounts; without it four mounts are assumed near the corners of each
-        panel.
-
-    Returns
-    -------
-    Result
-        Mean angles of the panels, and what the mounts need.
-
-    Raises
-    ------
-    InputError
-        Not such a folder, or mounts that cannot be.
+    mounts: Table with the columns x_m, y_m of all mounts; without it four mounts are assumed near the corners of
+        each panel.
+    Returns: Mean angles of the panels, and what the mounts need.
     """
     names = ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json", "panels.csv")
     files = [folder / name for name in names]
@@ -190,20 +167,7 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> tuple[str,
 
 
 def write(result: Result, folder: Path) -> None:
-    """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder."""
     absorber, design = result.to_absorber, result.to_design
     write_table_csv(folder / "panels.csv", {
         "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
@@ -228,18 +192,7 @@ def write(result: Result, folder: Path) -> None:
 
 
 def summarise(result: Result) -> Summary:
-    """Collect the headline numbers.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers."""
     tilt = result.to_absorber.tilt_rad
     known = tilt[np.isfinite(tilt)]
     move = mount_moves(result.to_absorber, result.mounts_m, result.collector)[1]
@@ -281,18 +234,7 @@ def _overlay(result: Result) -> dict[str, list[Any]]:
 
 
 def headline_text(result: Result) -> str:
-    """Say the largest prescriptions in a few lines.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    str
-        Lines for the terminal.
-    """
+    """Say the largest prescriptions in a few lines."""
     tilt, sigma = result.to_absorber.tilt_rad, result.to_absorber.sigma_rad
     known = np.isfinite(tilt)
     if not known.any():

@@ -36,18 +36,9 @@ _DOUBT_TIMES = 3.5
 class OneOrientation:
     """What the study takes from a result.
 
-    Parameters
-    ----------
-    folder : Path
-        The result.
-    summary : Summary
-        Its numbers.
-    profile : Profile
-        The absorber along the trough.
-    spans : dict of str to ndarray
-        Columns of ``absorber_spans.csv``.
-    slope_map : SlopeMap or None
-        The mirror; None where only the absorber was measured.
+    profile: The absorber along the trough.
+    spans: Columns of ``absorber_spans.csv``.
+    slope_map: The mirror; None where only the absorber was measured.
     """
 
     folder: Path
@@ -61,16 +52,10 @@ class OneOrientation:
 class Comparison:
     """A gravity study, ready to be written.
 
-    Parameters
-    ----------
-    orientations : tuple of OneOrientation
-        In the order given; the first is what the others are compared with.
-    sags : tuple of WeightSag or None
-        For each span; None where fewer than two orientations show it.
-    maps : tuple of SlopeMap or None
-        All mirrors on the first one's grid.
-    warnings : tuple of str
-        What is doubtful.
+    orientations: In the order given; the first is what the others are compared with.
+    sags: For each span; None where fewer than two orientations show it.
+    maps: All mirrors on the first one's grid.
+    warnings: What is doubtful.
     """
 
     orientations: tuple[OneOrientation, ...]
@@ -82,20 +67,9 @@ class Comparison:
 def run(folders: Sequence[Path]) -> Comparison:
     """Compare results of one trough at several orientations.
 
-    Parameters
-    ----------
-    folders : sequence of Path
-        Results of ``heliogauge observer`` or ``heliogauge observer absorber``, two at least.
-
-    Returns
-    -------
-    Comparison
-        Sags by weight, profiles, maps on one grid.
-
-    Raises
-    ------
-    InputError
-        Fewer than two results, a folder that holds none, or results of different collectors.
+    folders: Results of ``heliogauge observer`` or ``heliogauge observer absorber``, two at least.
+    Returns: Sags by weight, profiles, maps on one grid.
+    InputError: Fewer than two results, a folder that holds none, or results of different collectors.
     """
     if len(folders) < 2:
         raise InputError(f"observer compare: {len(folders)} result given, two at different orientations are needed")
@@ -168,20 +142,7 @@ def _sags_of(found: Sequence[OneOrientation], number: int) -> SpanSags:
 
 
 def write(result: Comparison, folder: Path) -> None:
-    """Write table and figure into an existing folder.
-
-    Parameters
-    ----------
-    result : Comparison
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write table and figure into an existing folder."""
     write_table_csv(folder / "orientations.csv", _table(result))
     spans = result.orientations[0].spans
     known = [(k, sag) for k, sag in enumerate(result.sags) if sag is not None]
@@ -203,15 +164,7 @@ def write(result: Comparison, folder: Path) -> None:
 def mirror_changes(result: Comparison) -> list[OneMap]:
     """Return how theta_r changes from the first orientation to the others, without its mean.
 
-    Parameters
-    ----------
-    result : Comparison
-        What `run` returned.
-
-    Returns
-    -------
-    list of OneMap
-        One for each other orientation whose mirror was measured.
+    Returns: One for each other orientation whose mirror was measured.
     """
     found, first = [], result.maps[0]
     for one, other in zip(result.orientations[1:], result.maps[1:], strict=True):
@@ -234,20 +187,7 @@ def _long(parts: Sequence[Any], size: str, names: Sequence[str | int] | None = N
 
 
 def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
-    """Write maps of the mirror's change.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    changes : sequence of OneMap
-        The maps, on one grid.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write maps of the mirror's change."""
     if not changes:
         return
     arrays = [
@@ -283,18 +223,7 @@ def _table(result: Comparison) -> dict[str, list[float | str]]:
 
 
 def summarise(result: Comparison) -> Summary:
-    """Collect the headline numbers.
-
-    Parameters
-    ----------
-    result : Comparison
-        What `run` returned.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers."""
     numbers: dict[str, float | int | None] = {"orientations_count": len(result.orientations)}
     for number, sag in enumerate(result.sags, start=1):
         if sag is not None:
@@ -310,18 +239,7 @@ def summarise(result: Comparison) -> Summary:
 
 
 def headline_text(result: Comparison) -> str:
-    """Say the most important numbers in a few lines for the terminal.
-
-    Parameters
-    ----------
-    result : Comparison
-        What `run` returned.
-
-    Returns
-    -------
-    str
-        A line for each span.
-    """
+    """Say the most important numbers in a few lines for the terminal."""
     turns = ", ".join(f"{np.degrees(one.profile.orientation_rad):g}" for one in result.orientations)
     lines = [f"{len(result.orientations)} orientations: {turns} degrees from zenith"]
     for number, sag in enumerate(result.sags, start=1):

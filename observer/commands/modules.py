@@ -43,30 +43,11 @@ def run(
 ) -> pipeline_overview.Result:
     """Evaluate all modules of a flight and write each one's results, and the overview, into a folder.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        From `heliogauge.measurement.load.load_observer`, with modules.
-    folder : Path
-        An existing folder; gets a folder for each module. Only one module's results are in memory at a time.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-    report : bool, optional
-        Make the report of each module and that of the overview.
-
-    Returns
-    -------
-    pipeline_overview.Result
-        What each module gave, or why it gave nothing.
-
-    Raises
-    ------
-    InputError
-        Photos, targets, camera or dimensions that cannot be used.
-    EstimationError
-        No module could be measured; the message has each one's reason.
+    folder: An existing folder; gets a folder for each module. Only one module's results are in memory at a time.
+    report: Make the report of each module and that of the overview.
+    Returns: What each module gave, or why it gave nothing.
+    InputError: Photos, targets, camera or dimensions that cannot be used.
+    EstimationError: No module could be measured; the message has each one's reason.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("hash inputs"):
@@ -218,12 +199,7 @@ def _by_module(durations_s: dict[str, float], names: tuple[str, ...]) -> dict[st
 class _Named:
     """Progress of one module: its name stands before each stage.
 
-    Parameters
-    ----------
-    progress : Progress
-        Who is told.
-    name : str
-        The module.
+    progress: Who is told.
     """
 
     def __init__(self, progress: Progress, name: str) -> None:

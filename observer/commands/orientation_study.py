@@ -14,14 +14,9 @@ from heliogauge.validate import FloatArray, float_array
 class SpanSags:
     """Sag of one span of the tube, measured at several orientations.
 
-    Parameters
-    ----------
-    orientation_rad : array_like, shape (k,)
-        Turn of the collector from zenith, by the right hand about +y [rad].
-    sag_x_m, sag_z_m : array_like, shape (k,)
-        Sag across the trough and along its optical axis [m].
-    sigma_x_m, sigma_z_m : array_like, shape (k,)
-        Standard deviations [m].
+    orientation_rad (k,): Turn of the collector from zenith, by the right hand about +y [rad].
+    sag_x_m, sag_z_m (k,): Sag across the trough and along its optical axis [m].
+    sigma_x_m, sigma_z_m (k,): Standard deviations [m].
     """
 
     orientation_rad: FloatArray
@@ -40,16 +35,10 @@ class SpanSags:
 class WeightSag:
     """A span's sag as a part that follows gravity and one that turns with the collector.
 
-    Parameters
-    ----------
-    by_weight_m, sigma_by_weight_m : float
-        Sag under the tube's whole weight, positive downward [m].
-    bend_x_m, bend_z_m : float
-        Bend that the tube keeps at every orientation [m].
-    sigma_bend_x_m, sigma_bend_z_m : float
-        Standard deviations [m].
-    worst_residual : float
-        Largest departure of a measured sag from the two parts, in its standard deviations.
+    by_weight_m, sigma_by_weight_m: Sag under the tube's whole weight, positive downward [m].
+    bend_x_m, bend_z_m: Bend that the tube keeps at every orientation [m].
+    sigma_bend_x_m, sigma_bend_z_m: Standard deviations [m].
+    worst_residual: Largest departure of a measured sag from the two parts, in its standard deviations.
     """
 
     by_weight_m: float
@@ -68,23 +57,10 @@ _LEAST_TURN_RAD = np.radians(10.0)
 def sag_by_weight(sags: SpanSags) -> WeightSag:
     """Separate what gravity does to a span from the bend that it has anyway.
 
-    Parameters
-    ----------
-    sags : SpanSags
-        Sags of one span at two orientations or more.
+    sags: Sags of one span at two orientations or more.
+    Returns: Both parts with their uncertainty.
+    EstimationError: Fewer than two orientations at least 10 degrees apart.
 
-    Returns
-    -------
-    WeightSag
-        Both parts with their uncertainty.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than two orientations at least 10 degrees apart.
-
-    Notes
-    -----
     At orientation t down is (sin t, -cos t) in the trough's frame, so that a tube equally stiff in all directions has
     ``sag = g (sin t, -cos t) + bend``: weighted least squares for g and the two components of the bend.
     """
@@ -111,14 +87,9 @@ def sag_by_weight(sags: SpanSags) -> WeightSag:
 class MirrorChange:
     """How the mirror's slopes across differ between two orientations.
 
-    Parameters
-    ----------
-    tilt_rad : float
-        Change of the mean of theta_r: the whole mirror turned beside its targets [rad].
-    rms_rad : float
-        RMS of the change without that [rad].
-    noise_rad : float
-        RMS of the change that the stated sigmas let expect from noise alone [rad].
+    tilt_rad: Change of the mean of theta_r: the whole mirror turned beside its targets [rad].
+    rms_rad: RMS of the change without that [rad].
+    noise_rad: RMS of the change that the stated sigmas let expect from noise alone [rad].
     """
 
     tilt_rad: float
@@ -129,20 +100,9 @@ class MirrorChange:
 def theta_r_change(first: SlopeMap, other: SlopeMap) -> FloatArray:
     """Return how theta_r changes from one orientation to another.
 
-    Parameters
-    ----------
-    first, other : SlopeMap
-        Maps on the same grid.
-
-    Returns
-    -------
-    ndarray, shape (ny, nx)
-        Other minus first; NaN where either has no value [rad].
-
-    Raises
-    ------
-    InputError
-        The grids differ.
+    first, other: Maps on the same grid.
+    Returns (ny, nx): Other minus first; NaN where either has no value [rad].
+    InputError: The grids differ.
     """
     change = difference(other, first)
     # theta_r = atan(design) - atan(slope), to first order in the change.
@@ -153,22 +113,10 @@ def theta_r_change(first: SlopeMap, other: SlopeMap) -> FloatArray:
 def mirror_change(first: SlopeMap, other: SlopeMap) -> MirrorChange:
     """Say in numbers how the mirror differs between two orientations.
 
-    Parameters
-    ----------
-    first, other : SlopeMap
-        Maps on the same grid.
-
-    Returns
-    -------
-    MirrorChange
-        Turn of the whole, RMS of the rest, and what noise explains of it.
-
-    Raises
-    ------
-    InputError
-        The grids differ.
-    EstimationError
-        They have no measured point in common.
+    first, other: Maps on the same grid.
+    Returns: Turn of the whole, RMS of the rest, and what noise explains of it.
+    InputError: The grids differ.
+    EstimationError: They have no measured point in common.
     """
     change = theta_r_change(first, other)
     valid = np.isfinite(change)

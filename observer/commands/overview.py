@@ -32,26 +32,15 @@ _FACET_KEYS = (
 class Result:
     """Summaries of modules.
 
-    Parameters
-    ----------
-    folders : tuple of Path
-        Results, in the order given.
-    labels : tuple of str
-        What each is called: its folder, as given or relative to the overview's.
-    modules : tuple of Summary
-        What each says.
-    warnings : tuple of str
-        Which modules are doubtful.
-    input_sha256 : dict of str to str
-        Hash of each file read.
-    name : str, optional
-        Name of the flight.
-    failed : mapping of str to str, optional
-        Modules that could not be measured, with the reason.
-    places_m : mapping of str to ndarray, optional
-        Where modules are in the common frame, by label, shape (3,) [m].
-    durations_s : mapping of str to float, optional
-        Wall time of each stage [s].
+    folders: Results, in the order given.
+    labels: What each is called: its folder, as given or relative to the overview's.
+    modules: What each says.
+    warnings: Which modules are doubtful.
+    input_sha256: Hash of each file read.
+    name: Name of the flight.
+    failed: Modules that could not be measured, with the reason.
+    places_m: Where modules are in the common frame, by label, shape (3,) [m].
+    durations_s: Wall time of each stage [s].
     """
 
     folders: tuple[Path, ...]
@@ -75,24 +64,9 @@ def run(
 ) -> Result:
     """Collect results of ``heliogauge observer``.
 
-    Parameters
-    ----------
-    folders : sequence of Path
-        Results of the modules.
-    base : Path, optional
-        Folder that their names are given from.
-    places_m : mapping of str to ndarray, optional
-        Where modules are in a common frame, by their names from there [m].
-
-    Returns
-    -------
-    Result
-        Their summaries.
-
-    Raises
-    ------
-    InputError
-        A folder that holds no result of the Observer, or the same folder twice.
+    base: Folder that their names are given from.
+    places_m: Where modules are in a common frame, by their names from there [m].
+    InputError: A folder that holds no result of the Observer, or the same folder twice.
     """
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise InputError("overview: the same result is given twice")
@@ -117,20 +91,7 @@ def run(
 
 
 def write(result: Result, folder: Path) -> None:
-    """Write overview.csv, overview.nc and summary.json into an existing folder.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write overview.csv, overview.nc and summary.json into an existing folder."""
     write_table_csv(folder / TABLE, _table(result))
     maps = [_read_map(one, label) for one, label in zip(result.folders, result.labels, strict=True)]
     write_maps(folder / MAPS, [one for one in maps if one is not None])
@@ -178,17 +139,7 @@ def _read_map(folder: Path, label: str) -> ModuleMap | None:
 def write_maps(path: Path, maps: Sequence[ModuleMap]) -> None:
     """Write the maps of all modules into one file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    maps : sequence of ModuleMap
-        The modules, each with nodes of its own.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    maps: The modules, each with nodes of its own.
     """
     arrays: list[LabelledArray] = []
     for k, one in enumerate(maps):
@@ -203,23 +154,7 @@ def write_maps(path: Path, maps: Sequence[ModuleMap]) -> None:
 
 
 def read_maps(path: Path) -> list[ModuleMap]:
-    """Read the maps of all modules.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of ModuleMap
-        The modules.
-
-    Raises
-    ------
-    InputError
-        No such file.
-    """
+    """Read the maps of all modules."""
     found, attributes = read_arrays(path)
     return [
         ModuleMap(str(name), *(found[f"{key}_{k}"].astype(np.float64) for key in ("x", "y", "theta_ra", "theta_r")))
@@ -228,18 +163,7 @@ def read_maps(path: Path) -> list[ModuleMap]:
 
 
 def headline_text(result: Result) -> str:
-    """Say each module's most important numbers in a line.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    str
-        Lines for the terminal.
-    """
+    """Say each module's most important numbers in a line."""
     lines = []
     for label, module in zip(result.labels, result.modules, strict=True):
         slope, aimed, kept = (

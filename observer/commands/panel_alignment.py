@@ -32,16 +32,12 @@ LEAST_SHARE = 0.5
 class PanelTilts:
     """Mean angles of all panels.
 
-    Parameters
-    ----------
-    centre_x_m, centre_y_m : ndarray, shape (k,)
-        Middles of the panels; the number of a panel is that of `Collector.panel_index` [m].
-    tilt_rad : ndarray, shape (k,)
-        Mean angle, positive where the panel's normal is turned towards +x; NaN where too little is measured [rad].
-    sigma_rad : ndarray, shape (k,)
-        Its standard deviation [rad].
-    measured_share : ndarray, shape (k,)
-        How much of the panel has a value.
+    centre_x_m, centre_y_m (k,): Middles of the panels; the number of a panel is that of `Collector.panel_index`
+        [m].
+    tilt_rad (k,): Mean angle, positive where the panel's normal is turned towards +x; NaN where too little is
+        measured [rad].
+    sigma_rad (k,): Its standard deviation [rad].
+    measured_share (k,): How much of the panel has a value.
     """
 
     centre_x_m: FloatArray
@@ -54,17 +50,9 @@ class PanelTilts:
 def target_plane_edges(across_m: FloatArray, focal_length_m: float, radius_m: float) -> tuple[FloatArray, FloatArray]:
     """Return where lines from a mirror point that touch the tube pass the plane z = f.
 
-    Parameters
-    ----------
-    across_m : ndarray, shape (...)
-        Mirror points across the trough [m].
-    focal_length_m, radius_m : float
-        Focal length, and radius of the tube around the focal line [m].
-
-    Returns
-    -------
-    lower, upper : ndarray, shape (...)
-        Positions across the trough [m].
+    Shapes: across_m (...).
+    focal_length_m, radius_m: Focal length, and radius of the tube around the focal line [m].
+    lower, upper (...): Positions across the trough [m].
     """
     angle = 2 * np.arctan(np.asarray(across_m) / (2 * focal_length_m))
     delta = np.arcsin(radius_m * (1 + np.cos(angle)) / (2 * focal_length_m))
@@ -74,22 +62,11 @@ def target_plane_edges(across_m: FloatArray, focal_length_m: float, radius_m: fl
 def image_edges(eye_m: FloatArray, y_m: FloatArray, collector: Collector, absorber: AbsorberPath) -> FloatArray:
     """Return where a camera sees the edges of the absorber's image in well-aligned panels.
 
-    Parameters
-    ----------
-    eye_m : ndarray, shape (3,)
-        The camera [m].
-    y_m : ndarray, shape (r,)
-        Rows along the trough [m].
-    collector : Collector
-        The design, with its panels.
-    absorber : AbsorberPath
-        The tube's axis, as it is.
-
-    Returns
-    -------
-    ndarray, shape (r, p, 2)
-        x of the edges in each of the p columns of panels, the one at the larger camera angle second; NaN where the
-        camera sees no edge in that column [m].
+    Shapes: eye_m (3,).
+    y_m (r,): Rows along the trough [m].
+    absorber: The tube's axis, as it is.
+    Returns (r, p, 2): x of the edges in each of the p columns of panels, the one at the larger camera angle second;
+        NaN where the camera sees no edge in that column [m].
     """
     edges = collector.panel_edges_x_m
     found = np.full((len(y_m), len(edges) - 1, 2), np.nan)
@@ -119,21 +96,12 @@ def panel_tilts(
 ) -> PanelTilts:
     """Average an angle over each panel.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (ny, nx)
-        theta_ra to align to the absorber as it is, theta_r to align to the design's focal line [rad].
-    slope_map : SlopeMap
-        The mirror; gives nodes and uncertainty.
-    collector : Collector
-        The panels.
-    sigma_rad : ndarray, shape (k,), optional
-        Standard deviation of each panel's mean as `panels.csv` has it; by default what the map tells of theta_r [rad].
-
-    Returns
-    -------
-    PanelTilts
-        Means with their sigma: noise of the nodes, and what the map has in common.
+    angle_rad (ny, nx): theta_ra to align to the absorber as it is, theta_r to align to the design's focal line
+        [rad].
+    slope_map: The mirror; gives nodes and uncertainty.
+    sigma_rad (k,): Standard deviation of each panel's mean as `panels.csv` has it; by default what the map tells of
+        theta_r [rad].
+    Returns: Means with their sigma: noise of the nodes, and what the map has in common.
     """
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     panel = collector.panel_index(x, y)
@@ -165,29 +133,12 @@ def mount_moves(
 ) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
     """Prescribe by how much each mount is to be moved so that its panel's mean angle becomes zero.
 
-    Parameters
-    ----------
-    tilts : PanelTilts
-        Mean angles of the panels.
-    mounts_m : ndarray, shape (n, 2)
-        x and y of the mounts [m].
-    collector : Collector
-        The panels.
-
-    Returns
-    -------
-    panel : ndarray of int, shape (n,)
-        Panel of each mount.
-    move_m : ndarray, shape (n,)
-        Movement along the mirror's normal, positive towards the absorber; the panel turns about its middle, so that
-        moves at both sides are opposite. NaN where the panel has no tilt [m].
-    sigma_m : ndarray, shape (n,)
-        Its standard deviation [m].
-
-    Raises
-    ------
-    InputError
-        A mount that is on no panel.
+    Shapes: panel (n,).
+    mounts_m (n, 2): x and y of the mounts [m].
+    move_m (n,): Movement along the mirror's normal, positive towards the absorber; the panel turns about its
+        middle, so that moves at both sides are opposite. NaN where the panel has no tilt [m].
+    sigma_m (n,): Its standard deviation [m].
+    InputError: A mount that is on no panel.
     """
     x, y = mounts_m.T
     # Mounts at a panel's very edge, or in a gap, belong to the panel whose middle is nearest.

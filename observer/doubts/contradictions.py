@@ -49,30 +49,13 @@ def design_doubts(
 ) -> tuple[str, ...]:
     """Compare width, length, focal length and tube diameter as stated with what the photos show.
 
-    Parameters
-    ----------
-    photos : (sequence of Path, sequence of (Camera, RigidTransform), PointTable)
-        Files and views of the network's photos, of which seven are read; its targets.
-    reflector : Reflector
-        The mirror.
-    slope_map : SlopeMap
-        The mirror in the common form.
-    absorber : AbsorberPath
-        The tube's axis.
-    collector : Collector
-        The design.
-    with_sizes : bool, optional
-        Whether focal length and tube are judged; not by a wrong camera or by a few photos, which contradict right ones.
-
-    Returns
-    -------
-    tuple of str
-        What does not fit; and whether the mirror is overexposed.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read.
+    photos: Files and views of the network's photos, of which seven are read; its targets.
+    slope_map: The mirror in the common form.
+    absorber: The tube's axis.
+    with_sizes: Whether focal length and tube are judged; not by a wrong camera or by a few photos, which contradict
+        right ones.
+    Returns: What does not fit; and whether the mirror is overexposed.
+    InputError: A photo cannot be read.
     """
     files, views, targets = photos
     plates = plates_of(targets.ids, targets.xyz_m)
@@ -95,19 +78,8 @@ def design_doubts(
 def refuse_strange_list(survey: PhotogrammetryMeasurement, first: FirstLook, file: str) -> None:
     """Refuse a list whose targets are not those in the photos, before they are adjusted.
 
-    Parameters
-    ----------
-    survey : PhotogrammetryMeasurement
-        The photo network.
-    first : FirstLook
-        What was found in the photos.
-    file : str
-        Name of the list.
-
-    Raises
-    ------
-    InputError
-        Fewer than three listed targets are seen.
+    first: What was found in the photos.
+    InputError: Fewer than three listed targets are seen.
     """
     listed = dict.fromkeys(one.target for one in survey.model.constraint if isinstance(one, CoordinateSection))
     seen = [name for one in first.targets for name in one.detections.names]
@@ -119,21 +91,8 @@ def refuse_loose_list(
 ) -> None:
     """Refuse a list of targets that does not tell where the trough's frame lies, or turns it upside down.
 
-    Parameters
-    ----------
-    network : photogrammetry.pipeline.measure.Result
-        The adjusted network.
-    survey : PhotogrammetryMeasurement
-        Its measurement.
-    collector : Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        z has the wrong sign.
-    EstimationError
-        The frame is free to turn.
+    InputError: z has the wrong sign.
+    EstimationError: The frame is free to turn.
     """
     table = network.points
     row = {name: number for number, name in enumerate(table.ids)}
@@ -151,21 +110,8 @@ def without_strays(
 ) -> tuple[PhotogrammetryMeasurement, str | None]:
     """Leave out the coordinates of targets that the photos show elsewhere, as where two were exchanged in the list.
 
-    Parameters
-    ----------
-    survey : PhotogrammetryMeasurement
-        The photo network.
-    first : FirstLook
-        What was found in the photos.
-    finder : Finder
-        Cameras and listed targets.
-
-    Returns
-    -------
-    survey : PhotogrammetryMeasurement
-        Without those coordinates; the targets are measured like others that are not listed.
-    doubt : str or None
-        Which these are.
+    first: What was found in the photos.
+    survey: Without those coordinates; the targets are measured like others that are not listed.
     """
     known = finder.known
     place = {name: number for number, name in enumerate(known.names)}

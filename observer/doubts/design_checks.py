@@ -54,10 +54,7 @@ _FARTHEST_TIMES = 100.0
 class Found:
     """A dimension as the measurement has it.
 
-    Parameters
-    ----------
-    value_m, sigma_m : float
-        The dimension and its standard deviation [m].
+    value_m, sigma_m: The dimension and its standard deviation [m].
     """
 
     value_m: float
@@ -67,17 +64,8 @@ class Found:
 def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
     """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
 
-    Parameters
-    ----------
-    eyes_m : ndarray, shape (n, 3)
-        The cameras in the trough's frame [m].
-    collector : Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        Most cameras are behind the mirror, or extremely far away.
+    eyes_m (n, 3): The cameras in the trough's frame [m].
+    InputError: Most cameras are behind the mirror, or extremely far away.
     """
     height = float(np.median(eyes_m[:, 2]))
     if height < collector.rim_height_m:
@@ -98,17 +86,7 @@ def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
 def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
     """Return the focal length of the parabola whose slopes across the trough are nearest to the measured ones.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    Found
-        The focal length; its sigma takes each of the mirror's rows for one sample.
+    Returns: The focal length; its sigma takes each of the mirror's rows for one sample.
     """
     x = np.broadcast_to(slope_map.x_m, slope_map.shape)
     used = slope_map.valid & np.isfinite(slope_map.slope_x)
@@ -128,19 +106,8 @@ def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
 def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collector) -> str | None:
     """Say whether the stated focal length contradicts mirror and absorber.
 
-    Parameters
-    ----------
-    mirror : Found
-        From `focal_length_of_mirror`.
-    absorber : AbsorberPath
-        The tube as it was found.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where it does not.
+    absorber: The tube as it was found.
+    Returns: A sentence; None where it does not.
     """
     stated = collector.focal_length_m
     off = mirror.value_m - stated
@@ -163,18 +130,9 @@ def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collect
 def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
     """Estimate the tube's diameter from the width of its reflection, together with slopes and camera positions.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution with the stated diameter.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    Found
-        The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection, in photos
-        that are some ten apart.
+    reflector: The solution with the stated diameter.
+    Returns: The diameter. Slopes cannot take its part: each mirror point is seen by both edges of the reflection,
+        in photos that are some ten apart.
     """
     unknowns, errors = reflector.unknowns, reflector.errors
     number, radius, unit = unknowns.radius, collector.absorber_diameter_m / 2, float(unknowns.units[0])
@@ -191,17 +149,7 @@ def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
 def diameter_doubt(found: Found, collector: Collector) -> str | None:
     """Say whether the stated diameter of the tube contradicts the width of its reflection.
 
-    Parameters
-    ----------
-    found : Found
-        From `diameter_of_absorber`.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where it does not.
+    Returns: A sentence; None where it does not.
     """
     stated = collector.absorber_diameter_m
     off = found.value_m - stated
@@ -217,17 +165,8 @@ def diameter_doubt(found: Found, collector: Collector) -> str | None:
 def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str, ...]:
     """Say whether the stated width or length contradicts the rims in the photos.
 
-    Parameters
-    ----------
-    across, along : Span
-        From `observer.photo_edges.outline.spans_of`.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    tuple of str
-        A sentence for each number that does not fit.
+    across, along: From `observer.photo_edges.outline.spans_of`.
+    Returns: A sentence for each number that does not fit.
     """
     said = []
     for span, key, axis in ((across, "aperture_width_m", "x"), (along, "length_m", "y")):
@@ -253,15 +192,7 @@ def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str
 def overexposure_doubt(clipped_share: float) -> str | None:
     """Say whether too much of the mirror is overexposed.
 
-    Parameters
-    ----------
-    clipped_share : float
-        Share of the mirror at full scale in a usual photo.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where little is.
+    clipped_share: Share of the mirror at full scale in a usual photo.
     """
     if not clipped_share > _CLIPPED_SHARE:
         return None
@@ -274,17 +205,8 @@ def overexposure_doubt(clipped_share: float) -> str | None:
 def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
     """Say whether the mirror looks like several panels where none were stated.
 
-    Parameters
-    ----------
-    roughness : Roughness
-        Of the slopes along the rows, as found.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where panels are stated, or slopes do not jump.
+    roughness: Of the slopes along the rows, as found.
+    Returns: A sentence; None where panels are stated, or slopes do not jump.
     """
     if collector.panel_edges_x_m.size > 2 or roughness.order > 2 or roughness.across < _JUMPING:
         return None
@@ -297,15 +219,8 @@ def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
 def heights_doubt(reflector: Reflector) -> str | None:
     """Say whether panels are higher or lower than their stated accuracy lets expect.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution, of which their heights are unknowns.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where they fit, or are held.
+    reflector: The solution, of which their heights are unknowns.
+    Returns: A sentence; None where they fit, or are held.
     """
     height, sigma = reflector.unknowns.panel_heights_m(reflector.errors.common, reflector.errors.covariance_common)
     unit = reflector.unknowns.height_unit_m
@@ -326,17 +241,9 @@ def heights_doubt(reflector: Reflector) -> str | None:
 def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
     """Say whether the photos are too far apart to measure the mirror.
 
-    Parameters
-    ----------
-    measured_share : float
-        Share of the mirror with a value, of what can show the tube to these cameras.
-    eyes_m : ndarray, shape (n, 3)
-        The cameras [m].
-
-    Returns
-    -------
-    str or None
-        A sentence; None where enough is measured.
+    Shapes: eyes_m (n, 3).
+    measured_share: Share of the mirror with a value, of what can show the tube to these cameras.
+    Returns: A sentence; None where enough is measured.
     """
     if measured_share > _SPARSE_SHARE:
         return None
@@ -355,15 +262,7 @@ def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
 def camera_doubt(image_sigma_factor: float) -> str | None:
     """Say whether camera and target list contradict each other.
 
-    Parameters
-    ----------
-    image_sigma_factor : float
-        How much worse image points fit than they were measured.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where they fit.
+    image_sigma_factor: How much worse image points fit than they were measured.
     """
     if image_sigma_factor < _MISFIT_FACTOR:
         return None

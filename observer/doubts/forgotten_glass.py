@@ -27,12 +27,8 @@ _WIDER_PX, _TIMES_SIGMA = 0.15, 3.0
 class Widening:
     """How much wider the tube looks near its own reflection than elsewhere.
 
-    Parameters
-    ----------
-    value_m, sigma_m : float
-        The difference and its standard deviation, from the scatter between photos [m].
-    pixel_m : float
-        What a pixel covers at the tube [m].
+    value_m, sigma_m: The difference and its standard deviation, from the scatter between photos [m].
+    pixel_m: What a pixel covers at the tube [m].
     """
 
     value_m: float
@@ -43,15 +39,7 @@ class Widening:
 def widening(bearings: Bearings) -> Widening | None:
     """Compare how wide the tube looks near its own reflection and elsewhere.
 
-    Parameters
-    ----------
-    bearings : Bearings
-        Of all photos.
-
-    Returns
-    -------
-    Widening or None
-        None where too few photos show it near its reflection, or elsewhere.
+    Returns: None where too few photos show it near its reflection, or elsewhere.
     """
     own = [bearings.photo == k for k in np.unique(bearings.photo)]
     angle, wide = (
@@ -70,17 +58,7 @@ def widening(bearings: Bearings) -> Widening | None:
 def glass_doubt(found: Widening | None, collector: Collector) -> str | None:
     """Say whether there is glass around a tube that is stated to be bare.
 
-    Parameters
-    ----------
-    found : Widening or None
-        From `widening`.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where glass is stated, or nothing shows any.
+    Returns: A sentence; None where glass is stated, or nothing shows any.
     """
     if found is None or collector.glass is not None:
         return None

@@ -36,19 +36,7 @@ def stated_camera_doubt(
 ) -> str | None:
     """Say whether the stated camera contradicts the targets, and what some photos say that it is.
 
-    Parameters
-    ----------
-    network : photogrammetry.pipeline.measure.Result
-        Adjusted with the camera as stated.
-    survey : PhotogrammetryMeasurement
-        Its measurement.
-    first : FirstLook
-        What was found in the photos.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where it fits.
+    first: What was found in the photos.
     """
     factor = network.solved.image_sigma_factor
     stated = survey.model.camera
@@ -134,15 +122,7 @@ def _differences(stated: Camera, found: Camera) -> list[str]:
 def explained() -> Iterator[None]:
     """Say what is usually wrong where photos and list of targets cannot be adjusted.
 
-    Yields
-    ------
-    None
-        While they are adjusted.
-
-    Raises
-    ------
-    EstimationError
-        What was raised, with the usual causes.
+    EstimationError: What was raised, with the usual causes.
     """
     try:
         yield
@@ -160,20 +140,8 @@ def explained() -> Iterator[None]:
 def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
     """Say with an error what the adjustment of cameras and targets had to say, which is often its cause.
 
-    Parameters
-    ----------
-    network : photogrammetry.pipeline.measure.Result
-        The adjusted network.
-
-    Yields
-    ------
-    None
-        While what rests on the network is computed.
-
-    Raises
-    ------
-    EstimationError
-        What was raised, with the first doubt.
+    Returns: While what rests on the network is computed.
+    EstimationError: What was raised, with the first doubt.
     """
     try:
         yield

@@ -26,14 +26,9 @@ _LEAST_LOSS = 1e-5
 class Best:
     """Where an intercept factor is largest.
 
-    Parameters
-    ----------
-    place : ndarray, shape (p,)
-        The offset of the sun [rad], or the absorber's way (x, z) from where it is [m].
-    covariance : ndarray, shape (p, p)
-        Its covariance; NaN where the maximum is too flat to have a place.
-    ratio : float
-        The intercept factor there.
+    place (p,): The offset of the sun [rad], or the absorber's way (x, z) from where it is [m].
+    covariance (p, p): Its covariance; NaN where the maximum is too flat to have a place.
+    ratio: The intercept factor there.
     """
 
     place: FloatArray
@@ -44,26 +39,8 @@ class Best:
 def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, largest_rad: float = 0.02) -> Best:
     """Find the tracking offset that collects most.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        What of it is left in.
-    optics : TroughOptics
-        From `optics_of`.
-    largest_rad : float, optional
-        Largest offset that is tried [rad].
-
-    Returns
-    -------
-    Best
-        The offset of the sun towards +x.
-
-    Raises
-    ------
-    EstimationError
-        It lies beyond the largest.
+    Returns: The offset of the sun towards +x.
+    EstimationError: It lies beyond the largest.
     """
     coarse = np.linspace(-largest_rad, largest_rad, 21)
     ratios = np.array([optics.ratio(offset) for offset in coarse])
@@ -88,24 +65,7 @@ def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, larges
 def best_absorber(trough: MeasuredTrough, optics: TroughOptics, profile: BeamProfile) -> Best:
     """Find the way by which the whole absorber should be moved to collect most, the sun on the optical axis.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    optics : TroughOptics
-        From `optics_of`, as measured.
-    profile : BeamProfile
-        The light.
-
-    Returns
-    -------
-    Best
-        The way in x and z from where the absorber is.
-
-    Raises
-    ------
-    EstimationError
-        It is longer than 50 mm.
+    EstimationError: It is longer than 50 mm.
     """
 
     def at(way_m: FloatArray) -> TroughOptics:

@@ -48,17 +48,9 @@ class Case(Enum):
 def covariance_from_map(slope_map: SlopeMap, *, absorber_held: bool = False) -> SumCovariance:
     """Return the covariance of weighted sums of slopes that a slope map itself states.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror with its random and common uncertainty.
-    absorber_held : bool, optional
-        Whether to leave out the common share that comes from the absorber.
-
-    Returns
-    -------
-    callable
-        Weights of dz/dx, shape (k, ny, nx), to the covariance of the sums, shape (k, k).
+    slope_map: The mirror with its random and common uncertainty.
+    absorber_held: Whether to leave out the common share that comes from the absorber.
+    Returns: Weights of dz/dx, shape (k, ny, nx), to the covariance of the sums, shape (k, k).
     """
     variance = slope_map.noise_correlation * np.nan_to_num(slope_map.sigma_random_x) ** 2
     modes = slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))[:, 0]
@@ -77,23 +69,13 @@ def covariance_from_map(slope_map: SlopeMap, *, absorber_held: bool = False) -> 
 class MeasuredTrough:
     """Mirror and absorber as they were measured, and how well.
 
-    Parameters
-    ----------
-    nodes : MirrorNodes
-        The mirror.
-    absorber : AbsorberPath
-        The tube's axis.
-    collector : Collector
-        The design.
-    slope_covariance : callable
-        Covariance of weighted sums of the slopes, the absorber held.
-    sigma_slope : ndarray, shape (m,)
-        Standard deviation of each slope across.
-    d_slope_d_stations : csr_array, shape (m, 2 n)
-        What errors of the absorber's place at its stations, all x and all z, did to the slopes; zero where both were
-        measured apart [1/m].
-    missing : MissingPart
-        What of the mirror was not measured.
+    absorber: The tube's axis.
+    collector: The design.
+    slope_covariance: Covariance of weighted sums of the slopes, the absorber held.
+    sigma_slope (m,): Standard deviation of each slope across.
+    d_slope_d_stations (m, 2 n): What errors of the absorber's place at its stations, all x and all z, did to the
+        slopes; zero where both were measured apart [1/m].
+    missing: What of the mirror was not measured.
     """
 
     nodes: MirrorNodes
@@ -126,30 +108,13 @@ def measured_trough(
 ) -> MeasuredTrough:
     """Put mirror and absorber together.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    absorber : AbsorberPath
-        The tube's axis with its covariance.
-    collector : Collector
-        The design.
-    slope_covariance : callable, optional
-        Covariance of weighted sums of slopes, the absorber held where they come from its reflection; by default what
-        the map states.
-    from_reflection : bool, optional
-        Whether the slopes come from the absorber's reflection. Then theta_ra was measured and an error of the
-        absorber's place is in the slopes too, where it cancels; otherwise slopes and absorber err apart.
-
-    Returns
-    -------
-    MeasuredTrough
-        What `intercept_of` and the other functions here take.
-
-    Raises
-    ------
-    EstimationError
-        No node was measured.
+    absorber: The tube's axis with its covariance.
+    slope_covariance: Covariance of weighted sums of slopes, the absorber held where they come from its reflection;
+        by default what the map states.
+    from_reflection: Whether the slopes come from the absorber's reflection. Then theta_ra was measured and an error
+        of the absorber's place is in the slopes too, where it cancels; otherwise slopes and absorber err apart.
+    Returns: What `intercept_of` and the other functions here take.
+    EstimationError: No node was measured.
     """
     from scipy.sparse import hstack
 
@@ -176,12 +141,8 @@ def measured_trough(
 class Sensitivity:
     """Derivatives of k numbers.
 
-    Parameters
-    ----------
-    d_slope_x : ndarray, shape (k, m)
-        With respect to the slopes across of the nodes.
-    d_absorber : ndarray, shape (k, 2 n)
-        With respect to the absorber's stations, the slopes held [1/m].
+    d_slope_x (k, m): With respect to the slopes across of the nodes.
+    d_absorber (k, 2 n): With respect to the absorber's stations, the slopes held [1/m].
     """
 
     d_slope_x: FloatArray
@@ -193,18 +154,7 @@ class Sensitivity:
 
 
 def joined(parts: Sequence[Sensitivity]) -> Sensitivity:
-    """Return the derivatives of all numbers.
-
-    Parameters
-    ----------
-    parts : sequence of Sensitivity
-        Derivatives of some.
-
-    Returns
-    -------
-    Sensitivity
-        Of all.
-    """
+    """Return the derivatives of all numbers."""
     return Sensitivity(
         np.concatenate([part.d_slope_x for part in parts]), np.concatenate([part.d_absorber for part in parts])
     )
@@ -213,21 +163,8 @@ def joined(parts: Sequence[Sensitivity]) -> Sensitivity:
 def optics_of(trough: MeasuredTrough, case: Case, profile: BeamProfile, incidence_rad: float = 0.0) -> TroughOptics:
     """Return the optics of a trough with some of its errors left out.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        Which errors are left in.
-    profile : BeamProfile
-        The light, for the same incidence.
-    incidence_rad : float, optional
-        Angle between the sun and the plane across the trough [rad].
-
-    Returns
-    -------
-    TroughOptics
-        For `TroughOptics.ratio`.
+    profile: The light, for the same incidence.
+    incidence_rad: Angle between the sun and the plane across the trough [rad].
     """
     nodes, absorber = trough.nodes, trough.absorber
     if case is Case.MIRROR_PERFECT:
@@ -240,21 +177,7 @@ def optics_of(trough: MeasuredTrough, case: Case, profile: BeamProfile, incidenc
 def sensitivity(trough: MeasuredTrough, case: Case, optics: TroughOptics, offset_rad: float = 0.0) -> Sensitivity:
     """Differentiate the intercept factor with respect to what was measured.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        What of it is left in.
-    optics : TroughOptics
-        From `optics_of`.
-    offset_rad : float, optional
-        Angle by which the sun stands towards +x of the optical axis [rad].
-
-    Returns
-    -------
-    Sensitivity
-        Of one number.
+    offset_rad: Angle by which the sun stands towards +x of the optical axis [rad].
     """
     d_slope, d_absorber = optics.gradients(offset_rad)
     if case is Case.MIRROR_PERFECT:
@@ -269,10 +192,7 @@ def sensitivity(trough: MeasuredTrough, case: Case, optics: TroughOptics, offset
 class Intercept:
     """Intercept factors with their uncertainty.
 
-    Parameters
-    ----------
-    ratio, sigma_ratio : ndarray, shape (k,)
-        Intercept factors and their standard deviations.
+    ratio, sigma_ratio (k,): Intercept factors and their standard deviations.
     """
 
     ratio: FloatArray
@@ -284,21 +204,7 @@ def intercept_at_offsets(
 ) -> Intercept:
     """Return the intercept factor for a sun beside the optical axis.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        What of it is left in.
-    optics : TroughOptics
-        From `optics_of`.
-    offsets_rad : sequence of float, optional
-        Angles by which the sun stands towards +x of the optical axis [rad].
-
-    Returns
-    -------
-    Intercept
-        For each angle.
+    offsets_rad: Angles by which the sun stands towards +x of the optical axis [rad].
     """
     ratio, rest = np.empty(len(offsets_rad)), np.full(len(offsets_rad), _TABLE_ERROR**2)
     for i, offset in enumerate(offsets_rad):
@@ -316,19 +222,7 @@ def intercept_at_offsets(
 def intercept_gain(trough: MeasuredTrough, optics: Mapping[Case, TroughOptics], case: Case) -> tuple[float, float]:
     """Return what taking errors away would gain, the sun on the optical axis.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    optics : mapping of Case to TroughOptics
-        From `optics_of`, of this case and as measured.
-    case : Case
-        What would be left.
-
-    Returns
-    -------
-    gain, sigma_gain : float
-        Change of the intercept factor, and its standard deviation.
+    gain, sigma_gain: Change of the intercept factor, and its standard deviation.
     """
     cases = (case, Case.AS_MEASURED)
     change = joined([sensitivity(trough, one, optics[one]) for one in cases]).mixed(np.array([[1.0, -1.0]]))

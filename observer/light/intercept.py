@@ -1,11 +1,11 @@
 r"""Intercept factor of a trough: the share of the reflected light that meets the absorber tube.
 
 At a mirror point the tube is hit by light that arrives, across the trough, under angles between the two at which a
-camera sees the tube's edges there: ``2 theta_ra -+ w``, ``w = asin(a / R)`` (Owkes 2012, eq. 5.4). These two angles are
-what `observer.slopes.observation_equation.misfit` gives for a line of sight to the sun's centre with the tube's edges at side -1 and +1. With
-the share F of the light below an angle (sun shape, specularity, tracking error) the point's intercept factor is
-``F(upper - t) - F(lower - t)`` for a sun that stands t towards +x of the optical axis. The trough's is the mean over
-the light that falls on the mirror (eqs 5.13 to 5.15, kept point by point).
+camera sees the tube's edges there: ``2 theta_ra -+ w``, ``w = asin(a / R)`` (Owkes 2012, eq. 5.4). These two angles
+are what `observer.slopes.observation_equation.misfit` gives for a line of sight to the sun's centre with the tube's
+edges at side -1 and +1. With the share F of the light below an angle (sun shape, specularity, tracking error) the
+point's intercept factor is ``F(upper - t) - F(lower - t)`` for a sun that stands t towards +x of the optical axis.
+The trough's is the mean over the light that falls on the mirror (eqs 5.13 to 5.15, kept point by point).
 
 Not counted, as usual: reflectance, absorptance, the tube's shadow, the glass (its refraction leaves the distance at
 which a ray passes the axis of a concentric tube unchanged), and what leaves the trough beyond the tube's ends.
@@ -34,22 +34,13 @@ IntArray = npt.NDArray[np.intp]
 class MirrorNodes:
     """The measured nodes of a slope map, and how much light each stands for.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the map.
-    node : ndarray of int, shape (m,)
-        Row-major number of each node in the map.
-    points_m : ndarray, shape (m, 3)
-        Where they are [m].
-    slope_x, slope_y : ndarray, shape (m,)
-        Slopes dz/dx and dz/dy; where the one along the trough was not measured, the design's.
-    design_slope_x : ndarray, shape (m,)
-        The design's slope across, for the light that a node catches.
-    share : ndarray, shape (m,)
-        Share of the aperture each stands for, with its part of what was not measured; the sum is 1.
-    measured_share : float
-        Share of the aperture that was measured.
+    shape: Rows and columns of the map.
+    node (m,): Row-major number of each node in the map.
+    points_m (m, 3): Where they are [m].
+    slope_x, slope_y (m,): Slopes dz/dx and dz/dy; where the one along the trough was not measured, the design's.
+    design_slope_x (m,): The design's slope across, for the light that a node catches.
+    share (m,): Share of the aperture each stands for, with its part of what was not measured; the sum is 1.
+    measured_share: Share of the aperture that was measured.
     """
 
     shape: tuple[int, int]
@@ -71,25 +62,9 @@ class MirrorNodes:
 def mirror_nodes(slope_map: SlopeMap, focal_length_m: float) -> MirrorNodes:
     """Take the measured nodes out of a slope map.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror; its heights are used where it has any, elsewhere the design's.
-    focal_length_m : float
-        Focal length of the design [m].
+    slope_map: The mirror; its heights are used where it has any, elsewhere the design's.
+    EstimationError: No node was measured.
 
-    Returns
-    -------
-    MirrorNodes
-        The nodes.
-
-    Raises
-    ------
-    EstimationError
-        No node was measured.
-
-    Notes
-    -----
     A node that was not measured is taken to be as the measured ones at the same distance from the vertex (the same
     column of the map), a column without any as the nearest column that has some.
     """
@@ -110,15 +85,8 @@ def mirror_nodes(slope_map: SlopeMap, focal_length_m: float) -> MirrorNodes:
 def column_shares(slope_map: SlopeMap) -> FloatArray:
     """Return the share of the aperture that the measured nodes of each column stand for.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-
-    Returns
-    -------
-    ndarray, shape (nx,)
-        Sum 1; zero for columns without a measured node, whose share goes to the nearest column that has some.
+    Returns (nx,): Sum 1; zero for columns without a measured node, whose share goes to the nearest column that has
+        some.
     """
     area = np.count_nonzero(slope_map.aperture, axis=0).astype(np.float64)
     known = np.flatnonzero(slope_map.valid.any(axis=0))
@@ -130,16 +98,11 @@ def column_shares(slope_map: SlopeMap) -> FloatArray:
 class Windows:
     """Between which angles across the trough light must arrive at each node to meet the tube.
 
-    Parameters
-    ----------
-    lower_rad, upper_rad : ndarray, shape (m,)
-        The two angles, positive towards +x [rad].
-    d_slope_x : ndarray, shape (m,)
-        Derivative of both with respect to the mirror's slope across [rad].
-    d_lower_d_absorber, d_upper_d_absorber : ndarray, shape (m, 2)
-        Derivatives with respect to X_a and Z_a of the tube where the light passes it [rad/m].
-    passing_y_m : ndarray, shape (m,)
-        Where that is [m].
+    lower_rad, upper_rad (m,): The two angles, positive towards +x [rad].
+    d_slope_x (m,): Derivative of both with respect to the mirror's slope across [rad].
+    d_lower_d_absorber, d_upper_d_absorber (m, 2): Derivatives with respect to X_a and Z_a of the tube where the
+        light passes it [rad/m].
+    passing_y_m (m,): Where that is [m].
     """
 
     lower_rad: FloatArray
@@ -164,21 +127,9 @@ def acceptance_windows(
 ) -> Windows:
     """Find between which angles light must arrive at the nodes to meet the tube.
 
-    Parameters
-    ----------
-    nodes : MirrorNodes
-        The mirror.
-    absorber : AbsorberPath
-        The tube's axis.
-    radius_m : float
-        The tube's radius [m].
-    incidence_rad : float, optional
-        Angle between the sun and the plane across the trough, positive towards +y [rad].
-
-    Returns
-    -------
-    Windows
-        Empty ones (both angles zero) where the reflected light goes away from the tube.
+    absorber: The tube's axis.
+    incidence_rad: Angle between the sun and the plane across the trough, positive towards +y [rad].
+    Returns: Empty ones (both angles zero) where the reflected light goes away from the tube.
     """
     sun = np.array([0.0, np.sin(incidence_rad), np.cos(incidence_rad)])
     upper = misfit(
@@ -207,16 +158,9 @@ def acceptance_windows(
 class TroughOptics:
     """A mirror before a tube in light.
 
-    Parameters
-    ----------
-    nodes : MirrorNodes
-        The mirror.
-    windows : Windows
-        What of the light meets the tube.
-    profile : BeamProfile
-        The light's angles across the trough.
-    stations : csr_array, shape (m, n)
-        By how much the tube follows its stations where each node's light passes it (`station_shares`).
+    windows: What of the light meets the tube.
+    profile: The light's angles across the trough.
+    stations (m, n): By how much the tube follows its stations where each node's light passes it (`station_shares`).
     """
 
     nodes: MirrorNodes
@@ -235,23 +179,9 @@ class TroughOptics:
     ) -> "TroughOptics":
         """Put mirror, tube and light together.
 
-        Parameters
-        ----------
-        nodes : MirrorNodes
-            The mirror.
-        absorber : AbsorberPath
-            The tube's axis.
-        radius_m : float
-            The tube's radius [m].
-        profile : BeamProfile
-            The light, for the same incidence.
-        incidence_rad : float, optional
-            Angle between the sun and the plane across the trough, positive towards +y [rad].
-
-        Returns
-        -------
-        TroughOptics
-            What the tube catches of the light.
+        absorber: The tube's axis.
+        profile: The light, for the same incidence.
+        incidence_rad: Angle between the sun and the plane across the trough, positive towards +y [rad].
         """
         windows = acceptance_windows(nodes, absorber, radius_m, incidence_rad)
         return cls(nodes, windows, profile, station_shares(absorber, windows.passing_y_m))
@@ -270,32 +200,17 @@ class TroughOptics:
     def ratio(self, offset_rad: float = 0.0) -> float:
         """Return the intercept factor.
 
-        Parameters
-        ----------
-        offset_rad : float, optional
-            Angle by which the sun stands towards +x of the optical axis [rad].
-
-        Returns
-        -------
-        float
-            Share of the reflected light that meets the tube.
+        offset_rad: Angle by which the sun stands towards +x of the optical axis [rad].
+        Returns: Share of the reflected light that meets the tube.
         """
         return float(self.light(offset_rad) @ self.of_nodes(offset_rad))
 
     def gradients(self, offset_rad: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Differentiate the intercept factor.
 
-        Parameters
-        ----------
-        offset_rad : float, optional
-            Angle by which the sun stands towards +x of the optical axis [rad].
-
-        Returns
-        -------
-        d_slope_x : ndarray, shape (m,)
-            With respect to the slope across of each node.
-        d_absorber : ndarray, shape (m, 2)
-            With respect to X_a and Z_a where the light of each node passes the tube [1/m].
+        offset_rad: Angle by which the sun stands towards +x of the optical axis [rad].
+        d_slope_x (m,): With respect to the slope across of each node.
+        d_absorber (m, 2): With respect to X_a and Z_a where the light of each node passes the tube [1/m].
         """
         light, windows = self.light(offset_rad), self.windows
         at_upper = light * self.profile.density_at(windows.upper_rad - offset_rad)
@@ -306,17 +221,9 @@ class TroughOptics:
     def scattered_ratio(self, sigma_slope: FloatArray, offset_rad: float = 0.0) -> float:
         """Return the mean of the intercept factors with all slopes one sigma higher and lower, each on its own.
 
-        Parameters
-        ----------
-        sigma_slope : ndarray, shape (m,)
-            Standard deviation of each slope across.
-        offset_rad : float, optional
-            Angle by which the sun stands towards +x of the optical axis [rad].
-
-        Returns
-        -------
-        float
-            What slopes that scatter so collect on average, to second order, also where the sun has an edge.
+        sigma_slope (m,): Standard deviation of each slope across.
+        offset_rad: Angle by which the sun stands towards +x of the optical axis [rad].
+        Returns: What slopes that scatter so collect on average, to second order, also where the sun has an edge.
         """
         step = np.abs(self.windows.d_slope_x) * sigma_slope
         sides = [replace(self, windows=self.windows.moved(turn, turn)).of_nodes(offset_rad) for turn in (step, -step)]
@@ -326,17 +233,9 @@ class TroughOptics:
 def station_shares(absorber: AbsorberPath, passing_y_m: FloatArray) -> "csr_array":
     """Return by how much places along the tube follow each of its stations.
 
-    Parameters
-    ----------
-    absorber : AbsorberPath
-        The tube's axis.
-    passing_y_m : ndarray, shape (m,)
-        Places along the trough [m].
-
-    Returns
-    -------
-    csr_array, shape (m, n)
-        Shares; two in each row.
+    Shapes: passing_y_m (m,).
+    absorber: The tube's axis.
+    Returns (m, n): Shares; two in each row.
     """
     from scipy.sparse import csr_array
 
@@ -352,16 +251,8 @@ def station_shares(absorber: AbsorberPath, passing_y_m: FloatArray) -> "csr_arra
 def along_path(shares: "csr_array", d_absorber: FloatArray) -> FloatArray:
     """Gather derivatives with respect to places of the tube into those with respect to its stations.
 
-    Parameters
-    ----------
-    shares : csr_array, shape (m, n)
-        From `station_shares`.
-    d_absorber : ndarray, shape (m, 2)
-        Derivatives with respect to X_a and Z_a at the places.
-
-    Returns
-    -------
-    ndarray, shape (2 n,)
-        Derivatives with respect to (x_1 .. x_n, z_1 .. z_n).
+    Shapes: shares (m, n).
+    d_absorber (m, 2): Derivatives with respect to X_a and Z_a at the places.
+    Returns (2 n,): Derivatives with respect to (x_1 .. x_n, z_1 .. z_n).
     """
     return np.concatenate([shares.T @ np.ascontiguousarray(one) for one in d_absorber.T])

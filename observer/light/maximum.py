@@ -16,22 +16,8 @@ _ARMIJO, _SHORTEST = 1e-4, 1e-6
 def largest_between(function: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Return where a function with one maximum between two places is largest.
 
-    Parameters
-    ----------
-    function : callable
-        The function.
-    low, high : float
-        The places.
-    tolerance : float
-        How near the result is wanted.
+    tolerance: How near the result is wanted.
 
-    Returns
-    -------
-    float
-        The place.
-
-    Notes
-    -----
     Parabolas through the three best places, golden sections where these do not converge (Brent 1973, chapter 5).
     """
     best = second = third = low + _GOLDEN * (high - low)
@@ -68,22 +54,10 @@ def largest_between(function: Callable[[float], float], low: float, high: float,
 def climb(function: Callable[[FloatArray], tuple[float, FloatArray]], start: FloatArray, longest: float) -> FloatArray:
     """Return the maximum that lies uphill of a place.
 
-    Parameters
-    ----------
-    function : callable
-        From a place, shape (p,), to value and derivatives there.
-    start : ndarray, shape (p,)
-        The place.
-    longest : float
-        Longest step.
+    Shapes: start (p,).
+    function: From a place, shape (p,), to value and derivatives there.
+    Returns (p,): Where the function does not grow any more.
 
-    Returns
-    -------
-    ndarray, shape (p,)
-        Where the function does not grow any more.
-
-    Notes
-    -----
     Quasi-Newton steps with the update of Broyden, Fletcher, Goldfarb and Shanno, halved until they gain.
     """
     place, unit = np.array(start), np.eye(len(start))

@@ -18,16 +18,10 @@ _BLOCKS = 6
 class MissingPart:
     """Where a slope map has no values, column by column.
 
-    Parameters
-    ----------
-    column, block : ndarray of int, shape (m,)
-        Column of each measured node, and its block along the trough.
-    missing_share : ndarray, shape (nx,)
-        Share of each column's aperture that was not measured.
-    weight : ndarray, shape (nx,)
-        Share of the whole aperture that the missing part of each column is.
-    panel : ndarray of int, shape (nx,)
-        Panel of each column.
+    column, block (m,): Column of each measured node, and its block along the trough.
+    missing_share (nx,): Share of each column's aperture that was not measured.
+    weight (nx,): Share of the whole aperture that the missing part of each column is.
+    panel (nx,): Panel of each column.
     """
 
     column: IntArray
@@ -39,18 +33,9 @@ class MissingPart:
     def sigma(self, values: FloatArray) -> float:
         """Return how uncertain a mean over the mirror is because the missing part was taken as its columns' rest.
 
-        Parameters
-        ----------
-        values : ndarray, shape (m,)
-            Values at the measured nodes.
+        values (m,): Values at the measured nodes.
+        Returns: Standard deviation of the mean over the whole mirror.
 
-        Returns
-        -------
-        float
-            Standard deviation of the mean over the whole mirror.
-
-        Notes
-        -----
         The means of blocks of a column along the trough scatter by s. n of them were measured, and the missing part
         is as many as its length holds, at least one: its mean is known to ``s sqrt(1/n + 1/missing)``. The columns of
         a panel err alike, those of other panels do not. A column with fewer than two blocks takes the median s.
@@ -78,17 +63,7 @@ class MissingPart:
 def missing_part(slope_map: SlopeMap, panel_edges_x_m: FloatArray) -> MissingPart:
     """Find where a slope map has no values.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    panel_edges_x_m : ndarray, shape (n,)
-        Edges of the mirror's panels across the trough [m].
-
-    Returns
-    -------
-    MissingPart
-        The columns' shares.
+    panel_edges_x_m (n,): Edges of the mirror's panels across the trough [m].
     """
     row, column = np.nonzero(slope_map.valid)
     aperture = np.count_nonzero(slope_map.aperture, axis=0)

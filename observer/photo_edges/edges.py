@@ -28,18 +28,11 @@ _FLOOR_SAMPLES = 0.02
 class Edges:
     """Edges of one strip.
 
-    Parameters
-    ----------
-    row : ndarray of int, shape (n,)
-        Row of each.
-    x_m : ndarray, shape (n,)
-        Position across the trough [m].
-    sigma_x_m : ndarray, shape (n,)
-        Standard deviation of the position [m].
-    rise_dn : ndarray, shape (n,)
-        Step of the brightness towards larger x, negative where it falls [DN].
-    contrast : ndarray, shape (n,)
-        The step over the brightness of the brighter side.
+    row (n,): Row of each.
+    x_m (n,): Position across the trough [m].
+    sigma_x_m (n,): Standard deviation of the position [m].
+    rise_dn (n,): Step of the brightness towards larger x, negative where it falls [DN].
+    contrast (n,): The step over the brightness of the brighter side.
     """
 
     row: IntArray
@@ -95,26 +88,14 @@ class _Peaks:
 def find_edges(strips: Sequence[Strip], *, oversampling: int = 1) -> tuple[Edges, IntArray]:
     """Find all edges across strips.
 
-    Parameters
-    ----------
-    strips : sequence of Strip
-        Rectified brightness.
-    oversampling : int, optional
-        Samples of the strips for each pixel of their photo. With one, interpolation between pixels moves an edge by up
-        to 0.025 px with its place among them; with two by less than 0.002 px.
+    Shapes: strip (n,).
+    strips: Rectified brightness.
+    oversampling: Samples of the strips for each pixel of their photo. With one, interpolation between pixels moves
+        an edge by up to 0.025 px with its place among them; with two by less than 0.002 px.
 
-    Returns
-    -------
-    edges : Edges
-        In the order of the strips and their rows.
-    strip : ndarray of int, shape (n,)
-        Number of the strip of each.
-
-    Notes
-    -----
-    Extrema of the brightness filtered by the derivative of a Gaussian; the position is the peak of the parabola through
-    the logarithms of three values, exact for an edge blurred by a Gaussian. A linear change of the background adds a
-    constant to the derivative and leaves its peak where it is, other than a crossing of a level.
+    Extrema of the brightness filtered by the derivative of a Gaussian; the position is the peak of the parabola
+    through the logarithms of three values, exact for an edge blurred by a Gaussian. A linear change of the background
+    adds a constant to the derivative and leaves its peak where it is, other than a crossing of a level.
     """
     derivative = _Filter.of_width(_FILTER_SAMPLES * oversampling)
     parts = [_peaks(strip, derivative, oversampling) for strip in strips]

@@ -19,12 +19,7 @@ _LEAST_SPREAD = 0.02
 class ListedPlaces:
     """Targets as a list has them.
 
-    Parameters
-    ----------
-    names : tuple of str
-        The targets.
-    places_m, sigma_m : ndarray, shape (n, 3)
-        Coordinates with standard deviations; NaN: unknown [m].
+    places_m, sigma_m (n, 3): Coordinates with standard deviations; NaN: unknown [m].
     """
 
     names: tuple[str, ...]
@@ -35,16 +30,9 @@ class ListedPlaces:
 def spans_an_area(places_m: FloatArray) -> bool:
     """Say whether targets tell the pose of a photo that shows them.
 
-    Parameters
-    ----------
-    places_m : ndarray, shape (n, 3)
-        Their coordinates [m].
-
-    Returns
-    -------
-    bool
-        Whether they spread across the line that they lie along: those of one rim leave the camera's turn about that
-        rim open.
+    Shapes: places_m (n, 3).
+    Returns: Whether they spread across the line that they lie along: those of one rim leave the camera's turn about
+        that rim open.
     """
     if len(places_m) < 3:
         return False
@@ -55,20 +43,10 @@ def spans_an_area(places_m: FloatArray) -> bool:
 def in_frame(listed: ListedPlaces, place_m: FloatArray, turn_rad: float) -> ListedPlaces:
     """Return targets in a collector's own frame.
 
-    Parameters
-    ----------
-    listed : ListedPlaces
-        In the common frame.
-    place_m : ndarray, shape (3,)
-        The collector's origin there [m].
-    turn_rad : float
-        Its turn there, by the right hand about +y [rad].
-
-    Returns
-    -------
-    ListedPlaces
-        The same targets. Where the collector is turned, x and z of a target are known together or not at all, and
-        what their errors have in common is left out.
+    place_m (3,): The collector's origin there [m].
+    turn_rad: Its turn there, by the right hand about +y [rad].
+    Returns: The same targets. Where the collector is turned, x and z of a target are known together or not at all,
+        and what their errors have in common is left out.
     """
     if turn_rad == 0.0:
         return ListedPlaces(listed.names, listed.places_m - place_m, listed.sigma_m)
@@ -85,17 +63,7 @@ def in_frame(listed: ListedPlaces, place_m: FloatArray, turn_rad: float) -> List
 def beside(listed: ListedPlaces, collector: Collector) -> list[int]:
     """Return numbers of the targets that belong to a collector, those of unknown places among them.
 
-    Parameters
-    ----------
-    listed : ListedPlaces
-        In the collector's frame.
-    collector : Collector
-        Its outline.
-
-    Returns
-    -------
-    list of int
-        Ascending.
+    listed: In the collector's frame.
     """
     reach = np.array([collector.aperture_width_m, collector.length_m]) / 2 + MARGIN_M
     known = np.isfinite(listed.sigma_m).all(axis=1)

@@ -53,12 +53,7 @@ Photo = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 class Span:
     """Distance of two opposite rims.
 
-    Parameters
-    ----------
-    value_m, sigma_m : float
-        The distance and its standard deviation [m].
-    middle_m : float
-        Where their middle is [m].
+    value_m, sigma_m: The distance and its standard deviation [m].
     """
 
     value_m: float
@@ -69,17 +64,9 @@ class Span:
 def plates_of(names: Sequence[str], points_m: FloatArray) -> FloatArray:
     """Return what square markers cover of the plane across the optical axis.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of all targets; corners are called by marker and corner, "7.0" to "7.3".
-    points_m : ndarray, shape (n, 3)
-        Their coordinates; NaN where not known [m].
-
-    Returns
-    -------
-    ndarray, shape (k, 4)
-        Smallest and largest x, smallest and largest y of each marker with its white rim [m].
+    names: Names of all targets; corners are called by marker and corner, "7.0" to "7.3".
+    points_m (n, 3): Their coordinates; NaN where not known [m].
+    Returns (k, 4): Smallest and largest x, smallest and largest y of each marker with its white rim [m].
     """
     corners: dict[str, list[FloatArray]] = {}
     for name, point in zip(names, points_m, strict=True):
@@ -96,21 +83,11 @@ def rims_in_photo(
 ) -> FloatArray:
     """Find the mirror's four rims in one photo.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
-    collector : Collector
-        The design.
-    plates_m : ndarray, shape (k, 4), optional
-        From `plates_of`: lines that cross one are left out [m].
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        x of the rims at -x and +x, y of the ends at -y and +y; NaN where the photo does not show one clearly [m].
+    Shapes: image (height, width).
+    view: Its camera and ``cam_from_frame``.
+    plates_m (k, 4): From `plates_of`: lines that cross one are left out [m].
+    Returns (4,): x of the rims at -x and +x, y of the ends at -y and +y; NaN where the photo does not show one
+        clearly [m].
     """
     half_x, half_y = collector.aperture_width_m / 2, collector.length_m / 2
     along_x = np.linspace(-_MIDDLE_SHARE, _MIDDLE_SHARE, _LINES) * half_x
@@ -141,19 +118,9 @@ def _on_plates(lines_m: FloatArray, across_m: FloatArray, plates_m: FloatArray |
 def clipped_share(image: Photo, view: tuple[Camera, RigidTransform], collector: Collector) -> float:
     """Return how much of the mirror is as bright as a photo can be.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    float
-        Share between 0 and 1; NaN where the photo shows nothing of the mirror.
+    Shapes: image (height, width).
+    view: Its camera and ``cam_from_frame``.
+    Returns: Share between 0 and 1; NaN where the photo shows nothing of the mirror.
     """
     columns, rows = (
         np.linspace(-0.49, 0.49, _LINES) * size for size in (collector.aperture_width_m, collector.length_m)
@@ -185,15 +152,8 @@ def _step_place(lines_dn: Float32Array, place_m: FloatArray) -> float:
 def spans_of(rims_m: FloatArray) -> tuple[Span, Span]:
     """Combine the rims of several photos.
 
-    Parameters
-    ----------
-    rims_m : ndarray, shape (n, 4)
-        From `rims_in_photo` [m].
-
-    Returns
-    -------
-    across, along : Span
-        The mirror's width and length; NaN where too few photos show a rim.
+    Shapes: rims_m (n, 4).
+    across, along: The mirror's width and length; NaN where too few photos show a rim.
     """
     places, sigmas = [], []
     for rim in rims_m.T:
@@ -216,15 +176,8 @@ def spans_of(rims_m: FloatArray) -> tuple[Span, Span]:
 def photos_from_above(eyes_m: FloatArray) -> list[int]:
     """Choose photos that see both rims under nearly the same angle.
 
-    Parameters
-    ----------
-    eyes_m : ndarray, shape (n, 3)
-        The cameras [m].
-
-    Returns
-    -------
-    list of int
-        Numbers of at most seven photos, from the half of them that are nearest to the optical axis.
+    Shapes: eyes_m (n, 3).
+    Returns: Numbers of at most seven photos, from the half of them that are nearest to the optical axis.
     """
     order = np.argsort(np.abs(np.arctan2(eyes_m[:, 0], eyes_m[:, 2])), kind="stable")
     near = np.sort(order[: max(len(order) // 2, min(len(order), _PHOTOS))])

@@ -23,14 +23,9 @@ _CLOSE_PX = 0.6
 class Strip:
     """Part of the mirror, resampled.
 
-    Parameters
-    ----------
-    image_dn : ndarray of float32, shape (r, n)
-        Brightness, rows of constant y [DN].
-    x_m : ndarray, shape (n,)
-        Columns [m].
-    seen : ndarray of bool, shape (r, n)
-        Whether the photo shows the point.
+    image_dn (r, n): Brightness, rows of constant y [DN].
+    x_m (n,): Columns [m].
+    seen (r, n): Whether the photo shows the point.
     """
 
     image_dn: Float32Array
@@ -49,30 +44,15 @@ def rectified_strip(
 ) -> Strip:
     """Resample a photo on the design surface.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
-    surface : Quadric
-        The mirror's surface in the frame.
-    x_m : ndarray, shape (n,)
-        Ascending, equally spaced columns [m].
-    y_m : ndarray, shape (r,)
-        Ascending, equally spaced rows [m].
-    rows_each : int, optional
-        Lines of sight that are averaged along each row's width, so that every pixel counts.
+    Shapes: image (height, width).
+    view: Its camera and ``cam_from_frame``.
+    surface: The mirror's surface in the frame.
+    x_m (n,): Ascending, equally spaced columns [m].
+    y_m (r,): Ascending, equally spaced rows [m].
+    rows_each: Lines of sight that are averaged along each row's width, so that every pixel counts.
 
-    Returns
-    -------
-    Strip
-        Brightness on the mirror.
-
-    Notes
-    -----
-    Columns closer than the pixels are interpolated by 4 by 4 pixels, which keeps the shape of an edge wherever it lies
-    among them; others by 2 by 2, which blurs it by place but costs little.
+    Columns closer than the pixels are interpolated by 4 by 4 pixels, which keeps the shape of an edge wherever it
+    lies among them; others by 2 by 2, which blurs it by place but costs little.
     """
     step = float(y_m[1] - y_m[0]) if y_m.size > 1 else 0.0
     inner = step * ((np.arange(rows_each) + 0.5) / rows_each - 0.5)

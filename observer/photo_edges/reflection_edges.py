@@ -57,23 +57,15 @@ _SPOILT_PX = 3.0
 class ReflectionEdges:
     """Edges that may be the tube's, of one or many photos.
 
-    Parameters
-    ----------
-    photo : ndarray of int, shape (m,)
-        Photo of each.
-    row : ndarray of int, shape (m,)
-        Row of the map.
-    side : ndarray, shape (m,)
-        +1 for the tube's edge at the larger camera angle, -1 for the other: the nearer one.
-    points_m : ndarray, shape (m, 3)
-        Where on the design surface [m].
-    sigma_x_m : ndarray, shape (m,)
-        Standard deviation of the position across the trough [m].
-    contrast : ndarray, shape (m,)
-        Step of the brightness towards larger x over that of the brighter side, so that exposure does not matter.
-    unevenness : ndarray, shape (m,)
-        Change of the brightness some pixels beside the edge over its step; 0 where a panel's edge or the tube in front
-        would make it.
+    photo (m,): Photo of each.
+    row (m,): Row of the map.
+    side (m,): +1 for the tube's edge at the larger camera angle, -1 for the other: the nearer one.
+    points_m (m, 3): Where on the design surface [m].
+    sigma_x_m (m,): Standard deviation of the position across the trough [m].
+    contrast (m,): Step of the brightness towards larger x over that of the brighter side, so that exposure does not
+        matter.
+    unevenness (m,): Change of the brightness some pixels beside the edge over its step; 0 where a panel's edge or
+        the tube in front would make it.
     """
 
     photo: IntArray
@@ -93,16 +85,10 @@ class ReflectionEdges:
 class Expectation:
     """Where reflections are expected.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    absorber : AbsorberPath
-        The tube's axis, as well as it is known.
-    y_m : ndarray, shape (r,)
-        Equally spaced rows of the map [m].
-    slope_error_rad : float, optional
-        Largest slope error of the mirror that is searched for [rad].
+    collector: The design.
+    absorber: The tube's axis, as well as it is known.
+    y_m (r,): Equally spaced rows of the map [m].
+    slope_error_rad: Largest slope error of the mirror that is searched for [rad].
     """
 
     collector: Collector
@@ -115,14 +101,8 @@ class Expectation:
 class Shot:
     """A photo of which it is known from where it was taken.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    number : int
-        Its number.
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
+    image (height, width): The photo, grey [DN].
+    view: Its camera and ``cam_from_frame``.
     """
 
     image: AnyImage
@@ -136,38 +116,17 @@ class Shot:
 
 
 def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:
-    """Return the edges of many photos in one.
-
-    Parameters
-    ----------
-    parts : list of ReflectionEdges
-        At least one.
-
-    Returns
-    -------
-    ReflectionEdges
-        All of them, in order.
-    """
+    """Return the edges of many photos in one."""
     return ReflectionEdges(*(np.concatenate([getattr(one, name) for one in parts]) for name in parts[0].__slots__))
 
 
 def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[ReflectionEdges]:
     """Find the edges of the absorber's reflection in photos.
 
-    Parameters
-    ----------
-    shots : sequence of Shot
-        The photos.
-    expected : Expectation
-        Collector, absorber and rows.
+    expected: Collector, absorber and rows.
+    Returns: Of each photo the edges within the predicted window that neither a panel's edge nor the tube itself
+        spoils.
 
-    Returns
-    -------
-    list of ReflectionEdges
-        Of each photo the edges within the predicted window that neither a panel's edge nor the tube itself spoils.
-
-    Notes
-    -----
     Step by step for all photos: code that has just run is in the processor's caches, where it takes half the time.
     """
     looks = _looks(shots, expected)
@@ -180,17 +139,8 @@ def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[Refle
 def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
     """Return the brightness across edges of the reflection, from the darker to the brighter side.
 
-    Parameters
-    ----------
-    shot : Shot
-        The photo.
-    expected : Expectation
-        Collector, absorber and rows.
-
-    Returns
-    -------
-    ndarray, shape (n, 13)
-        Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
+    expected: Collector, absorber and rows.
+    Returns (n, 13): Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
     """
     [look] = _looks([shot], expected)
     place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
@@ -249,21 +199,10 @@ def design_misfit(
 ) -> Misfit:
     """Evaluate lines of sight with the design's slopes.
 
-    Parameters
-    ----------
-    points_m, eyes_m : ndarray, shape (m, 3)
-        Mirror points and cameras [m].
-    side : ndarray, shape (m,)
-        Sides of the tube.
-    collector : Collector
-        The design.
-    absorber : AbsorberPath
-        The tube's axis.
-
-    Returns
-    -------
-    Misfit
-        As from `observer.slopes.observation_equation.misfit`.
+    points_m, eyes_m (m, 3): Mirror points and cameras [m].
+    side (m,): Sides of the tube.
+    absorber: The tube's axis.
+    Returns: As from `observer.slopes.observation_equation.misfit`.
     """
     slope = points_m[:, 0] / (2 * collector.focal_length_m)
     sights = Sights(points_m, eyes_m, side)
@@ -328,26 +267,16 @@ def sides_of_tube(
 ) -> FloatArray:
     """Tell which of the tube's edges each edge of its reflection is.
 
-    Parameters
-    ----------
-    contrast : ndarray, shape (m,)
-        Step of the brightness towards larger x.
-    middle_rad, half_rad : ndarray, shape (m,)
-        By what angle the lines of sight pass beside the tube's axis with the design's slopes, and half its width [rad].
-    slope_error_rad : float
-        Largest slope error of the mirror [rad].
-    among : ndarray of bool, shape (m,)
-        Those that tell whether the tube is darker or brighter than what is around it.
+    contrast (m,): Step of the brightness towards larger x.
+    middle_rad, half_rad (m,): By what angle the lines of sight pass beside the tube's axis with the design's
+        slopes, and half its width [rad].
+    slope_error_rad: Largest slope error of the mirror [rad].
+    among (m,): Those that tell whether the tube is darker or brighter than what is around it.
+    Returns (m,): +1 for the edge at the larger camera angle, -1 for the other.
 
-    Returns
-    -------
-    ndarray, shape (m,)
-        +1 for the edge at the larger camera angle, -1 for the other.
-
-    Notes
-    -----
-    It is the nearer one. Where the mirror's normal is turned by more than a quarter of the tube's width, 7 mrad at the
-    rim of an LS-2, that is the wrong one: the brightness steps the other way there, and the edge is far from both.
+    It is the nearer one. Where the mirror's normal is turned by more than a quarter of the tube's width, 7 mrad at
+    the rim of an LS-2, that is the wrong one: the brightness steps the other way there, and the edge is far from
+    both.
     """
     side = np.where(middle_rad < 0, 1.0, -1.0)
     steps = contrast * side
@@ -418,19 +347,8 @@ def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray
 def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_m: float) -> BoolArray:
     """Return which points lie on a panel, further than a margin from its edges.
 
-    Parameters
-    ----------
-    collector : Collector
-        The panels.
-    x_m, y_m : ndarray, shape (m,)
-        Points of the aperture [m].
-    margin_m : float
-        Margin [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Whether an edge there can be trusted.
+    Shapes: x_m, y_m (m,).
+    Returns (m,): Whether an edge there can be trusted.
     """
     return np.asarray(_inside_panels_m(collector, x_m, y_m) > margin_m)
 
@@ -447,19 +365,7 @@ def _inside_panels_m(collector: Collector, x_m: FloatArray, y_m: FloatArray) -> 
 def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: FloatArray | float) -> BoolArray:
     """Return which reflected lines pass the tube itself, neither beyond its ends nor at a support.
 
-    Parameters
-    ----------
-    passing_y_m : ndarray, shape (m,)
-        Where the lines pass the tube [m].
-    collector : Collector
-        Its length and supports.
-    margin_m : float or ndarray, shape (m,)
-        Margin [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Whether there is tube.
+    Shapes: passing_y_m (m,), margin_m (m,), result (m,).
     """
     seen = np.abs(passing_y_m) < collector.length_m / 2 - margin_m
     for support in collector.support_y_m:

@@ -20,19 +20,10 @@ def carried_edges(
 ) -> ReflectionEdges:
     """Move edges on the mirror to where their pixels' lines of sight meet it with other poses.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        As found.
-    before, after : sequence of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each photo: those that they were found with, and the adjusted ones.
-    expected : Expectation
-        Collector and rows.
-
-    Returns
-    -------
-    ReflectionEdges
-        The same edges in the rows that they come to lie in; those that leave the mirror are left out.
+    before, after: Camera and ``cam_from_frame`` of each photo: those that they were found with, and the adjusted
+        ones.
+    expected: Collector and rows.
+    Returns: The same edges in the rows that they come to lie in; those that leave the mirror are left out.
     """
     focal = expected.collector.focal_length_m
     origins, directions = _lines(edges.points_m, edges.photo, before, after)
@@ -54,19 +45,10 @@ def carried_bearings(
 ) -> Bearings:
     """Turn directions of the tube into those that the same pixels have with other poses.
 
-    Parameters
-    ----------
-    bearings : Bearings
-        As found.
-    before, after : sequence of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each photo: those that they were found with, and the adjusted ones.
-    expected : Expectation
-        The absorber as it was expected.
-
-    Returns
-    -------
-    Bearings
-        The same directions, seen from the adjusted places.
+    before, after: Camera and ``cam_from_frame`` of each photo: those that they were found with, and the adjusted
+        ones.
+    expected: The absorber as it was expected.
+    Returns: The same directions, seen from the adjusted places.
     """
     level = float(np.mean(expected.absorber.z_m))
     eyes = _eyes(before)[bearings.photo]

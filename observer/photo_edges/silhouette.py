@@ -49,25 +49,12 @@ def level_edges(
 ) -> tuple[FloatArray, FloatArray]:
     """Find both edges of the tube by the level half-way between its brightness and what is seen beyond the glass.
 
-    Parameters
-    ----------
-    strip : Strip
-        Rectified brightness.
-    row : ndarray of int, shape (m,)
-        Rows in which the tube was found.
-    middle_m : ndarray, shape (m,)
-        About the middle of the tube in each [m].
-    half_width_m : ndarray, shape (m,)
-        About half its width in each [m].
-    glass_ratio : float
-        Outer radius of the glass over that of the tube; 1 without glass.
-    oversampling : int, optional
-        Samples of the strip for each pixel of the photo.
-
-    Returns
-    -------
-    left_m, right_m : ndarray, shape (m,)
-        Edges at the smaller and at the larger x; NaN where the brightness does not cross the level near the edge [m].
+    Shapes: middle_m (m,), half_width_m (m,).
+    row (m,): Rows in which the tube was found.
+    glass_ratio: Outer radius of the glass over that of the tube; 1 without glass.
+    oversampling: Samples of the strip for each pixel of the photo.
+    left_m, right_m (m,): Edges at the smaller and at the larger x; NaN where the brightness does not cross the
+        level near the edge [m].
     """
     if row.size == 0:
         return np.zeros(0), np.zeros(0)

@@ -27,19 +27,8 @@ _AXES = ("x", "y", "z")
 def refuse_strange_targets(listed: Sequence[str], seen: Sequence[str], file: str) -> None:
     """Refuse a list of which the photos show hardly any target: names or dictionary are wrong.
 
-    Parameters
-    ----------
-    listed : sequence of str
-        Targets with listed coordinates.
-    seen : sequence of str
-        Targets that the photos show.
-    file : str
-        Name of the list, for the message.
-
-    Raises
-    ------
-    InputError
-        Fewer than three listed targets are seen.
+    file: Name of the list, for the message.
+    InputError: Fewer than three listed targets are seen.
     """
     shown = sorted(set(seen), key=_by_number)
     both = set(listed) & set(shown)
@@ -54,17 +43,9 @@ def refuse_strange_targets(listed: Sequence[str], seen: Sequence[str], file: str
 def refuse_loose_frame(points_m: FloatArray, sigma_m: FloatArray) -> None:
     """Refuse coordinates that leave the trough's frame free to turn, as those of targets along one line.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Targets with listed coordinates, as adjusted [m].
-    sigma_m : ndarray, shape (n, 3)
-        Standard deviations of their listed coordinates; NaN where a coordinate is not known [m].
-
-    Raises
-    ------
-    EstimationError
-        The frame may be turned by more than 5 mrad.
+    points_m (n, 3): Targets with listed coordinates, as adjusted [m].
+    sigma_m (n, 3): Standard deviations of their listed coordinates; NaN where a coordinate is not known [m].
+    EstimationError: The frame may be turned by more than 5 mrad.
     """
     weights = np.nan_to_num(1 / sigma_m**2)
     total = weights.sum(axis=0)
@@ -88,17 +69,11 @@ def refuse_loose_frame(points_m: FloatArray, sigma_m: FloatArray) -> None:
 def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
     """Return which listed targets are not where the list has them, as most of the others are.
 
-    Parameters
-    ----------
-    residual_px : ndarray, shape (n,)
-        How far each is, in a usual photo, from where the pose that most targets agree with shows it [px].
-    sigma_px : ndarray, shape (n,)
-        How far it may be, as a standard deviation [px].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        Targets with a wrong entry; none where so many contradict each other that any may be right, or the camera wrong.
+    residual_px (n,): How far each is, in a usual photo, from where the pose that most targets agree with shows it
+        [px].
+    sigma_px (n,): How far it may be, as a standard deviation [px].
+    Returns (n,): Targets with a wrong entry; none where so many contradict each other that any may be right, or the
+        camera wrong.
     """
     far = residual_px > _STRAY_TIMES * np.maximum(sigma_px, float(np.median(residual_px)) if residual_px.size else 0.0)
     left = far.size - int(np.count_nonzero(far))
@@ -109,17 +84,8 @@ def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
 def refuse_upside_down(points_m: FloatArray, collector: Collector) -> None:
     """Refuse a list of targets beside the mirror whose z has the wrong sign.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Targets with listed coordinates [m].
-    collector : Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        Most targets would be beside the mirror if z were the opposite.
+    Shapes: points_m (n, 3).
+    InputError: Most targets would be beside the mirror if z were the opposite.
     """
     x, _, z = points_m.T
     height = x**2 / (4 * collector.focal_length_m)

@@ -42,16 +42,10 @@ class Tone(StrEnum):
 class ToneFound:
     """How photos are encoded, and how lopsided their edges are.
 
-    Parameters
-    ----------
-    tone : Tone
-        The encoding that leaves edges most even; the usual one where too few edges tell.
-    lopsided : float
-        What it leaves; 0 is even. NaN where too few edges tell.
-    as_stored : float
-        Lopsidedness of the numbers as they are.
-    by_targets : bool
-        Whether the size of the targets decided.
+    tone: The encoding that leaves edges most even; the usual one where too few edges tell.
+    lopsided: What it leaves; 0 is even. NaN where too few edges tell.
+    as_stored: Lopsidedness of the numbers as they are.
+    by_targets: Whether the size of the targets decided.
     """
 
     tone: Tone
@@ -63,15 +57,7 @@ class ToneFound:
 def full_scale(image: AnyImage) -> float:
     """Return the largest number that a photo of this depth can hold [DN].
 
-    Parameters
-    ----------
-    image : ndarray
-        A photo; luminance of colours (float32) has the depth that its values need.
-
-    Returns
-    -------
-    float
-        255 or 65535.
+    image: A photo; luminance of colours (float32) has the depth that its values need.
     """
     if image.dtype == np.uint8:
         return 255.0
@@ -83,17 +69,8 @@ def full_scale(image: AnyImage) -> float:
 def linear_light(image: AnyImage, tone: Tone) -> AnyImage:
     """Return a photo whose numbers are proportional to light.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo as stored [DN].
-    tone : Tone
-        How it is encoded.
-
-    Returns
-    -------
-    ndarray, shape (height, width)
-        The photo itself where it is linear, else as float32 of the same full scale.
+    Shapes: image (height, width).
+    Returns (height, width): The photo itself where it is linear, else as float32 of the same full scale.
     """
     if tone is Tone.LINEAR:
         return image
@@ -120,22 +97,13 @@ def find_tone(
 ) -> ToneFound:
     """Tell from targets, and from edges of the tube's reflection, how photos are encoded.
 
-    Parameters
-    ----------
-    as_stored : ndarray, shape (n, 2 k + 1)
-        Brightness across edges from dark to bright, one pixel apart, in photos as they are stored [DN].
-    decoded : ndarray, shape (m, 2 k + 1)
-        The same in the photos taken for sRGB.
-    sizes : (ndarray, ndarray), shapes (i,) and (j,), optional
-        Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
-    usual : Tone, optional
-        What such photos usually are, where neither targets nor edges tell.
-
-    Returns
-    -------
-    ToneFound
-        The encoding under which targets are as large as stated; where that does not tell, the one that leaves edges
-        most even.
+    as_stored (n, 2 k + 1): Brightness across edges from dark to bright, one pixel apart, in photos as they are
+        stored [DN].
+    decoded (m, 2 k + 1): The same in the photos taken for sRGB.
+    sizes: Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
+    usual: What such photos usually are, where neither targets nor edges tell.
+    Returns: The encoding under which targets are as large as stated; where that does not tell, the one that leaves
+        edges most even.
     """
     stored, as_srgb = (_lopsidedness(part) if len(part) >= _ENOUGH else float("nan") for part in (as_stored, decoded))
     if sizes is not None and min(part.size for part in sizes) >= _ENOUGH_TARGETS:

@@ -27,19 +27,7 @@ Numbers = dict[str, float | int | None]
 def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -> Numbers:
     """Return the numbers of the mirror.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    angles : AngleMaps
-        The same as angles.
-    visible : Visibility
-        Which nodes can show the tube.
-
-    Returns
-    -------
-    dict
-        Numbers with units in their names.
+    visible: Which nodes can show the tube.
     """
     across = _across_only(slope_map)
     whole = statistics(across)
@@ -88,22 +76,7 @@ def _across_only(slope_map: SlopeMap) -> SlopeMap:
 
 
 def absorber_numbers(absorber: AbsorberPath, collector: Collector, solution: AbsorberSolution | None) -> Numbers:
-    """Return the numbers of the absorber.
-
-    Parameters
-    ----------
-    absorber : AbsorberPath
-        Its axis.
-    collector : Collector
-        The design.
-    solution : AbsorberSolution or None
-        Its measurement.
-
-    Returns
-    -------
-    dict
-        Numbers with units in their names.
-    """
+    """Return the numbers of the absorber."""
     seen = np.ones(absorber.n, dtype=bool) if solution is None else solution.n_photos >= 2
     n = absorber.n
     mean_x, sigma_x = _mean(absorber.x_m, absorber.covariance_m2[:n, :n], seen)
@@ -124,18 +97,7 @@ def _mean(values: FloatArray, covariance: FloatArray, seen: np.ndarray) -> tuple
 
 
 def edge_numbers(reflector: Reflector) -> Numbers:
-    """Return how many edges were used.
-
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-
-    Returns
-    -------
-    dict
-        Counts.
-    """
+    """Return how many edges were used."""
     used = reflector.fate == EdgeFate.USED
     return {
         "edges_used_count": int(used.sum()),
@@ -148,16 +110,8 @@ def edge_numbers(reflector: Reflector) -> Numbers:
 def surface_numbers(reflector: Reflector) -> Numbers:
     """Return what the reflection says of the mirror's heights and of its slopes along the trough.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-
-    Returns
-    -------
-    dict
-        Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large slopes along
-        the trough were taken to be.
+    Returns: Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large
+        slopes along the trough were taken to be.
     """
     shape = reflector.shape
     known = np.isfinite(shape.sigma)
@@ -172,15 +126,7 @@ def surface_numbers(reflector: Reflector) -> Numbers:
 def surface_text(reflector: Reflector) -> str:
     """Say which surface the lines of sight met.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-
-    Returns
-    -------
-    str
-        A few words for summary.json.
+    Returns: A few words for summary.json.
     """
     return "heights from the slopes found" if reflector.height_m.any() else "the design's, with normals as found"
 
@@ -190,21 +136,8 @@ def panel_columns(
 ) -> dict[str, Any]:
     """Return what ``panels.csv`` holds.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    angles : AngleMaps
-        The same as angles.
-    collector : Collector
-        The panels.
-    reflector : Reflector, optional
-        The solution, of which the panels' heights are unknowns.
-
-    Returns
-    -------
-    dict
-        Columns: mean angles, focal length and, with the solution, height of each panel with their sigma.
+    reflector: The solution, of which the panels' heights are unknowns.
+    Returns: Columns: mean angles, focal length and, with the solution, height of each panel with their sigma.
     """
     tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
     to_tube = panel_tilts(angles.theta_ra_rad, angles.to_tube, collector)
@@ -234,18 +167,7 @@ def _height_columns(reflector: Reflector, n_panels: int) -> dict[str, Any]:
 
 
 def headline_text(summary: Summary) -> str:
-    """Say the most important numbers in a few lines for the terminal.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        Lines with values and what they refer to.
-    """
+    """Say the most important numbers in a few lines for the terminal."""
     numbers = summary.numbers
 
     def said(key: str) -> str:

@@ -33,20 +33,7 @@ AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
 def build_collector(section: TroughSection) -> Collector:
     """Return the collector that measurement.toml describes.
 
-    Parameters
-    ----------
-    section : TroughSection
-        Its ``[collector]``.
-
-    Returns
-    -------
-    Collector
-        The design.
-
-    Raises
-    ------
-    InputError
-        Dimensions that cannot be.
+    InputError: Dimensions that cannot be.
     """
     glass = None
     if section.glass_outer_diameter_mm is not None and section.glass_inner_diameter_mm is not None:
@@ -63,21 +50,10 @@ def build_collector(section: TroughSection) -> Collector:
 def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
     """Read the list of targets.
 
-    Parameters
-    ----------
-    path : Path
-        Table with the columns target, x_m, y_m, z_m and sigma_x_mm, sigma_y_mm, sigma_z_mm (or sigma_mm for all three);
-        an empty cell stands for a coordinate that is not known.
-
-    Returns
-    -------
-    tuple of CoordinateSection
-        One for each known coordinate.
-
-    Raises
-    ------
-    InputError
-        A missing column, a cell that is not a number, a target that is listed twice, or no known coordinate.
+    path: Table with the columns target, x_m, y_m, z_m and sigma_x_mm, sigma_y_mm, sigma_z_mm (or sigma_mm for all
+        three); an empty cell stands for a coordinate that is not known.
+    InputError: A missing column, a cell that is not a number, a target that is listed twice, or no known
+        coordinate.
     """
     table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
     one_for_all = "sigma_mm" in table
@@ -120,20 +96,8 @@ def _number(path: Path, line: int, name: str, cell: str) -> float | None:
 def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasurement:
     """Return the photo network that tells where the cameras stood in the trough's frame.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        The checked measurement.
-
-    Returns
-    -------
-    PhotogrammetryMeasurement
-        The same photos, with the listed coordinates as weighted observations.
-
-    Raises
-    ------
-    InputError
-        A list of targets that cannot be used, or several modules.
+    Returns: The same photos, with the listed coordinates as weighted observations.
+    InputError: A list of targets that cannot be used, or several modules.
     """
     model = measurement.model
     if model.module:
@@ -166,15 +130,7 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
 def known_targets(network: PhotogrammetryMeasurement) -> KnownTargets:
     """Collect the targets whose three coordinates are listed.
 
-    Parameters
-    ----------
-    network : PhotogrammetryMeasurement
-        The photo network.
-
-    Returns
-    -------
-    KnownTargets
-        Targets to start from; those known to worse than 0.1 m are not among them.
+    Returns: Targets to start from; those known to worse than 0.1 m are not among them.
     """
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for one in network.model.constraint:
@@ -188,15 +144,7 @@ def known_targets(network: PhotogrammetryMeasurement) -> KnownTargets:
 def absorber_start(collector: Collector) -> AbsorberPath:
     """Return the absorber where the design has it.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    AbsorberPath
-        In the focal line, as long as the collector.
+    Returns: In the focal line, as long as the collector.
     """
     return AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
 
@@ -204,20 +152,10 @@ def absorber_start(collector: Collector) -> AbsorberPath:
 def read_absorber(path: Path) -> AbsorberPath:
     """Read where the absorber is.
 
-    Parameters
-    ----------
-    path : Path
-        Table with the columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m, such as the ``absorber.csv`` of a result.
-
-    Returns
-    -------
-    AbsorberPath
-        The axis; its stations are taken as independent of each other.
-
-    Raises
-    ------
-    InputError
-        Missing columns or cells that are not numbers.
+    path: Table with the columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m, such as the ``absorber.csv`` of a
+        result.
+    Returns: The axis; its stations are taken as independent of each other.
+    InputError: Missing columns or cells that are not numbers.
     """
     names = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
     table = read_table_csv(path, names)
@@ -240,23 +178,9 @@ def photos_with_poses(
 ) -> tuple[PhotogrammetryMeasurement, FirstLook, str | None]:
     """Leave out photos whose targets are all on one line, as those of one rim: the camera may be anywhere around it.
 
-    Parameters
-    ----------
-    survey : PhotogrammetryMeasurement
-        The photo network.
-    first : FirstLook
-        What was found in the photos.
-    known : KnownTargets
-        Those whose coordinates are listed.
-
-    Returns
-    -------
-    survey : PhotogrammetryMeasurement
-        Without those photos. A photo with targets that are not listed is kept, since others may tell them.
-    first : FirstLook
-        What the others show.
-    doubt : str or None
-        Which were left out.
+    first: What was found in the photos.
+    known: Those whose coordinates are listed.
+    survey: Without those photos. A photo with targets that are not listed is kept, since others may tell them.
     """
     place = dict(zip(known.names, known.points_m, strict=True))
     on_line = set()

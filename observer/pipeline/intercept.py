@@ -47,36 +47,20 @@ Numbers = dict[str, float | int | None]
 class InterceptResult:
     """What the trough collects.
 
-    Parameters
-    ----------
-    cases : dict of Case to Intercept
-        Intercept factor with and without each contribution, the sun on the optical axis.
-    gains : dict of Case to (float, float)
-        What taking a contribution away gains, with its sigma.
-    curve : Intercept
-        As measured, at `OFFSETS_RAD`.
-    other_curves : dict of Case to ndarray
-        The same for the other cases, ratios only.
-    incidence : Intercept
-        As measured, at `INCIDENCES_RAD`.
-    offset : Best or None
-        The best tracking offset; None where there is none within the curve.
-    shift : Best or None
-        The best way of the absorber; None where it is longer than 50 mm.
-    short_form : float
-        Intercept factor of Gaussians with the same RMS.
-    spread : BeamSpread
-        Light about the direction to the absorber, pooled over the aperture.
-    traced : TracedIntercept
-        Intercept factor by counting rays.
-    measured_share : float
-        Share of the mirror that was measured.
-    measured_ratio : float
-        Intercept factor of that share alone.
-    light : str
-        Sun and scatter in words.
-    warnings : tuple of str
-        What makes it doubtful.
+    cases: Intercept factor with and without each contribution, the sun on the optical axis.
+    gains: What taking a contribution away gains, with its sigma.
+    curve: As measured, at `OFFSETS_RAD`.
+    other_curves: The same for the other cases, ratios only.
+    incidence: As measured, at `INCIDENCES_RAD`.
+    offset: The best tracking offset; None where there is none within the curve.
+    shift: The best way of the absorber; None where it is longer than 50 mm.
+    short_form: Intercept factor of Gaussians with the same RMS.
+    spread: Light about the direction to the absorber, pooled over the aperture.
+    traced: Intercept factor by counting rays.
+    measured_share: Share of the mirror that was measured.
+    measured_ratio: Intercept factor of that share alone.
+    light: Sun and scatter in words.
+    warnings: What makes it doubtful.
     """
 
     cases: dict[Case, Intercept]
@@ -107,22 +91,7 @@ class InterceptResult:
 def build_sun(section: SunSection, folder: Path) -> SunShape:
     """Return the sun shape that measurement.toml describes.
 
-    Parameters
-    ----------
-    section : SunSection
-        Its ``[sun]``.
-    folder : Path
-        Folder of the measurement.
-
-    Returns
-    -------
-    SunShape
-        The sun.
-
-    Raises
-    ------
-    InputError
-        A table that cannot be read as radiance over angle.
+    InputError: A table that cannot be read as radiance over angle.
     """
     if section.shape == "pillbox":
         return PillboxSun(1e-3 * section.half_angle_mrad)
@@ -152,30 +121,9 @@ def evaluate_intercept(
 ) -> InterceptResult:
     """Compute what the measured trough collects in the light that measurement.toml describes.
 
-    Parameters
-    ----------
-    sun_shape : SunShape
-        From `build_sun`.
-    section : OpticsSection
-        ``[optics]`` of measurement.toml.
-    slope_map : SlopeMap
-        The mirror.
-    absorber : AbsorberPath
-        The tube.
-    collector : Collector
-        The design.
-    slope_covariance : callable, optional
-        Covariance of weighted sums of slopes; by default what the map states.
-
-    Returns
-    -------
-    InterceptResult
-        Intercept factors by three ways, with contributions, curves and prescriptions.
-
-    Raises
-    ------
-    EstimationError
-        No node of the mirror was measured.
+    slope_covariance: Covariance of weighted sums of slopes; by default what the map states.
+    Returns: Intercept factors by three ways, with contributions, curves and prescriptions.
+    EstimationError: No node of the mirror was measured.
     """
     scatter = {
         "specularity_rad": 1e-3 * section.specularity_mrad,
@@ -259,17 +207,7 @@ def _short_form(
 def intercept_numbers(result: InterceptResult) -> tuple[Numbers, dict[str, str]]:
     """Return the numbers for summary.json.
 
-    Parameters
-    ----------
-    result : InterceptResult
-        What was computed.
-
-    Returns
-    -------
-    numbers : dict
-        Numbers with units in their names.
-    not_determined : dict of str to str
-        Why a number is missing.
+    result: What was computed.
     """
     numbers: Numbers = {}
 
@@ -317,17 +255,8 @@ def _put_best(numbers: Numbers, why: dict[str, str], best: Best | None, keys: tu
 def write_intercept(result: InterceptResult, folder: Path) -> None:
     """Write the curves.
 
-    Parameters
-    ----------
-    result : InterceptResult
-        What was computed.
-    folder : Path
-        An existing folder; gets ``intercept.csv``, ``intercept_incidence.csv`` and ``beam_spread.csv``.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    result: What was computed.
+    folder: An existing folder; gets ``intercept.csv``, ``intercept_incidence.csv`` and ``beam_spread.csv``.
     """
     write_table_csv(folder / "intercept.csv", {
         "tracking_offset_rad": OFFSETS_RAD,

@@ -86,10 +86,7 @@ NETWORK_FOLDER = "network"
 class Options:
     """Choices of the evaluation.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Photos that are measured side by side; None for all processors.
+    jobs: Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -99,46 +96,25 @@ class Options:
 class Result:
     """Everything a measurement gave, ready to be written.
 
-    Parameters
-    ----------
-    name : str
-        Name of what was measured.
-    collector : Collector
-        The design.
-    orientation_rad : float
-        Turn of the collector from zenith, by the right hand about +y [rad].
-    network : photogrammetry.pipeline.measure.Result
-        Cameras and targets.
-    seen : SeenInPhotos
-        Edges and bearings.
-    absorber : AbsorberPath
-        The tube's axis, adjusted together with the slopes.
-    absorber_solution : AbsorberSolution or None
-        Its measurement; None where it was given.
-    reflector : Reflector
-        The mirror's slope errors.
-    slope_map : SlopeMap
-        The same in the common form.
-    visible : Visibility
-        What the cameras can see of the tube by way of each node.
-    angles : AngleMaps
-        The same as angles, with the absorber's share.
-    intercept : InterceptResult
-        What mirror and absorber collect.
-    photos : Photos
-        Poses of the photos with their joint covariance, as the targets tell them.
-    poses : tuple of RigidTransform
-        The same as the reflection has refined them, ``cam_from_frame``.
-    pose_covariances : ndarray, shape (n, 6, 6)
-        Of the steps of each [rad, m].
-    overlay : Overlay
-        One photo with what design and result predict of the reflection.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of what was measured.
+    collector: The design.
+    orientation_rad: Turn of the collector from zenith, by the right hand about +y [rad].
+    network: Cameras and targets.
+    seen: Edges and bearings.
+    absorber: The tube's axis, adjusted together with the slopes.
+    absorber_solution: Its measurement; None where it was given.
+    reflector: The mirror's slope errors.
+    slope_map: The same in the common form.
+    visible: What the cameras can see of the tube by way of each node.
+    angles: The same as angles, with the absorber's share.
+    intercept: What mirror and absorber collect.
+    photos: Poses of the photos with their joint covariance, as the targets tell them.
+    poses: The same as the reflection has refined them, ``cam_from_frame``.
+    pose_covariances (n, 6, 6): Of the steps of each [rad, m].
+    overlay: One photo with what design and result predict of the reflection.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -166,16 +142,10 @@ class Result:
 class Prepared:
     """What is known before the photos are read.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    sun : SunShape
-        What shines.
-    survey : PhotogrammetryMeasurement
-        The photo network.
-    finder : Finder
-        What is looked for in each photo.
+    collector: The design.
+    sun: What shines.
+    survey: The photo network.
+    finder: What is looked for in each photo.
     """
 
     collector: Collector
@@ -187,26 +157,9 @@ class Prepared:
 def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Evaluate a measurement.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        From `heliogauge.measurement.load.load_observer`; of a single collector.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        Slope errors, absorber and cameras with their uncertainty, and what is doubtful.
-
-    Raises
-    ------
-    InputError
-        Photos, targets or camera that cannot be used, or several modules.
-    EstimationError
-        The photos do not hang together, or too little of the reflection is seen.
+    Returns: Slope errors, absorber and cameras with their uncertainty, and what is doubtful.
+    InputError: Photos, targets or camera that cannot be used, or several modules.
+    EstimationError: The photos do not hang together, or too little of the reflection is seen.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("hash inputs"):
@@ -220,20 +173,9 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
 def prepare(measurement: ObserverMeasurement) -> Prepared:
     """Check a measurement and say what is looked for in its photos.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        Of a single collector.
-
-    Returns
-    -------
-    Prepared
-        Collector, sun, photo network and what is looked for.
-
-    Raises
-    ------
-    InputError
-        Targets, camera or dimensions that cannot be used.
+    measurement: Of a single collector.
+    Returns: Collector, sun, photo network and what is looked for.
+    InputError: Targets, camera or dimensions that cannot be used.
     """
     model = measurement.model
     collector = build_collector(model.collector)
@@ -256,30 +198,10 @@ def evaluate(
 ) -> Result:
     """Solve for cameras, mirror and absorber from what was found in the photos.
 
-    Parameters
-    ----------
-    measurement : ObserverMeasurement
-        The measurement.
-    prepared : Prepared
-        From `prepare`.
-    first : FirstLook
-        What was found when the photos were read.
-    options : Options
-        Choices.
-    progress : Progress
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        Slope errors, absorber and cameras; without the hashes of the inputs.
-
-    Raises
-    ------
-    InputError
-        Photos that cannot be used.
-    EstimationError
-        The photos do not hang together, or too little of the reflection is seen.
+    first: What was found when the photos were read.
+    Returns: Slope errors, absorber and cameras; without the hashes of the inputs.
+    InputError: Photos that cannot be used.
+    EstimationError: The photos do not hang together, or too little of the reflection is seen.
     """
     model, collector, finder = measurement.model, prepared.collector, prepared.finder
     survey, first, left_out = photos_with_poses(prepared.survey, first, finder.known)
@@ -385,17 +307,7 @@ def _photos(
 def write(result: Result, folder: Path) -> None:
     """Write the files of a result into an existing folder.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     write_slope_map(folder / "slope_map.nc", {"": result.slope_map}, {"input_sha256": result.input_sha256})
     write_angles(folder / ANGLES, result.slope_map, result.angles)
@@ -425,15 +337,7 @@ def write(result: Result, folder: Path) -> None:
 def refined_poses(result: Result) -> dict[str, PhotoPose]:
     """Return the poses of all photos as targets and reflection together have them.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    dict of str to PhotoPose
-        By the photo's name; residuals are those of the targets.
+    Returns: By the photo's name; residuals are those of the targets.
     """
     before = photogrammetry_pipeline.photo_poses(result.network)
     both = zip(before.items(), result.poses, result.pose_covariances, strict=True)
@@ -457,18 +361,7 @@ def _edge_columns(result: Result) -> dict[str, Any]:
 
 
 def summarise(result: Result) -> Summary:
-    """Collect the headline numbers of a result with their sigmas, warnings and provenance.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
     bundle = result.network.solved.bundle
     collected, not_collected = intercept_numbers(result.intercept)
     numbers = {

@@ -34,22 +34,11 @@ _BESIDE_RIM_M = 0.1
 class PlannedNetwork:
     """Targets and photos of a plan, as they are without error.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    model : CameraModel
-        What of it is estimated, with priors.
-    poses : tuple of RigidTransform
-        ``cam_from_frame`` of each photo that sees enough targets.
-    names : tuple of str
-        Targets.
-    points_m : ndarray, shape (n, 3)
-        Their places [m].
-    constraints : tuple of Constraint
-        What is known of them.
-    sigma_px : float
-        Standard deviation of an image coordinate of a target [px].
+    model: What of it is estimated, with priors.
+    poses: ``cam_from_frame`` of each photo that sees enough targets.
+    points_m (n, 3): Their places [m].
+    constraints: What is known of them.
+    sigma_px: Standard deviation of an image coordinate of a target [px].
     """
 
     camera: Camera
@@ -71,26 +60,11 @@ def planned_network(
 ) -> tuple[PlannedNetwork, tuple[str, ...]]:
     """Build the photo network of a plan.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What measurement.toml says.
-    folder : Path
-        Where its files are.
-    poses : tuple of RigidTransform
-        ``cam_from_frame`` of each planned photo.
-
-    Returns
-    -------
-    PlannedNetwork, tuple of str
-        The network, and why photos were left out.
-
-    Raises
-    ------
-    InputError
-        A list of targets or a camera that cannot be used.
-    EstimationError
-        Fewer than two photos see four targets.
+    model: What measurement.toml says.
+    poses: ``cam_from_frame`` of each planned photo.
+    Returns: The network, and why photos were left out.
+    InputError: A list of targets or a camera that cannot be used.
+    EstimationError: Fewer than two photos see four targets.
     """
     coordinates, names, points = planned_targets(model, folder)
     photogrammetry = PhotogrammetryModel(
@@ -124,26 +98,9 @@ def planned_targets(
 ) -> tuple[tuple[CoordinateSection, ...], tuple[str, ...], FloatArray]:
     """Return the targets that are planned: as the list has them, or along the rims.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What measurement.toml says.
-    folder : Path
-        Where its files are.
-
-    Returns
-    -------
-    coordinates : tuple of CoordinateSection
-        What will be known of them.
-    names : tuple of str
-        The targets.
-    points_m : ndarray, shape (n, 3)
-        Their places [m].
-
-    Raises
-    ------
-    InputError
-        A list that cannot be used.
+    Shapes: points_m (n, 3).
+    model: What measurement.toml says.
+    InputError: A list that cannot be used.
     """
     section, design = model.targets, model.collector
     if section.list_file is not None:
@@ -180,22 +137,8 @@ def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:
 def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> BundleResult:
     """Adjust the photo network, with everything that is known disturbed by its sigma.
 
-    Parameters
-    ----------
-    network : PlannedNetwork
-        The truth.
-    rng : numpy.random.Generator or None
-        Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
-
-    Returns
-    -------
-    BundleResult
-        The adjustment.
-
-    Raises
-    ------
-    EstimationError
-        The network is not determined.
+    rng: Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
+    EstimationError: The network is not determined.
     """
     points = _image_points(network, rng)
     present = {points.targets[i] for i in np.unique(points.target_index)}
@@ -252,15 +195,7 @@ def _drawn_camera(network: PlannedNetwork, rng: np.random.Generator | None) -> t
 def believed_after(bundle: BundleResult) -> Believed:
     """Return cameras and poses as an adjustment found them, with the joint covariance of the poses.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The adjustment.
-
-    Returns
-    -------
-    Believed
-        What the evaluation of the reflection starts from.
+    Returns: What the evaluation of the reflection starts from.
     """
     poses = bundle.cam_from_world
     views = tuple((bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True))

@@ -1,7 +1,8 @@
 """All photos of a measurement to targets, edges of the reflection and bearings of the tube, each photo read once.
 
 What a photo shows of the tube is looked for as soon as its targets give it a provisional pose, from the coordinates
-listed; the adjustment of all photos comes later, and what was found is carried to its poses (`observer.photo_edges.reprojection`).
+listed; the adjustment of all photos comes later, and what was found is carried to its poses
+(`observer.photo_edges.reprojection`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,16 +61,10 @@ _FAR_M = 0.25
 class SeenInPhotos:
     """What the photos show of the absorber.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Edges that may be those of its reflection.
-    bearings : Bearings
-        Directions of the tube itself.
-    slices : Slices
-        A few rows of the mirror in all photos, to look at.
-    tone : Tone
-        How the photos are encoded.
+    edges: Edges that may be those of its reflection.
+    bearings: Directions of the tube itself.
+    slices: A few rows of the mirror in all photos, to look at.
+    tone: How the photos are encoded.
     """
 
     edges: ReflectionEdges
@@ -82,20 +77,12 @@ class SeenInPhotos:
 class Finder:
     """What is looked for in each photo, and with what.
 
-    Parameters
-    ----------
-    section : TargetsSection
-        What targets there are.
-    search : TargetSearch
-        How circular ones are searched for.
-    known : KnownTargets
-        Those with listed coordinates.
-    camera_of : mapping of str to Camera
-        Camera of each photo to start with; empty where none is known.
-    expected : Expectation
-        Collector, absorber and rows.
-    tone : Tone or None, optional
-        How the photos are encoded; None: as their own edges tell.
+    section: What targets there are.
+    search: How circular ones are searched for.
+    known: Those with listed coordinates.
+    camera_of: Camera of each photo to start with; empty where none is known.
+    expected: Collector, absorber and rows.
+    tone: How the photos are encoded; None: as their own edges tell.
     """
 
     section: TargetsSection
@@ -124,20 +111,12 @@ class Finder:
 class FirstLook:
     """What was found while the photos were read.
 
-    Parameters
-    ----------
-    photos : tuple of str
-        Names of all photos.
-    targets : tuple of OnePhoto
-        Targets of each photo; empty where they are not measured one by one.
-    poses : dict of str to RigidTransform
-        Provisional ``cam_from_frame`` of the photos whose listed targets tell it.
-    edges, bearings : dict of str to ReflectionEdges, dict of str to Bearings
-        What those photos show of the tube.
-    slices : Slices
-        A few rows of the mirror in all photos.
-    tone : Tone or None, optional
-        How the photos are encoded; None where that is not known yet.
+    photos: Names of all photos.
+    targets: Targets of each photo; empty where they are not measured one by one.
+    poses: Provisional ``cam_from_frame`` of the photos whose listed targets tell it.
+    edges, bearings: What those photos show of the tube.
+    slices: A few rows of the mirror in all photos.
+    tone: How the photos are encoded; None where that is not known yet.
     """
 
     photos: tuple[str, ...]
@@ -244,24 +223,10 @@ class _Run:
 def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation) -> Finder:
     """Say what is looked for in each photo.
 
-    Parameters
-    ----------
-    network : PhotogrammetryMeasurement
-        The photo network.
-    known : KnownTargets
-        Those with listed coordinates.
-    expected : Expectation
-        Collector, absorber and rows.
-
-    Returns
-    -------
-    Finder
-        With the cameras, where measurement.toml or their files tell them.
-
-    Raises
-    ------
-    InputError
-        Cameras or dictionary that cannot be used, or no targets.
+    known: Those with listed coordinates.
+    expected: Collector, absorber and rows.
+    Returns: With the cameras, where measurement.toml or their files tell them.
+    InputError: Cameras or dictionary that cannot be used, or no targets.
     """
     section = network.model.targets
     if section is None:
@@ -282,26 +247,10 @@ def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expect
 def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
     """Read all photos once: measure their targets, find the absorber and its reflection.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos, in the order in which they were taken.
-    finder : Finder
-        What is looked for.
-    jobs : int or None
-        Photos side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    FirstLook
-        What was found, photos by their numbers among the files.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read.
+    files: The photos, in the order in which they were taken.
+    jobs: Photos side by side.
+    Returns: What was found, photos by their numbers among the files.
+    InputError: A photo cannot be read.
     """
     return look_first_at_each(files, [finder], jobs=jobs, progress=progress)[0]
 
@@ -311,26 +260,11 @@ def look_first_at_each(
 ) -> list[FirstLook]:
     """Look for several troughs in the same photos, each of which is read, and searched as a whole, once.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos, in the order in which they were taken.
-    finders : sequence of Finder
-        What is looked for, for each trough; they differ in known targets and expectation only.
-    jobs : int or None
-        Photos side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    list of FirstLook
-        What was found for each trough, photos by their numbers among the files.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read, or its codes are mirrored.
+    files: The photos, in the order in which they were taken.
+    finders: What is looked for, for each trough; they differ in known targets and expectation only.
+    jobs: Photos side by side.
+    Returns: What was found for each trough, photos by their numbers among the files.
+    InputError: A photo cannot be read, or its codes are mirrored.
     """
     slices = [empty_slices(one.expected.collector, one.expected.y_m, len(files)) for one in finders]
     names = tuple(file.name for file in files)
@@ -422,30 +356,10 @@ def look_again(
 ) -> SeenInPhotos:
     """Carry what was found to the adjusted poses; read again only photos that had no pose yet, or a wrong one.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos of the network.
-    views : sequence of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each, adjusted.
-    finder : Finder
-        What is looked for.
-    first : FirstLook
-        What was found when the photos were read.
-    jobs : int or None
-        Photos side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    SeenInPhotos
-        Edges and bearings of all photos.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read, or all cameras stand behind the mirror.
+    views: Camera and ``cam_from_frame`` of each, adjusted.
+    first: What was found when the photos were read.
+    jobs: Photos side by side.
+    InputError: A photo cannot be read, or all cameras stand behind the mirror.
     """
     expected = finder.expected
     tone = first.tone

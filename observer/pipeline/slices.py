@@ -41,14 +41,10 @@ _MARGIN_SHARE = 0.04
 class Slices:
     """Brightness of a few rows of the mirror in all photos (Owkes 2012, 6.3.2).
 
-    Parameters
-    ----------
-    y_m : ndarray, shape (s,)
-        Rows [m].
-    x_m : ndarray, shape (n,)
-        Columns [m].
-    brightness_dn : ndarray of float32, shape (s, k, n)
-        Brightness by slice, photo and column, NaN where the photo does not show the point; filled by `take` [DN].
+    y_m (s,): Rows [m].
+    x_m (n,): Columns [m].
+    brightness_dn (s, k, n): Brightness by slice, photo and column, NaN where the photo does not show the point;
+        filled by `take` [DN].
     """
 
     y_m: FloatArray
@@ -56,15 +52,7 @@ class Slices:
     brightness_dn: Float32Array
 
     def take(self, shots: Sequence[Shot], collector: Collector) -> None:
-        """Fill in what some photos show; photos may be taken side by side.
-
-        Parameters
-        ----------
-        shots : sequence of Shot
-            The photos.
-        collector : Collector
-            The design.
-        """
+        """Fill in what some photos show; photos may be taken side by side."""
         x = np.linspace(self.x_m[0], self.x_m[-1], _PROJECTED)
         points = np.empty((self.y_m.size, x.size, 3))
         points[..., 0], points[..., 1] = x, self.y_m[:, None]
@@ -84,19 +72,7 @@ class Slices:
 def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Slices:
     """Choose slices that are well apart, on panels and away from supports.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    rows_m : ndarray, shape (r,)
-        Rows of the map, of which some are chosen [m].
-    n_photos : int
-        Number of photos.
-
-    Returns
-    -------
-    Slices
-        Without brightness.
+    rows_m (r,): Rows of the map, of which some are chosen [m].
     """
     away = np.abs(rows_m[:, None] - collector.panel_edges_y_m).min(axis=1) - collector.panel_gap_m / 2
     clear = away > _CLEAR_M
@@ -115,17 +91,11 @@ def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Sli
 class Overlay:
     """One photo of the mirror, and by what angle each point's reflected line of sight passes beside the tube.
 
-    Parameters
-    ----------
-    photo : int
-        Its number.
-    image_dn : ndarray of float32, shape (height, width)
-        The part of the photo that shows the mirror, reduced in size [DN].
-    pixels : ndarray, shape (ny, nx, 2)
-        Where the nodes are in this image [px].
-    beside_design_rad, beside_measured_rad : ndarray, shape (ny, nx)
-        Angle by which the line passes beside the tube's surface, negative where it meets the tube: with the design's
-        mirror and absorber, and with the measured ones; NaN where that was not measured [rad].
+    image_dn (height, width): The part of the photo that shows the mirror, reduced in size [DN].
+    pixels (ny, nx, 2): Where the nodes are in this image [px].
+    beside_design_rad, beside_measured_rad (ny, nx): Angle by which the line passes beside the tube's surface,
+        negative where it meets the tube: with the design's mirror and absorber, and with the measured ones; NaN
+        where that was not measured [rad].
     """
 
     photo: int
@@ -145,30 +115,11 @@ def overlay(
 ) -> Overlay:
     """Predict the absorber's reflection in one photo.
 
-    Parameters
-    ----------
-    photo : int
-        Its number.
-    file : Path
-        The photo.
-    view : (Camera, RigidTransform)
-        Its camera and ``cam_from_frame``.
-    slope_map : SlopeMap
-        The measured mirror.
-    tubes : (AbsorberPath, AbsorberPath)
-        The absorber by design and as measured.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    Overlay
-        The photo, nodes of the mirror in it and the predictions.
-
-    Raises
-    ------
-    InputError
-        The photo cannot be read.
+    view: Its camera and ``cam_from_frame``.
+    slope_map: The measured mirror.
+    tubes: The absorber by design and as measured.
+    Returns: The photo, nodes of the mirror in it and the predictions.
+    InputError: The photo cannot be read.
     """
     camera, pose = view
     eye = pose.inverse().translation_m

@@ -23,18 +23,7 @@ _INNER = (0.2, 0.8)
 
 
 def some_of(count: int) -> list[int]:
-    """Return numbers of the photos that tell.
-
-    Parameters
-    ----------
-    count : int
-        Number of photos.
-
-    Returns
-    -------
-    list of int
-        Ascending.
-    """
+    """Return numbers of the photos that tell."""
     return sorted({round(share * (count - 1)) for share in np.linspace(*_INNER, _PHOTOS)})
 
 
@@ -42,17 +31,9 @@ def some_of(count: int) -> list[int]:
 class Sample:
     """A photo that tells.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo as stored [DN].
-    view : (Camera, RigidTransform)
-        Its camera and pose.
-
-    Attributes
-    ----------
-    decoded : ndarray of float32, shape (height, width)
-        The photo taken for sRGB and turned into light [DN].
+    image (height, width): The photo as stored [DN].
+    view: Its camera and pose.
+    decoded (height, width): The photo taken for sRGB and turned into light [DN].
     """
 
     image: Image
@@ -68,23 +49,8 @@ def sizes_of(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how large targets look over what their stated diameter lets expect, as stored and taken for sRGB.
 
-    Parameters
-    ----------
-    sample : Sample
-        The photo.
-    found : OnePhoto
-        Its targets.
-    known : KnownTargets
-        Listed coordinates.
-    search : TargetSearch
-        How targets are measured.
-    diameter_m : float or None
-        Their stated diameter [m].
-
-    Returns
-    -------
-    ndarray, ndarray
-        Ratios of listed targets; empty where no diameter is stated.
+    known: Listed coordinates.
+    Returns: Ratios of listed targets; empty where no diameter is stated.
     """
     camera, pose = sample.view
     place = dict(zip(known.names, known.points_m, strict=True))
@@ -110,18 +76,7 @@ def sizes_of(
 
 
 def usual_tone(files: Sequence[Path]) -> Tone:
-    """Return how photos are encoded where nothing in them tells: JPEG for the eye, as cameras write them.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos.
-
-    Returns
-    -------
-    Tone
-        Linear unless all of them are JPEG.
-    """
+    """Return how photos are encoded where nothing in them tells: JPEG for the eye, as cameras write them."""
     return Tone.SRGB if all(file.suffix.lower() in (".jpg", ".jpeg") for file in files) else Tone.LINEAR
 
 
@@ -133,22 +88,9 @@ def tone_of(
 ) -> Tone:
     """Return how photos are encoded.
 
-    Parameters
-    ----------
-    samples : sequence of Sample
-        Some of them.
-    expected : Expectation
-        Collector, absorber and rows.
-    sizes : sequence of (ndarray, ndarray), optional
-        Of their targets, from `sizes_of`.
-    usual : Tone, optional
-        From `usual_tone`.
-
-    Returns
-    -------
-    Tone
-        The encoding under which targets are as large as stated and edges of the reflection are even; the usual one
-        where too few are seen.
+    expected: Collector, absorber and rows.
+    Returns: The encoding under which targets are as large as stated and edges of the reflection are even; the usual
+        one where too few are seen.
     """
     profiles: list[list[FloatArray]] = [[], []]
     for one in samples:

@@ -111,12 +111,8 @@ class ObserverPlanModel(Section):
 class ObserverPlanMeasurement:
     """A checked plan of a pass over a trough: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The plan's folder.
-    model : ObserverPlanModel
-        What measurement.toml says.
+    folder: The plan's folder.
+    model: What measurement.toml says.
     """
 
     folder: Path

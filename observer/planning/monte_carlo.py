@@ -26,22 +26,14 @@ _LEAST_SHARE = 0.5
 class MonteCarlo:
     """Scatter of simulated measurements.
 
-    Parameters
-    ----------
-    runs : int
-        Simulations that gave a result.
-    failed : tuple of str
-        Why others did not.
-    rms_slope_x : ndarray, shape (r, nx)
-        RMS of estimated less true dz/dx at each node; NaN where half of the runs measured nothing [rad].
-    stated_slope_x : ndarray, shape (r, nx)
-        RMS of the standard deviations that the evaluation states there [rad].
-    rms_absorber_m, stated_absorber_m : ndarray, shape (n, 2)
-        The same of the absorber's x and z at its stations [m].
-    percentile_95_rad : float
-        95 % of all nodes of all runs lie within this error of dz/dx [rad].
-    settling : tuple of (int, float)
-        Number of runs, and the RMS over the map after that many [rad].
+    runs: Simulations that gave a result.
+    failed: Why others did not.
+    rms_slope_x (r, nx): RMS of estimated less true dz/dx at each node; NaN where half of the runs measured nothing
+        [rad].
+    stated_slope_x (r, nx): RMS of the standard deviations that the evaluation states there [rad].
+    rms_absorber_m, stated_absorber_m (n, 2): The same of the absorber's x and z at its stations [m].
+    percentile_95_rad: 95 % of all nodes of all runs lie within this error of dz/dx [rad].
+    settling: Number of runs, and the RMS over the map after that many [rad].
     """
 
     runs: int
@@ -109,26 +101,11 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Repeat a simulated measurement.
 
-    Parameters
-    ----------
-    simulate : callable
-        Draws everything that is uncertain, and evaluates.
-    runs : int
-        How often.
-    seed : int, optional
-        Seed of the first run; each run has a generator of its own.
-    advance : callable, optional
-        Called after each run.
-
-    Returns
-    -------
-    MonteCarlo
-        The scatter about the truth.
-
-    Raises
-    ------
-    EstimationError
-        No run gave a result.
+    simulate: Draws everything that is uncertain, and evaluates.
+    seed: Seed of the first run; each run has a generator of its own.
+    advance: Called after each run.
+    Returns: The scatter about the truth.
+    EstimationError: No run gave a result.
     """
     slopes, absorber = _Sums(), _Sums()
     failed: list[str] = []

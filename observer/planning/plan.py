@@ -36,30 +36,17 @@ _LARGEST_INCIDENCE_RAD = np.radians(15.0)
 class PlanResult:
     """What a plan promises, ready to be written.
 
-    Parameters
-    ----------
-    name : str
-        Name of what is planned.
-    collector : Collector
-        The design.
-    network : PlannedNetwork
-        Photos and targets.
-    bundle : BundleResult
-        What the photo network will know.
-    simulated : Simulated
-        One measurement as the plan would give it.
-    missing : dict of SampleFlag to float
-        Share of the mirror that will not be measured, by reason.
-    figures : FlightFigures
-        Figures of merit of the first pass.
-    spread : MonteCarlo or None
-        Scatter of many simulated measurements; None where not asked.
-    warnings : tuple of str
-        What is amiss, and where to fly.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of what is planned.
+    collector: The design.
+    network: Photos and targets.
+    bundle: What the photo network will know.
+    simulated: One measurement as the plan would give it.
+    missing: Share of the mirror that will not be measured, by reason.
+    figures: Figures of merit of the first pass.
+    spread: Scatter of many simulated measurements; None where not asked.
+    warnings: What is amiss, and where to fly.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -78,24 +65,9 @@ class PlanResult:
 def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) -> PlanResult:
     """Simulate what is planned.
 
-    Parameters
-    ----------
-    measurement : ObserverPlanMeasurement
-        From `heliogauge.measurement.load.load_observer_plan`.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    PlanResult
-        Sigmas at every point, what is missing, advice.
-
-    Raises
-    ------
-    InputError
-        Targets, camera, passes or an earlier result that cannot be used.
-    EstimationError
-        The photos show too few targets, or too little of the reflection.
+    Returns: Sigmas at every point, what is missing, advice.
+    InputError: Targets, camera, passes or an earlier result that cannot be used.
+    EstimationError: The photos show too few targets, or too little of the reflection.
     """
     progress = progress or SilentProgress()
     model = measurement.model
@@ -128,20 +100,7 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
 def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
     """Return the passes that measurement.toml plans.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What it says.
-
-    Returns
-    -------
-    tuple of Pass
-        The passes.
-
-    Raises
-    ------
-    InputError
-        A pass that cannot be flown.
+    InputError: A pass that cannot be flown.
     """
     return tuple(Pass(one.height_m, one.reach_m, one.photos, one.y_m, one.look_y_m) for one in model.flight)
 
@@ -149,15 +108,7 @@ def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
 def planned_evaluation(model: ObserverPlanModel) -> Evaluation:
     """Return how the planned measurement will be evaluated.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What measurement.toml says.
-
-    Returns
-    -------
-    Evaluation
-        Steps and priors.
+    model: What measurement.toml says.
     """
     return Evaluation(
         1e-3 * model.evaluation.column_step_mm, model.absorber.station_step_m,
@@ -174,28 +125,8 @@ def planned_scene(
 ) -> Scene:
     """Return what the planned photos look at.
 
-    Parameters
-    ----------
-    measurement : ObserverPlanMeasurement
-        The plan.
-    collector : Collector
-        The design.
-    network : PlannedNetwork
-        The photos.
-    row_step_m : float
-        Distance of the rows [m].
-    rng : numpy.random.Generator
-        Draws the mirror where no earlier result says it.
-
-    Returns
-    -------
-    Scene
-        The truth of a simulation.
-
-    Raises
-    ------
-    InputError
-        An earlier result that cannot be read.
+    rng: Draws the mirror where no earlier result says it.
+    InputError: An earlier result that cannot be read.
     """
     model = measurement.model
     rows = max(2, round(collector.length_m / row_step_m))
@@ -215,15 +146,7 @@ def planned_scene(
 def missing_shares(slope_map: SlopeMap) -> dict[SampleFlag, float]:
     """Return which share of a mirror is not measured for which reason.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map.
-
-    Returns
-    -------
-    dict of SampleFlag to float
-        Shares of the nodes on panels; reasons that do not occur are left out.
+    Returns: Shares of the nodes on panels; reasons that do not occur are left out.
     """
     lost = slope_map.aperture & ~slope_map.valid
     count = max(int(slope_map.aperture.sum()), 1)
@@ -278,20 +201,7 @@ def _of_spread(spread: MonteCarlo | None) -> tuple[str, ...]:
 
 
 def write(result: PlanResult, folder: Path) -> None:
-    """Write the files of a plan into an existing folder.
-
-    Parameters
-    ----------
-    result : PlanResult
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write the files of a plan into an existing folder."""
     write_table_csv(folder / "stations.csv", _station_columns(result))
     write_slope_map(folder / "slope_map.nc", {"": result.simulated.slope_map}, {"input_sha256": result.input_sha256})
     write_table_csv(folder / "missing.csv", _missing_columns(result))
@@ -363,18 +273,7 @@ def _spread_columns(result: PlanResult, spread: MonteCarlo) -> dict[str, Any]:
 
 
 def summarise(result: PlanResult) -> Summary:
-    """Collect the headline numbers of a plan.
-
-    Parameters
-    ----------
-    result : PlanResult
-        The plan.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers of a plan."""
     slope_map, path = result.simulated.slope_map, result.simulated.absorber
     valid = slope_map.valid
     sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
@@ -417,18 +316,7 @@ def summarise(result: PlanResult) -> Summary:
 
 
 def headline_text(summary: Summary) -> str:
-    """Say the plan in a few lines for the terminal.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        The lines.
-    """
+    """Say the plan in a few lines for the terminal."""
     numbers = summary.numbers
 
     def value(key: str, factor: float = 1e3) -> str:

@@ -25,23 +25,12 @@ _REACH_TIMES = 3.0
 class Pass:
     """Photos across the aperture.
 
-    Parameters
-    ----------
-    height_m : float
-        Height of the camera above the vertex [m].
-    reach_m : float
-        Photos from x = -reach to +reach [m].
-    photos : int
-        How many, evenly spaced.
-    y_m : float, optional
-        Where along the trough the camera is [m].
-    look_y_m : float, optional
-        Where along the trough it looks [m].
-
-    Raises
-    ------
-    InputError
-        Fewer than two photos, or a camera that is not above the collector.
+    height_m: Height of the camera above the vertex [m].
+    reach_m: Photos from x = -reach to +reach [m].
+    photos: How many, evenly spaced.
+    y_m: Where along the trough the camera is [m].
+    look_y_m: Where along the trough it looks [m].
+    InputError: Fewer than two photos, or a camera that is not above the collector.
     """
 
     height_m: float
@@ -79,21 +68,9 @@ def advice(
 ) -> tuple[str, ...]:
     """Say where to fly for what is missing.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    passes : tuple of Pass
-        As planned.
-    shares : dict of SampleFlag to float
-        Share of the mirror that is not measured, by reason.
-    slope_error_rad : float
-        RMS slope error of the mirror that is expected [rad].
-
-    Returns
-    -------
-    tuple of str
-        One sentence for each thing to do; empty where nothing is missing.
+    shares: Share of the mirror that is not measured, by reason.
+    slope_error_rad: RMS slope error of the mirror that is expected [rad].
+    Returns: One sentence for each thing to do; empty where nothing is missing.
     """
     found: list[str] = []
     for one in passes:
@@ -127,18 +104,7 @@ def _beside_supports_m(collector: Collector, passes: tuple[Pass, ...]) -> float:
 
 
 def steps_too_wide(passes: tuple[Pass, ...]) -> tuple[str, ...]:
-    """Warn of photos so far apart that a part of the mirror lies between their samples.
-
-    Parameters
-    ----------
-    passes : tuple of Pass
-        As planned.
-
-    Returns
-    -------
-    tuple of str
-        Warnings.
-    """
+    """Warn of photos so far apart that a part of the mirror lies between their samples."""
     found = []
     for one in passes:
         step = 2 * one.reach_m / (one.photos - 1)

@@ -16,21 +16,9 @@ _ROWS_ALIKE = 3
 def measured_bearings(scene: Scene, believed: tuple[View, ...], noise: EdgeNoise, rng: np.random.Generator) -> Bearings:
     """Return the directions of the tube itself as they are measured.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    believed : tuple of (Camera, RigidTransform)
-        Camera and pose of each photo as the evaluation has them.
-    noise : EdgeNoise
-        How well the tube's middle is found.
-    rng : numpy.random.Generator
-        Draws the noise.
-
-    Returns
-    -------
-    Bearings
-        One for each photo and row where the tube is in the image and no support hides it.
+    believed: Camera and pose of each photo as the evaluation has them.
+    noise: How well the tube's middle is found.
+    Returns: One for each photo and row where the tube is in the image and no support hides it.
     """
     truth = scene.truth
     y = truth.y_m[sees_tube(truth.y_m, truth.collector, END_MARGIN_M)]

@@ -1,7 +1,8 @@
 """What photos of a known mirror would show of the tube's reflection: edges as numbers, without any image.
 
-The edges lie where the touching lines of sight of `observer.slopes.observation_equation` do touch, on the true mirror from the true camera.
-What the evaluation makes of them, it makes with other poses and cameras: each point is seen again through those.
+The edges lie where the touching lines of sight of `observer.slopes.observation_equation` do touch, on the true mirror
+from the true camera. What the evaluation makes of them, it makes with other poses and cameras: each point is seen
+again through those.
 """
 
 from dataclasses import dataclass, replace
@@ -35,12 +36,8 @@ END_MARGIN_M = 0.04
 class EdgeNoise:
     """How well edges are found in photos.
 
-    Parameters
-    ----------
-    reflection_px : float, optional
-        Standard deviation of an edge of the reflection [px].
-    absorber_px : float, optional
-        Standard deviation of the tube's middle [px].
+    reflection_px: Standard deviation of an edge of the reflection [px].
+    absorber_px: Standard deviation of the tube's middle [px].
     """
 
     reflection_px: float = 0.05
@@ -51,14 +48,9 @@ class EdgeNoise:
 class Scene:
     """What is looked at, without error.
 
-    Parameters
-    ----------
-    truth : Expectation
-        Collector, true axis of the tube, rows of the map.
-    mirror : Mirror
-        True slope errors.
-    views : tuple of (Camera, RigidTransform)
-        True camera and ``cam_from_frame`` of each photo.
+    truth: Collector, true axis of the tube, rows of the map.
+    mirror: True slope errors.
+    views: True camera and ``cam_from_frame`` of each photo.
     """
 
     truth: Expectation
@@ -69,17 +61,7 @@ class Scene:
 def true_edges(scene: Scene, noise: EdgeNoise) -> ReflectionEdges:
     """Return the edges of the reflection that photos of a scene show.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    noise : EdgeNoise
-        Gives the standard deviations that are stated with the edges.
-
-    Returns
-    -------
-    ReflectionEdges
-        Exact places.
+    noise: Gives the standard deviations that are stated with the edges.
     """
     collector, y = scene.truth.collector, scene.truth.y_m
     half = collector.aperture_width_m / 2
@@ -191,17 +173,9 @@ def _behind_receiver(sights: Sights, truth: Expectation, margin_m: float) -> Boo
 def in_image(view: View, points_m: FloatArray) -> BoolArray:
     """Return which points a photo shows, shape (m,), whatever hides them.
 
-    Parameters
-    ----------
-    view : (Camera, RigidTransform)
-        Camera and ``cam_from_frame``.
-    points_m : ndarray, shape (m, 3)
-        Points [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Whether they lie within the image.
+    Shapes: points_m (m, 3).
+    view: Camera and ``cam_from_frame``.
+    Returns (m,): Whether they lie within the image.
     """
     camera, pose = view
     pixels = camera.project(pose.apply(points_m))
@@ -213,19 +187,10 @@ def in_image(view: View, points_m: FloatArray) -> BoolArray:
 def seen_again(true: View, believed: View, points_m: FloatArray, surface: Quadric) -> FloatArray:
     """Return where points that a true camera sees are taken to be by someone who believes in another one.
 
-    Parameters
-    ----------
-    true, believed : (Camera, RigidTransform)
-        Camera and ``cam_from_frame``.
-    points_m : ndarray, shape (m, 3)
-        Points [m].
-    surface : Quadric
-        On which surface they are thought to lie.
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-        Points on the surface; NaN where the line of sight misses it [m].
+    Shapes: points_m (m, 3).
+    true, believed: Camera and ``cam_from_frame``.
+    surface: On which surface they are thought to lie.
+    Returns (m, 3): Points on the surface; NaN where the line of sight misses it [m].
     """
     pixels = true[0].project(true[1].apply(points_m))
     frame_from_cam = believed[1].inverse()
@@ -240,21 +205,7 @@ def measured_edges(
 ) -> ReflectionEdges:
     """Return edges as they are measured: with noise, and placed on the mirror by the poses that are believed.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    edges : ReflectionEdges
-        From `true_edges`.
-    believed : tuple of (Camera, RigidTransform)
-        Camera and pose of each photo as the evaluation has them.
-    rng : numpy.random.Generator
-        Draws the noise.
-
-    Returns
-    -------
-    ReflectionEdges
-        What the evaluation starts from.
+    believed: Camera and pose of each photo as the evaluation has them.
     """
     surface = scene.truth.collector.surface
     points = np.array(edges.points_m)

@@ -22,12 +22,8 @@ from observer.trough.visibility import Visibility, visibility
 class Believed:
     """Cameras and poses as the photo network of one measurement finds them.
 
-    Parameters
-    ----------
-    views : tuple of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each photo.
-    covariance : ndarray, shape (6 n, 6 n)
-        Joint covariance of the poses' steps [rad, m].
+    views: Camera and ``cam_from_frame`` of each photo.
+    covariance (6 n, 6 n): Joint covariance of the poses' steps [rad, m].
     """
 
     views: tuple[View, ...]
@@ -44,16 +40,10 @@ class Believed:
 class Evaluation:
     """How a measurement is evaluated.
 
-    Parameters
-    ----------
-    column_step_m : float
-        Distance of the nodes across the trough [m].
-    station_step_m : float
-        Distance of the absorber's stations [m].
-    along_rad : float
-        Standard deviation of the slope along the trough, as prior [rad].
-    measures_absorber : bool
-        Whether the photos tell the absorber's place; it is known otherwise.
+    column_step_m: Distance of the nodes across the trough [m].
+    station_step_m: Distance of the absorber's stations [m].
+    along_rad: Standard deviation of the slope along the trough, as prior [rad].
+    measures_absorber: Whether the photos tell the absorber's place; it is known otherwise.
     """
 
     column_step_m: float = 0.02
@@ -66,22 +56,13 @@ class Evaluation:
 class Simulated:
     """What one simulated measurement gives, beside the truth.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Edges as measured.
-    reflector : Reflector
-        The evaluation's slope errors.
-    slope_map : SlopeMap
-        The same as the product of a measurement: what is too uncertain refused, what is not seen flagged.
-    visible : Visibility
-        What of the mirror the cameras can see.
-    absorber : AbsorberPath
-        The evaluation's absorber, with covariance.
-    true_error_x : ndarray, shape (r, nx)
-        True errors of dz/dx at the nodes [rad].
-    true_x_m, true_z_m : ndarray, shape (n,)
-        True axis of the tube at the absorber's stations [m].
+    edges: Edges as measured.
+    reflector: The evaluation's slope errors.
+    slope_map: The same as the product of a measurement: what is too uncertain refused, what is not seen flagged.
+    visible: What of the mirror the cameras can see.
+    absorber: The evaluation's absorber, with covariance.
+    true_error_x (r, nx): True errors of dz/dx at the nodes [rad].
+    true_x_m, true_z_m (n,): True axis of the tube at the absorber's stations [m].
     """
 
     edges: ReflectionEdges
@@ -107,19 +88,8 @@ class Simulated:
 def error_theta_ra(simulated: Simulated, focal_length_m: float, true_absorber: AbsorberPath) -> FloatArray:
     """Return estimated less true reflector-absorber angle at the nodes.
 
-    Parameters
-    ----------
-    simulated : Simulated
-        A simulated measurement.
-    focal_length_m : float
-        Focal length of the design [m].
-    true_absorber : AbsorberPath
-        The tube's true axis.
-
-    Returns
-    -------
-    ndarray, shape (r, nx)
-        Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
+    true_absorber: The tube's true axis.
+    Returns (r, nx): Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
     """
     x, y = np.meshgrid(simulated.slope_map.x_m, simulated.slope_map.y_m)
     z = x**2 / (4 * focal_length_m)
@@ -136,28 +106,9 @@ def simulate(
 ) -> Simulated:
     """Simulate one measurement and evaluate it by the instrument's own estimators.
 
-    Parameters
-    ----------
-    scene : Scene
-        The truth.
-    believed : Believed
-        Cameras and poses as the photo network finds them.
-    noise : EdgeNoise
-        How well edges are found.
-    evaluation : Evaluation
-        How the measurement is evaluated.
-    rng : numpy.random.Generator
-        Draws the noise of the edges.
-
-    Returns
-    -------
-    Simulated
-        Estimates and truth.
-
-    Raises
-    ------
-    EstimationError
-        The photos show too little of the reflection or of the absorber.
+    believed: Cameras and poses as the photo network finds them.
+    noise: How well edges are found.
+    EstimationError: The photos show too little of the reflection or of the absorber.
     """
     truth = scene.truth
     collector, y = truth.collector, truth.y_m

@@ -17,21 +17,11 @@ def common_share(
 ) -> tuple[CommonModes, FloatArray]:
     """Split the variance that cameras and absorber bring into smooth modes and a rest that counts as random.
 
-    Parameters
-    ----------
-    errors : SlopeErrors
-        The solution.
-    nodes_m : (ndarray, ndarray), shapes (nx,) and (r,)
-        Columns and rows [m].
-    to_tube : bool, optional
-        Whether the share of the slope against the tube as it is is wanted (`TubeShare`), where the solution has it.
-
-    Returns
-    -------
-    CommonModes
-        Modes of slope_x; slope_y has none.
-    ndarray, shape (r, nx)
-        Variance of slope_x that the modes leave [rad^2].
+    nodes_m: Columns and rows [m].
+    to_tube: Whether the share of the slope against the tube as it is is wanted (`TubeShare`), where the solution
+        has it.
+    Returns: Modes of slope_x; slope_y has none.
+    Returns (r, nx): Variance of slope_x that the modes leave [rad^2].
     """
     x, y = nodes_m
     center = np.array([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])])

@@ -12,18 +12,13 @@ from observer.trough.collector import Collector
 class FlightFigures:
     """Figures of a straight pass across the aperture.
 
-    Parameters
-    ----------
-    pixel_on_aperture_m : float
-        Size of a pixel at the collector, dx_ap (eq. 7.13 above the vertex) [m].
-    pixel_on_absorber_m : float
-        Size of a pixel at the absorber, dx_abs (eq. 7.12), mean over the photos [m].
-    camera_angle_step_rad : float
-        Mean change of the camera's angle across the trough between photos, dPhi_c (eq. 7.14) [rad].
-    camera_target_angle_rad : float
-        Angle between targets on both rims as the camera sees them, theta_ct (eq. 7.16) [rad].
-    longitudinal_incidence_rad : float
-        Largest angle along the trough between a line of sight to the rim's plane and the optical axis [rad].
+    pixel_on_aperture_m: Size of a pixel at the collector, dx_ap (eq. 7.13 above the vertex) [m].
+    pixel_on_absorber_m: Size of a pixel at the absorber, dx_abs (eq. 7.12), mean over the photos [m].
+    camera_angle_step_rad: Mean change of the camera's angle across the trough between photos, dPhi_c (eq. 7.14)
+        [rad].
+    camera_target_angle_rad: Angle between targets on both rims as the camera sees them, theta_ct (eq. 7.16) [rad].
+    longitudinal_incidence_rad: Largest angle along the trough between a line of sight to the rim's plane and the
+        optical axis [rad].
     """
 
     pixel_on_aperture_m: float
@@ -36,27 +31,10 @@ class FlightFigures:
 def flight_figures(collector: Collector, pixel_rad: float, eyes_m: FloatArray) -> FlightFigures:
     """Work out the figures of a pass.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    pixel_rad : float
-        Pitch of the pixels over the focal length [rad].
-    eyes_m : ndarray, shape (n, 3)
-        Where the camera is, photo by photo, at least two [m].
+    pixel_rad: Pitch of the pixels over the focal length [rad].
+    eyes_m (n, 3): Where the camera is, photo by photo, at least two [m].
+    InputError: Fewer than two cameras, or one that is not above the rim.
 
-    Returns
-    -------
-    FlightFigures
-        The figures.
-
-    Raises
-    ------
-    InputError
-        Fewer than two cameras, or one that is not above the rim.
-
-    Notes
-    -----
     Eq. 7.14 is the mean absolute difference of atan(X_c / Z_c) between neighbours across the trough.
     """
     positive("pixel_rad", pixel_rad, "radians")
@@ -81,22 +59,10 @@ def flight_figures(collector: Collector, pixel_rad: float, eyes_m: FloatArray) -
 def reach_needed_m(collector: Collector, height_m: float, slope_error_rad: float) -> float:
     """Return how far to either side of the middle a pass must go for the whole aperture to show both edges of the tube.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    height_m : float
-        Height of the camera above the vertex [m].
-    slope_error_rad : float
-        Largest slope error of the mirror (of the normal) [rad].
+    height_m: Height of the camera above the vertex [m].
+    slope_error_rad: Largest slope error of the mirror (of the normal) [rad].
+    Returns: Size of X_c at the ends of the pass [m].
 
-    Returns
-    -------
-    float
-        Size of X_c at the ends of the pass [m].
-
-    Notes
-    -----
     From Phi = 2 theta_ra -/+ w with sin(w) = r_a / distance (Owkes 2012, eqs 5.4 and 5.10).
     """
     x = np.linspace(0.0, collector.aperture_width_m / 2, 201)

@@ -20,24 +20,11 @@ _HEIGHT_M = 100.0
 def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return by how much a slope error along the trough falsifies theta_ra, across the aperture.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    incidence_rad : float
-        Angle of the line of sight along the trough from the optical axis [rad].
-    slope_y_rad : float
-        Error of dz/dy that the evaluation takes to be zero [rad].
+    Shapes: x_m (101,).
+    incidence_rad: Angle of the line of sight along the trough from the optical axis [rad].
+    slope_y_rad: Error of dz/dy that the evaluation takes to be zero [rad].
+    error_rad (101,): Error of theta_ra where the camera looks down at the place [rad].
 
-    Returns
-    -------
-    x_m : ndarray, shape (101,)
-        Places across the aperture [m].
-    error_rad : ndarray, shape (101,)
-        Error of theta_ra where the camera looks down at the place [rad].
-
-    Notes
-    -----
     Exact reflection. To first order the error is ``-1/2 sin(2 alpha) tan(incidence) slope_y`` with
     ``tan(alpha) = X / (2 f)``: none at the vertex, most where the mirror stands at 45 degrees (Owkes 2012, sec. 5.2,
     eq. 5.11 and Fig. 5.14).
@@ -60,21 +47,10 @@ def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: f
 def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> str | None:
     """Say how much of the mirror was seen so slantwise that slopes along the trough matter, which nobody measured.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror; where its slope along the trough was measured nothing is doubtful.
-    eyes_m : ndarray, shape (n, 3)
-        The cameras [m].
-    collector : Collector
-        The design.
-    along_rad : float
-        Standard deviation that the slope along the trough is assumed to have [rad].
-
-    Returns
-    -------
-    str or None
-        The warning; None where less than a twentieth of the mirror is concerned.
+    Shapes: eyes_m (n, 3).
+    slope_map: The mirror; where its slope along the trough was measured nothing is doubtful.
+    along_rad: Standard deviation that the slope along the trough is assumed to have [rad].
+    Returns: The warning; None where less than a twentieth of the mirror is concerned.
     """
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     height = x**2 / (4 * collector.focal_length_m)

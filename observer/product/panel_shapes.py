@@ -14,14 +14,10 @@ from observer.trough.collector import Collector
 class PanelShapes:
     """Parabolas that fit the panels' slopes best.
 
-    Parameters
-    ----------
-    focal_length_m : ndarray, shape (p,)
-        Focal length of each panel, in the order of `Collector.panel_index`; NaN where too little was measured [m].
-    sigma_focal_length_m : ndarray, shape (p,)
-        Its standard deviation [m].
-    rest_rad : ndarray, shape (p,)
-        RMS of what of the slope dz/dx the parabola leaves [rad].
+    focal_length_m (p,): Focal length of each panel, in the order of `Collector.panel_index`; NaN where too little
+        was measured [m].
+    sigma_focal_length_m (p,): Its standard deviation [m].
+    rest_rad (p,): RMS of what of the slope dz/dx the parabola leaves [rad].
     """
 
     focal_length_m: FloatArray
@@ -32,20 +28,8 @@ class PanelShapes:
 def panel_shapes(slope_map: SlopeMap, collector: Collector) -> PanelShapes:
     """Fit ``dz/dx = x / (2 f) + c`` to each panel.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    collector : Collector
-        The panels.
+    Returns: Focal lengths with sigma: noise of the nodes, and what the map has in common.
 
-    Returns
-    -------
-    PanelShapes
-        Focal lengths with sigma: noise of the nodes, and what the map has in common.
-
-    Notes
-    -----
     The quadratic fit of Owkes (2012, appendix B.1) for one panel alone. Equal weights: the curvature is that of the
     panel's area and not of its best measured part.
     """

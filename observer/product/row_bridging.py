@@ -1,8 +1,9 @@
 """Along the trough: values of a row that its neighbours on the panel do not bear out, and values that are missing.
 
-Each row of the map was solved alone (`observer.slopes.row_spline`). Along a column of one panel the slope error is again an
-integrated random walk, whose roughness is taken from the rows' own values. It bridges what no edge of the reflection
-came near to: the last centimetres beside panel edges, and islands around which the level curves of theta_ra run.
+Each row of the map was solved alone (`observer.slopes.row_spline`). Along a column of one panel the slope error is
+again an integrated random walk, whose roughness is taken from the rows' own values. It bridges what no edge of the
+reflection came near to: the last centimetres beside panel edges, and islands around which the level curves of
+theta_ra run.
 """
 
 from dataclasses import dataclass
@@ -35,14 +36,9 @@ _LARGEST_SLOPE_RAD = 0.05
 class Bridged:
     """Values of all nodes from those along the trough.
 
-    Parameters
-    ----------
-    value : ndarray, shape (r, nx)
-        Slope error [rad].
-    variance : ndarray, shape (r, nx)
-        Its variance, with that of the values it rests on [rad^2].
-    contradicted : ndarray of bool, shape (r, nx)
-        Values that their neighbours do not bear out.
+    value (r, nx): Slope error [rad].
+    variance (r, nx): Its variance, with that of the values it rests on [rad^2].
+    contradicted (r, nx): Values that their neighbours do not bear out.
     """
 
     value: FloatArray
@@ -53,24 +49,11 @@ class Bridged:
 def bridge_rows(value: FloatArray, variance: FloatArray, good: BoolArray, panel: IntArray, step_m: float) -> Bridged:
     """Interpolate values along the columns of each panel.
 
-    Parameters
-    ----------
-    value, variance : ndarray, shape (r, nx)
-        Slope error of each node and its variance [rad, rad^2].
-    good : ndarray of bool, shape (r, nx)
-        Which to rest on.
-    panel : ndarray of int, shape (r, nx)
-        Panel of each node, -1 for none.
-    step_m : float
-        Distance of the rows [m].
+    Shapes: good (r, nx).
+    value, variance (r, nx): Slope error of each node and its variance [rad, rad^2].
+    panel (r, nx): Panel of each node, -1 for none.
+    step_m: Distance of the rows [m].
 
-    Returns
-    -------
-    Bridged
-        Interpolated and extrapolated values.
-
-    Notes
-    -----
     Neighbouring values share errors (the slope along the trough, say), so their variance is not reduced by averaging:
     that of the nearest values is added to the variance of the interpolation.
     """
@@ -91,25 +74,14 @@ def bridge_rows(value: FloatArray, variance: FloatArray, good: BoolArray, panel:
 def lone_values(value: FloatArray, variance: FloatArray, usable: BoolArray, panel: IntArray) -> BoolArray:
     """Tell which values stand alone against those of the rows around them, sure or not.
 
-    Parameters
-    ----------
-    value, variance : ndarray, shape (r, nx)
-        Slope error of each node and its variance [rad, rad^2].
-    usable : ndarray of bool, shape (r, nx)
-        Which to look at, and to compare with.
-    panel : ndarray of int, shape (r, nx)
-        Panel of each node, -1 for none.
+    value, variance (r, nx): Slope error of each node and its variance [rad, rad^2].
+    usable (r, nx): Which to look at, and to compare with.
+    panel (r, nx): Panel of each node, -1 for none.
+    Returns (r, nx): Values that most of the predictions by their neighbours contradict.
 
-    Returns
-    -------
-    ndarray of bool, shape (r, nx)
-        Values that most of the predictions by their neighbours contradict.
-
-    Notes
-    -----
-    One false edge of the reflection makes its row sure of a wrong value where the right ones of all other rows are not
-    sure enough to bridge from: in a path-traced trough such a row was 11 mrad off, and so were 25 rows beside it. Two
-    rows foretell a third along a straight line; the median over pairs of rows leaves a false one among them out.
+    One false edge of the reflection makes its row sure of a wrong value where the right ones of all other rows are
+    not sure enough to bridge from: in a path-traced trough such a row was 11 mrad off, and so were 25 rows beside it.
+    Two rows foretell a third along a straight line; the median over pairs of rows leaves a false one among them out.
     """
     rows = value.shape[0]
     known = np.where(usable, value, np.nan)

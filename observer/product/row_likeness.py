@@ -22,24 +22,13 @@ _READ_SHARE = 0.5
 def row_likeness(slope_rad: FloatArray, good: BoolArray, grid: RowGrid, y_m: FloatArray) -> FloatArray:
     """Estimate the correlation between the rows' slope errors.
 
-    Parameters
-    ----------
-    slope_rad : ndarray, shape (r, nx)
-        Slope error across the trough [rad].
-    good : ndarray of bool, shape (r, nx)
-        Nodes that were measured.
-    grid : RowGrid
-        Nodes, and which of them lie on one panel.
-    y_m : ndarray, shape (r,)
-        Rows [m].
+    Shapes: y_m (r,).
+    slope_rad (r, nx): Slope error across the trough [rad].
+    good (r, nx): Nodes that were measured.
+    grid: Nodes, and which of them lie on one panel.
+    Returns (r, r): ``exp(-distance / length)``; rows are alike entirely where too little was measured to tell the
+        length.
 
-    Returns
-    -------
-    ndarray, shape (r, r)
-        ``exp(-distance / length)``; rows are alike entirely where too little was measured to tell the length.
-
-    Notes
-    -----
     Autocovariance along the columns, the mean and the bend of each row's piece of panel taken off: they are measured
     well, and neither is what lies between edges. Noise and other errors that rows have apart lower the correlation at
     all distances but zero by the same factor, which is fitted along with the length.

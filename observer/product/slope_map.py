@@ -40,16 +40,11 @@ _LEAST_GAIN = 0.5
 class AngleMaps:
     """Angles at the nodes of the slope map.
 
-    Parameters
-    ----------
-    theta_r_rad : ndarray, shape (ny, nx)
-        Slope error across the trough, positive where the normal is turned towards +x [rad].
-    theta_a_rad : ndarray, shape (ny, nx)
-        What the displaced absorber looks like [rad].
-    sigma_theta_a_rad : ndarray, shape (ny, nx)
-        Its standard deviation [rad].
-    to_tube : SlopeMap
-        The mirror with what is uncertain about it seen from the tube as it is: noise and common modes of theta_ra.
+    theta_r_rad (ny, nx): Slope error across the trough, positive where the normal is turned towards +x [rad].
+    theta_a_rad (ny, nx): What the displaced absorber looks like [rad].
+    sigma_theta_a_rad (ny, nx): Its standard deviation [rad].
+    to_tube: The mirror with what is uncertain about it seen from the tube as it is: noise and common modes of
+        theta_ra.
     """
 
     theta_r_rad: FloatArray
@@ -71,17 +66,7 @@ class AngleMaps:
 def known_theta_r(reflector: Reflector, collector: Collector) -> FloatArray:
     """Return the slope error near edges of the reflection, before anything is refused.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    ndarray, shape (r, nx)
-        Positive where the normal is turned towards +x; NaN far from edges [rad].
+    Returns (r, nx): Positive where the normal is turned towards +x; NaN far from edges [rad].
     """
     design = reflector.grid.x_m / (2 * collector.focal_length_m)
     turned = np.arctan(design) - np.arctan(design + reflector.errors.slopes[..., 0])
@@ -91,19 +76,7 @@ def known_theta_r(reflector: Reflector, collector: Collector) -> FloatArray:
 def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility) -> SlopeMap:
     """Return the mirror's slopes in the common form.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-    collector : Collector
-        The design.
-    visible : Visibility
-        What the cameras can see of the tube by way of each node.
-
-    Returns
-    -------
-    SlopeMap
-        Slopes in the trough's frame.
+    visible: What the cameras can see of the tube by way of each node.
     """
     grid, y = reflector.grid, reflector.y_m
     x_nodes, y_nodes = np.meshgrid(grid.x_m, y)
@@ -183,17 +156,7 @@ def slopes_to_tube(reflector: Reflector, slope_map: SlopeMap) -> SlopeMap:
     the other way round, in theta_a. Sigmas of both parts, taken as independent, were 1.3 to 6 times the one here in
     simulated flights.
 
-    Parameters
-    ----------
-    reflector : Reflector
-        The solution.
-    slope_map : SlopeMap
-        Its map (`slope_map_of`).
-
-    Returns
-    -------
-    SlopeMap
-        The same slopes; ``sigma_slope()[0] / (1 + slope_x^2)`` is the sigma of theta_ra.
+    Returns: The same slopes; ``sigma_slope()[0] / (1 + slope_x^2)`` is the sigma of theta_ra.
     """
     errors, nodes = reflector.errors, (slope_map.x_m, slope_map.y_m)
     rest_before = np.maximum(errors.shared[..., 0] - slope_map.common.variance_on_grid(*nodes)[0], 0.0)
@@ -207,21 +170,9 @@ def angle_maps(
 ) -> AngleMaps:
     """Return reflector and absorber angles at the nodes of a slope map.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    absorber : AbsorberPath
-        The tube's axis.
-    collector : Collector
-        The design.
-    to_tube : SlopeMap, optional
-        The map with what is uncertain of theta_ra (`slopes_to_tube`); by default the tube's place is held.
-
-    Returns
-    -------
-    AngleMaps
-        Angles; NaN where the mirror was not measured.
+    absorber: The tube's axis.
+    to_tube: The map with what is uncertain of theta_ra (`slopes_to_tube`); by default the tube's place is held.
+    Returns: Angles; NaN where the mirror was not measured.
     """
     focal = collector.focal_length_m
     theta_r = np.arctan(slope_map.design_slope_x) - np.arctan(slope_map.slope_x)

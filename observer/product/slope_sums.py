@@ -27,36 +27,22 @@ def sum_covariance(
 ) -> Callable[[FloatArray], FloatArray]:
     """Return a function for the covariance of weighted sums of the slopes across; the rows are factorised once.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        The observations that the slopes came from.
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        How slopes may vary.
-    covariance_common : ndarray, shape (c, c)
-        Covariance of the common unknowns, the slopes eliminated.
-    free : ndarray of bool, shape (c,), optional
-        Those of them that are not held; by default all.
-    alike : ndarray, shape (r, r), optional
-        Correlation between the slope errors of the rows' mirror (`observer.product.row_likeness`); by default none, which lets
-        what lies between edges average out over rows.
+    lines: The observations that the slopes came from.
+    prior: How slopes may vary.
+    covariance_common (c, c): Covariance of the common unknowns, the slopes eliminated.
+    free (c,): Those of them that are not held; by default all.
+    alike (r, r): Correlation between the slope errors of the rows' mirror (`observer.product.row_likeness`); by
+        default none, which lets what lies between edges average out over rows.
+    Returns: From weights of all nodes' slopes in k sums, shape (k, r, nx), to the covariance of the sums, shape (k,
+        k).
 
-    Returns
-    -------
-    callable
-        From weights of all nodes' slopes in k sums, shape (k, r, nx), to the covariance of the sums, shape (k, k).
-
-    Notes
-    -----
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
 
-    Rows are solved as if nothing were known of one from the next. What a row errs is ``-A^-1 Q s`` from its own slopes
-    s, which have the prior precision Q, and what noise makes. Slopes that two rows share to the correlation R share the
-    former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows. Exact where the prior is
-    the mirror's and the correlation is the same at all places of a row.
+    Rows are solved as if nothing were known of one from the next. What a row errs is ``-A^-1 Q s`` from its own
+    slopes s, which have the prior precision Q, and what noise makes. Slopes that two rows share to the correlation R
+    share the former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows. Exact where
+    the prior is the mirror's and the correlation is the same at all places of a row.
     """
     rows = assemble(lines, grid)
     system = rows.under(prior)
@@ -100,19 +86,9 @@ def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:
 def noise_correlation(covariance: Callable[[FloatArray], FloatArray], slope_map: SlopeMap, panel: IntArray) -> float:
     """Return by how much sums over panels vary more than if the nodes of the map were independent.
 
-    Parameters
-    ----------
-    covariance : callable
-        Of weighted sums of the slopes without their common share, from `sum_covariance`.
-    slope_map : SlopeMap
-        The mirror.
-    panel : ndarray of int, shape (r, nx)
-        Panel of each node, -1 for none.
-
-    Returns
-    -------
-    float
-        What `SlopeMap.noise_correlation` is: the median over means and bends of some panels, at least 1.
+    covariance: Of weighted sums of the slopes without their common share, from `sum_covariance`.
+    panel (r, nx): Panel of each node, -1 for none.
+    Returns: What `SlopeMap.noise_correlation` is: the median over means and bends of some panels, at least 1.
     """
     x = np.broadcast_to(slope_map.x_m, panel.shape)
     number, count = np.unique(panel[slope_map.valid & (panel >= 0)], return_counts=True)
@@ -133,22 +109,13 @@ def with_bridged(
 ) -> Callable[[FloatArray], FloatArray]:
     """Let values that were bridged along the trough err as the nearest of their column that were not.
 
-    Parameters
-    ----------
-    covariance : callable
-        Of weighted sums of the slopes, from `sum_covariance`.
-    slope_map : SlopeMap
-        The mirror; its flags name the nodes that were bridged.
+    covariance: Of weighted sums of the slopes, from `sum_covariance`.
+    slope_map: The mirror; its flags name the nodes that were bridged.
+    Returns: The same for sums over this map.
 
-    Returns
-    -------
-    callable
-        The same for sums over this map.
-
-    Notes
-    -----
     The solution of a bridged node's own row is the prior there, some milliradians, which the value in the map is not:
-    5 % of such nodes made the sigma of an intercept factor twelve times as large as what is told by cameras and edges.
+    5 % of such nodes made the sigma of an intercept factor twelve times as large as what is told by cameras and
+    edges.
     """
     bridged = (slope_map.flags & np.uint32(SampleFlag.SMOOTHED_GAP)) > 0
     own = slope_map.valid & ~bridged

@@ -44,20 +44,7 @@ class AbsorberResults:
 def open_absorber(folder: str | Path = ".") -> AbsorberResults:
     """Read a folder with an absorber measured alone.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    AbsorberResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     return AbsorberResults(folder, read_summary(folder), read_collector(folder / COLLECTOR))

@@ -26,20 +26,7 @@ class AlignmentResults:
 def open_alignment(folder: str | Path = ".") -> AlignmentResults:
     """Read a folder with a prescription.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    AlignmentResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     tables = (read_table_csv(folder / name) for name in ("panels.csv", "mounts.csv"))

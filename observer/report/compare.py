@@ -33,20 +33,7 @@ class StudyResults:
 def open_study(folder: str | Path = ".") -> StudyResults:
     """Read a folder with a gravity study.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    StudyResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     lines = read_table_csv(folder / PROFILES, ("of", "orientation_rad", "y_m", "x_m", "z_m", "sigma_x_m", "sigma_z_m"))

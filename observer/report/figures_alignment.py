@@ -26,22 +26,10 @@ def theory_figure(
 ) -> "Figure":
     """Draw the theoretical image of the absorber over a photo (TOP).
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width)
-        The photo.
-    name : str
-        Its name.
-    edges_px : sequence of ndarray, shape (k, 2)
-        Lines along each edge of the image in each panel [px].
-    found : (ndarray, ndarray, ndarray), shape (ny, nx)
-        Column and row of nodes of the mirror, and by what angle the measured line of sight passes beside the tube
-        [px, px, rad].
-
-    Returns
-    -------
-    Figure
-        The photo with both.
+    Shapes: image (height, width).
+    edges_px (k, 2): Lines along each edge of the image in each panel [px].
+    found (ny, nx): Column and row of nodes of the mirror, and by what angle the measured line of sight passes
+        beside the tube [px, px, rad].
     """
     from matplotlib.lines import Line2D
 
@@ -76,21 +64,11 @@ def moves_figure(
 ) -> "Figure":
     """Draw each panel's mean angle to the absorber, and the move of each mount.
 
-    Parameters
-    ----------
-    collector : Collector
-        The panels.
-    tilts_rad : ndarray, shape (k,)
-        Mean theta_ra of each panel; NaN where there is no prescription [rad].
-    mounts_m : ndarray, shape (n, 2)
-        x and y of the mounts [m].
-    moves : (ndarray, ndarray), shape (n,)
-        Their moves along the normal, positive towards the absorber, with standard deviations; NaN where none [m].
-
-    Returns
-    -------
-    Figure
-        x to the right and y up, as seen from the front.
+    tilts_rad (k,): Mean theta_ra of each panel; NaN where there is no prescription [rad].
+    mounts_m (n, 2): x and y of the mounts [m].
+    moves (n,): Their moves along the normal, positive towards the absorber, with standard deviations; NaN where
+        none [m].
+    Returns: x to the right and y up, as seen from the front.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

@@ -39,14 +39,8 @@ _NAME_IN = 1.9
 class ModuleMap:
     """One module's map.
 
-    Parameters
-    ----------
-    name : str
-        The module.
-    x_m, y_m : ndarray, shape (nx,) and (ny,)
-        Nodes in its own frame [m].
-    theta_ra_rad, theta_r_rad : ndarray, shape (ny, nx)
-        Angles; NaN where not measured [rad].
+    x_m, y_m (nx,): Nodes in its own frame [m].
+    theta_ra_rad, theta_r_rad (ny, nx): Angles; NaN where not measured [rad].
     """
 
     name: str
@@ -60,14 +54,9 @@ class ModuleMap:
 class OneMap:
     """One map of angles beside others.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    x_m, y_m : ndarray, shape (nx,) and (ny,)
-        Nodes [m].
-    angle_rad : ndarray, shape (ny, nx)
-        The angle; NaN where not measured [rad].
+    name: What it is called.
+    x_m, y_m (nx,): Nodes [m].
+    angle_rad (ny, nx): The angle; NaN where not measured [rad].
     """
 
     name: str
@@ -79,17 +68,8 @@ class OneMap:
 def modules_figure(maps: Sequence[ModuleMap], angle: str) -> "Figure":
     """Draw one angle of all modules with one scale of colours, all at the same scale of length.
 
-    Parameters
-    ----------
-    maps : sequence of ModuleMap
-        The modules.
-    angle : str
-        "theta_ra", or "theta_r", which is drawn without each module's mean.
-
-    Returns
-    -------
-    Figure
-        x to the right and y up, as seen from the front.
+    angle: "theta_ra", or "theta_r", which is drawn without each module's mean.
+    Returns: x to the right and y up, as seen from the front.
     """
     titles = {
         "theta_ra": "theta_ra: mirror and absorber, what the sun meets",
@@ -101,17 +81,7 @@ def modules_figure(maps: Sequence[ModuleMap], angle: str) -> "Figure":
 def maps_figure(maps: Sequence[OneMap], title: str) -> "Figure":
     """Draw maps of angles beside each other with one scale of colours and one of length.
 
-    Parameters
-    ----------
-    maps : sequence of OneMap
-        The maps.
-    title : str
-        What they show.
-
-    Returns
-    -------
-    Figure
-        x to the right and y up, as seen from the front.
+    Returns: x to the right and y up, as seen from the front.
     """
     fields = [_MRAD * one.angle_rad for one in maps]
     limit = robust_limit(*fields)
@@ -166,17 +136,9 @@ def numbers_figure(
 ) -> "Figure":
     """Draw numbers of all modules below each other, so that the odd one out is seen.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The modules, the first at the top.
-    panels : sequence of (str, sequence of float, sequence of float)
-        What each panel shows with its unit, the values, and their standard deviations; None where there is none.
-
-    Returns
-    -------
-    Figure
-        One panel for each number.
+    names: The modules, the first at the top.
+    panels: What each panel shows with its unit, the values, and their standard deviations; None where there is
+        none.
     """
     height = max(0.26 * len(names), 0.6)
     figure = new_figure(_TOP_IN + 0.2 + height + _BOTTOM_IN, _WIDE_IN)

@@ -25,14 +25,9 @@ _BESIDE = {"loc": "upper left", "bbox_to_anchor": (1.005, 1.02)}
 class Profile:
     """The absorber along the trough at one orientation.
 
-    Parameters
-    ----------
-    label : str
-        What the lines are called.
-    orientation_rad : float
-        Turn of the collector from zenith [rad].
-    y_m, x_m, z_m, sigma_x_m, sigma_z_m : ndarray, shape (n,)
-        Stations, places and standard deviations; NaN where not measured [m].
+    label: What the lines are called.
+    orientation_rad: Turn of the collector from zenith [rad].
+    y_m, x_m, z_m, sigma_x_m, sigma_z_m (n,): Stations, places and standard deviations; NaN where not measured [m].
     """
 
     label: str
@@ -47,17 +42,7 @@ class Profile:
 def orientation_figure(profiles: Sequence[Profile], sags: Sequence[SpanSags]) -> "Figure":
     """Draw what turning a trough does to its absorber.
 
-    Parameters
-    ----------
-    profiles : sequence of Profile
-        The absorber at each orientation.
-    sags : sequence of SpanSags
-        Sag of each span.
-
-    Returns
-    -------
-    Figure
-        X_a and Z_a along the trough, sag against orientation.
+    Returns: X_a and Z_a along the trough, sag against orientation.
     """
     count = 3 if sags else 2
     height = 0.55 + count * _STEP_IN

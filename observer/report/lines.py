@@ -34,18 +34,7 @@ class HasAbsorber(Protocol):
 
 
 def absorber(results: HasAbsorber) -> Html:
-    """Return where the absorber runs.
-
-    Parameters
-    ----------
-    results : HasAbsorber
-        The results.
-
-    Returns
-    -------
-    Html
-        Two profiles.
-    """
+    """Return where the absorber runs."""
     note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations without a value; absorber.csv says why."
     drawn = show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
     return join(drawn, listed(results.table("absorber_spans.csv")))
@@ -54,17 +43,7 @@ def absorber(results: HasAbsorber) -> Html:
 def absorber_figure(results: HasAbsorber, axis: str) -> "Figure":
     """Draw the absorber's departure from the focal line.
 
-    Parameters
-    ----------
-    results : HasAbsorber
-        The results.
-    axis : str
-        "x" or "z".
-
-    Returns
-    -------
-    Figure
-        Departure along the trough [mm].
+    axis: "x" or "z".
     """
     columns = results.table("absorber.csv") or {}
     y, value, sigma = (numbers(columns, name) for name in ("y_m", f"{axis}_a_m", f"sigma_{axis}_a_m"))
@@ -94,18 +73,7 @@ def absorber_figure(results: HasAbsorber, axis: str) -> "Figure":
 
 
 def intercept(results: TroughResults) -> Html:
-    """Return the intercept factor with its heading; nothing where it was not computed.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Heading and figures.
-    """
+    """Return the intercept factor with its heading; nothing where it was not computed."""
     drawn = [figure for figure in (intercept_figure(results), spread_figure(results)) if figure is not None]
     if not drawn:
         return Html("")
@@ -120,15 +88,7 @@ def intercept(results: TroughResults) -> Html:
 def intercept_figure(results: TroughResults) -> "Figure | None":
     """Draw the intercept factor against the tracking offset.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure or None
-        None where it was not computed.
+    Returns: None where it was not computed.
     """
     columns = results.table("intercept.csv")
     if columns is None:
@@ -157,15 +117,7 @@ def intercept_figure(results: TroughResults) -> "Figure | None":
 def spread_figure(results: TroughResults) -> "Figure | None":
     """Draw how the light is spread, and what the absorber accepts.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure or None
-        None where it was not computed.
+    Returns: None where it was not computed.
     """
     columns = results.table("beam_spread.csv")
     if columns is None:
@@ -201,18 +153,7 @@ def spread_figure(results: TroughResults) -> "Figure | None":
 
 
 def panels(results: TroughResults) -> Html:
-    """Return the table of the panels with its heading; nothing where there is none.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Heading and table.
-    """
+    """Return the table of the panels with its heading; nothing where there is none."""
     columns = results.table("panels.csv")
     if columns is None:
         return Html("")
@@ -224,15 +165,7 @@ def panels(results: TroughResults) -> Html:
 def listed(columns: Columns | None) -> Html:
     """Return a table of results with units that are easy to read; nothing without one.
 
-    Parameters
-    ----------
-    columns : dict of str to list of str or None
-        A table as it was read. A column ``sigma_NAME`` is joined to the column ``NAME``.
-
-    Returns
-    -------
-    Html
-        The table.
+    columns: A table as it was read. A column ``sigma_NAME`` is joined to the column ``NAME``.
     """
     if not columns:
         return Html("")
@@ -276,18 +209,7 @@ def _cell(text: str, sigma: str | None, factor: float) -> str:
 
 
 def residuals(results: TroughResults) -> Html:
-    """Return what remains of the edges' angles: distribution, photos, and what became of all edges.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Figures and a table.
-    """
+    """Return what remains of the edges' angles: distribution, photos, and what became of all edges."""
     edges = results.edges
     names, counts = np.unique(edges.fate, return_counts=True)
     order = np.argsort(-counts)
@@ -305,15 +227,7 @@ def residuals(results: TroughResults) -> Html:
 def residual_figure(results: TroughResults) -> "Figure":
     """Draw the distribution of the normalised residuals of all edges that were used.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure
-        A histogram against the normal distribution.
+    Returns: A histogram against the normal distribution.
     """
     edges = results.edges
     ratio = (edges.residual_rad / _sigma_rad(results))[edges.used]
@@ -335,15 +249,7 @@ def residual_figure(results: TroughResults) -> "Figure":
 def photo_figure(results: TroughResults) -> "Figure":
     """Draw mean and scatter of the residuals of each photo.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure
-        RMS residual and mean of each photo over the camera's place.
+    Returns: RMS residual and mean of each photo over the camera's place.
     """
     edges = results.edges
     used, n = edges.used, len(results.photos)

@@ -28,18 +28,7 @@ _MRAD = 1e3
 
 
 def maps(results: TroughResults) -> Html:
-    """Return the maps of the mirror.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Figures.
-    """
+    """Return the maps of the mirror."""
     from heliogauge.reporting.figures import flag_map
 
     slope_map, angles = results.base.slope_map, results.angles
@@ -78,17 +67,7 @@ def _shares(results: TroughResults) -> Html:
 def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
     """Draw the mirror's slope error.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-    limit : float, optional
-        Where the colours end [mrad].
-
-    Returns
-    -------
-    Figure
-        A map [mrad].
+    limit: Where the colours end [mrad].
     """
     return _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit)
 
@@ -117,15 +96,7 @@ def _sigma_map(results: TroughResults, angle: str) -> "Figure":
 def histogram(results: TroughResults) -> "Figure":
     """Draw the distributions of theta_ra and theta_r.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure
-        Two outlines and the normal distribution of the width of theta_r [mrad].
+    Returns: Two outlines and the normal distribution of the width of theta_r [mrad].
     """
     valid = results.base.slope_map.valid
     both = {name: _MRAD * results.angles[name][valid] for name in ("theta_ra", "theta_r")}
@@ -176,20 +147,7 @@ def _panelled(results: TroughResults, values: FloatArray, style: MapStyle) -> "F
 
 
 def with_panels(figure: "Figure", collector: Collector) -> "Figure":
-    """Draw edges between panels, and supports, over a map.
-
-    Parameters
-    ----------
-    figure : Figure
-        The map.
-    collector : Collector
-        The design.
-
-    Returns
-    -------
-    Figure
-        The same figure.
-    """
+    """Draw edges between panels, and supports, over a map."""
     axes = figure.axes[0]
     for x in collector.panel_edges_x_m[1:-1]:
         axes.axvline(x, color=FAINT, linewidth=0.5, zorder=5)

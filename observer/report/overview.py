@@ -48,20 +48,7 @@ class OverviewResults:
 def open_overview(folder: str | Path = ".") -> OverviewResults:
     """Read a folder with the overview of modules.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    OverviewResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     table_ = read_table_csv(folder / TABLE, ("result", "name"))

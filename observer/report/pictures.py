@@ -34,15 +34,7 @@ _TALLEST_IN = 6.5
 def overlay(results: TroughResults) -> Html:
     """Return one photo with the outline of the tube's reflection, predicted and as measured.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        A figure; a sentence where the folder holds no photo.
+    Returns: A figure; a sentence where the folder holds no photo.
     """
     if not (results.base.folder / OVERLAY).is_file():
         return Html("<p>The folder holds no photo.</p>")
@@ -55,18 +47,7 @@ def overlay(results: TroughResults) -> Html:
 
 
 def overlay_figure(results: TroughResults) -> "Figure":
-    """Draw the photo that gave most edges with both outlines.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure
-        The photo.
-    """
+    """Draw the photo that gave most edges with both outlines."""
     from matplotlib.lines import Line2D
 
     image, nodes, name = read_overlay(results.base.folder)
@@ -102,15 +83,7 @@ def overlay_figure(results: TroughResults) -> "Figure":
 def slices(results: TroughResults) -> Html:
     """Return slices of the mirror through all photos, and what each edge says of the angle there.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Two figures for each slice.
+    Returns: Two figures for each slice.
     """
     drawn = []
     for number in range(len(results.slices.y_m)):
@@ -126,17 +99,7 @@ def slices(results: TroughResults) -> Html:
 def slice_figure(results: TroughResults, number: int) -> "Figure":
     """Draw one row of the mirror in all photos with the edges that were found.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-    number : int
-        Which slice.
-
-    Returns
-    -------
-    Figure
-        Brightness over place across the mirror and place of the camera.
+    Returns: Brightness over place across the mirror and place of the camera.
     """
     stored = results.slices
     order = np.argsort(stored.eyes_m[:, 0], kind="stable")
@@ -172,17 +135,7 @@ def slice_figure(results: TroughResults, number: int) -> "Figure":
 def angle_figure(results: TroughResults, number: int) -> "Figure":
     """Draw what each edge of one slice says of the reflector-absorber angle, and the solution.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-    number : int
-        Which slice.
-
-    Returns
-    -------
-    Figure
-        theta_ra over the place across the mirror [mrad].
+    Returns: theta_ra over the place across the mirror [mrad].
     """
     y = float(results.slices.y_m[number])
     slope_map, edges = results.base.slope_map, results.edges

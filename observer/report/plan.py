@@ -58,20 +58,7 @@ class PlanResults:
 def open_plan(folder: str | Path = ".") -> PlanResults:
     """Read a folder with a plan.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    PlanResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     base = open_results(folder)
     names = ("name", "x_m", "y_m", "z_m", "direction_x", "direction_y", "direction_z", "sigma_position_m")
@@ -133,17 +120,8 @@ def flight(results: PlanResults) -> Html:
 def flight_figure(results: PlanResults, axis: str) -> "Figure":
     """Draw mirror, absorber and cameras from the side.
 
-    Parameters
-    ----------
-    results : PlanResults
-        The plan.
-    axis : str
-        "x": looking along the trough; "y": from beside it.
-
-    Returns
-    -------
-    Figure
-        Height over the vertex against the axis, at one scale [m].
+    axis: "x": looking along the trough; "y": from beside it.
+    Returns: Height over the vertex against the axis, at one scale [m].
     """
     place, height = (numbers(results.stations, f"{name}_m") for name in (axis, "z"))
     look, down = (numbers(results.stations, f"direction_{name}") for name in (axis, "z"))

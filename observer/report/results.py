@@ -21,20 +21,12 @@ Columns = dict[str, list[str]]
 class EdgeTable:
     """Edges of the reflection: one entry for each.
 
-    Parameters
-    ----------
-    photo : ndarray of int, shape (m,)
-        Number of the photo among `TroughResults.photos`.
-    x_m, y_m : ndarray, shape (m,)
-        Where on the mirror [m].
-    side : ndarray, shape (m,)
-        Which edge of the tube, +1 or -1.
-    sigma_x_m : ndarray, shape (m,)
-        Standard deviation of the position [m].
-    residual_rad : ndarray, shape (m,)
-        What remains of the angle [rad].
-    fate : ndarray of str, shape (m,)
-        "used", or why not.
+    photo (m,): Number of the photo among `TroughResults.photos`.
+    x_m, y_m (m,): Where on the mirror [m].
+    side (m,): Which edge of the tube, +1 or -1.
+    sigma_x_m (m,): Standard deviation of the position [m].
+    residual_rad (m,): What remains of the angle [rad].
+    fate (m,): "used", or why not.
     """
 
     photo: npt.NDArray[np.intp]
@@ -62,26 +54,14 @@ _NODE_FIELDS = (
 class TroughResults:
     """What a folder of a trough's results holds.
 
-    Parameters
-    ----------
-    base : Results
-        Summary and slope map.
-    collector : Collector
-        The design.
-    angles : dict of str to ndarray, shape (ny, nx)
-        ``theta_ra``, ``theta_r``, ``theta_a`` and their sigmas [rad].
-    photos : tuple of str
-        Names of the photos.
-    poses : dict of str to PhotoPose
-        Their poses, from targets and reflection together.
-    poses_by_targets : dict of str to PhotoPose
-        Their poses from the targets alone.
-    targets : PointTable
-        The targets.
-    edges : EdgeTable
-        Edges of the reflection.
-    slices : StoredSlices
-        Rows of the mirror in all photos.
+    base: Summary and slope map.
+    collector: The design.
+    angles (ny, nx): ``theta_ra``, ``theta_r``, ``theta_a`` and their sigmas [rad].
+    photos: Names of the photos.
+    poses: Their poses, from targets and reflection together.
+    poses_by_targets: Their poses from the targets alone.
+    edges: Edges of the reflection.
+    slices: Rows of the mirror in all photos.
     """
 
     base: Results
@@ -108,20 +88,7 @@ class TroughResults:
 def open_trough(folder: str | Path = ".") -> TroughResults:
     """Read a folder of results.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    TroughResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a", "sigma_theta_ra")
@@ -171,16 +138,6 @@ def _read_edges(path: Path, photos: tuple[str, ...]) -> EdgeTable:
 def numbers(columns: Columns, name: str) -> FloatArray:
     """Return a column as numbers.
 
-    Parameters
-    ----------
-    columns : dict of str to list of str
-        A table.
-    name : str
-        The column.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Empty cells are NaN.
+    Returns (n,): Empty cells are NaN.
     """
     return np.array([float(cell) if cell else np.nan for cell in columns[name]], dtype=np.float64)

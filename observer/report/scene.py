@@ -13,18 +13,7 @@ from observer.report.results import TroughResults, numbers
 
 
 def network(results: TroughResults) -> Html:
-    """Return mirror, absorber, targets and cameras as a scene that the reader can turn.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Html
-        The scene and how well the cameras are known.
-    """
+    """Return mirror, absorber, targets and cameras as a scene that the reader can turn."""
     eyes, names = results.eyes_m, results.photos
     counts = np.bincount(results.edges.photo[results.edges.used], minlength=len(names))
     sigma, by_targets = (
@@ -60,17 +49,7 @@ def network(results: TroughResults) -> Html:
 def eyes_of(poses: dict[str, PhotoPose], names: Sequence[str]) -> FloatArray:
     """Return the centres of cameras.
 
-    Parameters
-    ----------
-    poses : dict of str to PhotoPose
-        Poses of the photos.
-    names : sequence of str
-        Which.
-
-    Returns
-    -------
-    ndarray, shape (k, 3)
-        Centres [m].
+    Shapes: result (k, 3).
     """
     return np.array([poses[name].cam_from_world.inverse().translation_m for name in names])
 
@@ -83,15 +62,7 @@ def place_sigma_m(pose: PhotoPose) -> float:
 def mirror_lines(results: TroughResults) -> tuple[FloatArray, tuple[int, ...]]:
     """Return the panels' edges on the design parabola as lines.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    tuple of ndarray, shape (v, 3), and tuple of int
-        Vertices [m] and the number of each line.
+    Returns (v, 3): Vertices [m] and the number of each line.
     """
     collector = results.collector
     fine = np.linspace(collector.panel_edges_x_m[0], collector.panel_edges_x_m[-1], 41)
@@ -107,15 +78,7 @@ def mirror_lines(results: TroughResults) -> tuple[FloatArray, tuple[int, ...]]:
 def absorber_line(results: TroughResults) -> FloatArray:
     """Return the absorber's axis where it was measured.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Vertices [m].
+    Shapes: result (n, 3).
     """
     columns = results.table("absorber.csv") or {}
     line = np.stack([numbers(columns, name) for name in ("x_a_m", "y_m", "z_a_m")], axis=1)

@@ -62,18 +62,7 @@ def overview(results: TroughResults) -> Html:
 
 
 def in_words(summary: Summary) -> Html:
-    """Say in sentences what was found.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    Html
-        A paragraph.
-    """
+    """Say in sentences what was found."""
 
     def said(key: str) -> str:
         return _text(summary, key)
@@ -99,17 +88,7 @@ def in_words(summary: Summary) -> Html:
 def headline_table(summary: Summary, labels: Mapping[str, str] = LABELS) -> Html:
     """Return the headline numbers, the less important ones folded away.
 
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-    labels : mapping of str to str, optional
-        The important ones, and what they are called.
-
-    Returns
-    -------
-    Html
-        A table, and another one that opens on a click.
+    Returns: A table, and another one that opens on a click.
     """
     numbers = summary.numbers
     keys = [key for key in numbers if not (key.startswith("sigma_") and key.removeprefix("sigma_") in numbers)]

@@ -55,18 +55,9 @@ FATE_TEXTS = {
 def first_fate(edges: ReflectionEdges) -> IntArray:
     """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Candidates of all photos.
+    Shapes: result (m,).
+    edges: Candidates of all photos.
 
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        `EdgeFate` of each.
-
-    Notes
-    -----
     Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
     """
     darker = edges.contrast * edges.side < 0
@@ -86,19 +77,10 @@ def first_fate(edges: ReflectionEdges) -> IntArray:
 def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolArray:
     """Tell which edges do not belong to a curve through several rows.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Candidates of all photos.
-    which : ndarray of bool, shape (m,)
-        Those that are looked at.
-    y_m : ndarray, shape (r,)
-        Rows [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Edges of short curves; none where rows are too far apart to tell.
+    Shapes: y_m (r,).
+    edges: Candidates of all photos.
+    which (m,): Those that are looked at.
+    Returns (m,): Edges of short curves; none where rows are too far apart to tell.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -129,25 +111,12 @@ def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolA
 def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool:
     """Return whether shadows as dark as the tube are in the reflection.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Candidates of all photos.
-    fate : ndarray of int, shape (m,)
-        Of all edges.
-    y_m : ndarray, shape (r,)
-        Rows [m].
+    Shapes: fate (m,), y_m (r,).
+    edges: Candidates of all photos.
 
-    Returns
-    -------
-    bool
-        Whether they are.
-
-    Notes
-    -----
-    Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such edges
-    as they have right ones, which nothing in their brightness tells from the tube's. Noise and glints within the tube
-    step either way, but do not go on from row to row.
+    Where the sky is around the tube next to no edge steps the wrong way; shadows on the ground have as many such
+    edges as they have right ones, which nothing in their brightness tells from the tube's. Noise and glints within
+    the tube step either way, but do not go on from row to row.
     """
     wrong = fate == EdgeFate.WRONG_STEP
     return bool(np.mean(wrong & ~is_alone(edges, wrong, y_m)) > _SHADOWS_SHARE)
@@ -156,15 +125,7 @@ def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool
 def unchecked_doubt(fate: IntArray) -> str | None:
     """Say that most edges were refused because photos are too far apart to tell them from those of shadows.
 
-    Parameters
-    ----------
-    fate : ndarray of int, shape (m,)
-        Of all edges.
-
-    Returns
-    -------
-    str or None
-        A sentence.
+    Shapes: fate (m,).
     """
     lonely = float(np.mean(fate == EdgeFate.ONE_SIDED))
     if lonely < _MOST_ONE_SIDED:

@@ -23,28 +23,14 @@ def heights(
 ) -> FloatArray:
     """Integrate slope errors to the height of the mirror over its design.
 
-    Parameters
-    ----------
-    slope_errors : ndarray, shape (r, nx, 2)
-        Errors of dz/dx and dz/dy [rad].
-    measured : ndarray of bool, shape (r, nx)
-        Nodes that carry them; elsewhere the panel is taken as straight.
-    along_known : ndarray of bool, shape (r, nx)
-        Nodes at which the slope along the trough was measured, not assumed.
-    collector : Collector
-        Its panels: each is integrated by itself.
-    grid : RowGrid
-        Nodes across the trough.
-    y_m : ndarray, shape (r,)
-        Rows [m].
+    Shapes: y_m (r,).
+    slope_errors (r, nx, 2): Errors of dz/dx and dz/dy [rad].
+    measured (r, nx): Nodes that carry them; elsewhere the panel is taken as straight.
+    along_known (r, nx): Nodes at which the slope along the trough was measured, not assumed.
+    collector: Its panels: each is integrated by itself.
+    grid: Nodes across the trough.
+    Returns (r, nx): Height over the design, mean zero on each panel [m].
 
-    Returns
-    -------
-    ndarray, shape (r, nx)
-        Height over the design, mean zero on each panel [m].
-
-    Notes
-    -----
     Where one pass only was flown the slope along the trough is not known, so each row of a panel is integrated for
     itself and has the mean zero; where it is known on most of a panel, both slopes together give its surface.
     """
@@ -90,23 +76,9 @@ def on_surface(
 ) -> FloatArray:
     """Move points along their lines of sight from the design's surface to the measured one.
 
-    Parameters
-    ----------
-    points_m, eyes_m : ndarray, shape (m, 3)
-        Points on the design's surface and the cameras that see them [m].
-    row : ndarray of int, shape (m,)
-        Row of each.
-    height_m : ndarray, shape (r, nx)
-        Height over the design [m].
-    grid : RowGrid
-        Nodes across the trough.
-    focal_length_m : float
-        Focal length of the design [m].
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-        Points on the measured surface, to the square of its slope errors [m].
+    Shapes: points_m, eyes_m (m, 3), row (m,), height_m (r, nx).
+    grid: Nodes across the trough.
+    Returns (m, 3): Points on the measured surface, to the square of its slope errors [m].
     """
     height = at_points(height_m, row, points_m[:, 0], grid)
     sight = eyes_m - points_m
@@ -117,21 +89,8 @@ def on_surface(
 def at_points(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid) -> FloatArray:
     """Interpolate values of the nodes along their rows.
 
-    Parameters
-    ----------
-    values : ndarray, shape (r, nx, ...)
-        Values of the nodes.
-    row : ndarray of int, shape (m,)
-        Rows.
-    x_m : ndarray, shape (m,)
-        Places on the rows [m].
-    grid : RowGrid
-        Nodes.
-
-    Returns
-    -------
-    ndarray, shape (m, ...)
-        Values there; nothing is interpolated across a panel's edge.
+    Shapes: values (r, nx, ...), row (m,), x_m (m,).
+    Returns (m, ...): Values there; nothing is interpolated across a panel's edge.
     """
     before, share = nodes_of(grid, x_m)
     share = share.reshape(-1, *[1] * (values.ndim - 2))
@@ -141,26 +100,11 @@ def at_points(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid)
 def beside_chord(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid) -> FloatArray:
     """Return by how much the cubic through four nodes of a row departs from the straight line between the middle two.
 
-    Parameters
-    ----------
-    values : ndarray, shape (r, nx)
-        Values of the nodes.
-    row : ndarray of int, shape (m,)
-        Rows.
-    x_m : ndarray, shape (m,)
-        Places on the rows [m].
-    grid : RowGrid
-        Nodes.
+    Shapes: values (r, nx), row (m,), x_m (m,).
+    Returns (m,): What `at_points` lacks; beside a panel's edge that of the parabola through three nodes.
 
-    Returns
-    -------
-    ndarray, shape (m,)
-        What `at_points` lacks; beside a panel's edge that of the parabola through three nodes.
-
-    Notes
-    -----
-    A wave of 3 mrad and 0.5 m departs from the chord between nodes 20 mm apart by 0.02 mrad, which is more than an edge
-    is uncertain by.
+    A wave of 3 mrad and 0.5 m departs from the chord between nodes 20 mm apart by 0.02 mrad, which is more than an
+    edge is uncertain by.
     """
     inner = grid.joined[:-1] & grid.joined[1:]
     bend = np.zeros(values.shape)

@@ -56,14 +56,10 @@ _MOST_BEND_PER_M = 0.05
 class Photos:
     """Poses of all photos.
 
-    Parameters
-    ----------
-    poses : tuple of RigidTransform
-        ``cam_from_frame`` of each.
-    covariance : ndarray, shape (6 n, 6 n)
-        Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
-    with_tube : ndarray, shape (2 k, 6 n), optional
-        Covariance of the absorber's k stations (all x, then all z) with those steps; none without [m rad, m^2].
+    poses: ``cam_from_frame`` of each.
+    covariance (6 n, 6 n): Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
+    with_tube (2 k, 6 n): Covariance of the absorber's k stations (all x, then all z) with those steps; none without
+        [m rad, m^2].
     """
 
     poses: tuple[RigidTransform, ...]
@@ -80,39 +76,22 @@ class Photos:
 class Reflector:
     """The mirror's slope errors.
 
-    Parameters
-    ----------
-    grid : RowGrid
-        Nodes across the trough.
-    y_m : ndarray, shape (r,)
-        Rows [m].
-    errors : SlopeErrors
-        Slope errors and their covariance at all nodes.
-    measured : ndarray of bool, shape (r, nx)
-        Nodes near enough to an edge.
-    fate : ndarray of int, shape (m,)
-        `EdgeFate` of each edge.
-    residuals_rad : ndarray, shape (m,)
-        What remains of each edge's angle [rad].
-    roughness : Roughness
-        Of the slopes along the rows.
-    noise_factor : float
-        By what the sigmas of the edges had to be multiplied.
-    absorber : AbsorberPath
-        The tube's axis, to which the width of its reflection has added what it says of it.
-    unknowns : CommonUnknowns
-        What the lines have in common.
-    lines : TouchingLines
-        The edges that were used, as observations.
-    height_m : ndarray, shape (r, nx)
-        Height of the mirror over its design, mean zero on each panel [m].
-    last_change_m : float
-        RMS change of the height in the last round [m].
-    has_shadows : bool
-        Whether shadows as dark as the tube are in the reflection, and edges were checked against those of the other
-        side: what few edges say is then not believed.
-    shape : ShapeShare
-        Whether the mirror deviates as its slopes say, as the reflection tells it.
+    grid: Nodes across the trough.
+    y_m (r,): Rows [m].
+    errors: Slope errors and their covariance at all nodes.
+    measured (r, nx): Nodes near enough to an edge.
+    fate (m,): `EdgeFate` of each edge.
+    residuals_rad (m,): What remains of each edge's angle [rad].
+    roughness: Of the slopes along the rows.
+    noise_factor: By what the sigmas of the edges had to be multiplied.
+    absorber: The tube's axis, to which the width of its reflection has added what it says of it.
+    unknowns: What the lines have in common.
+    lines: The edges that were used, as observations.
+    height_m (r, nx): Height of the mirror over its design, mean zero on each panel [m].
+    last_change_m: RMS change of the height in the last round [m].
+    has_shadows: Whether shadows as dark as the tube are in the reflection, and edges were checked against those of
+        the other side: what few edges say is then not believed.
+    shape: Whether the mirror deviates as its slopes say, as the reflection tells it.
     """
 
     grid: RowGrid
@@ -134,10 +113,7 @@ class Reflector:
     def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
         """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
 
-        Returns
-        -------
-        callable
-            From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
+        Returns: From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
         return sum_covariance(
             self.lines, self.grid, self.roughness, self.errors.covariance_common, ~self.unknowns.is_place,
@@ -153,19 +129,9 @@ class Reflector:
 def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
     """Lay nodes across the aperture.
 
-    Parameters
-    ----------
-    collector : Collector
-        Its width and panels.
-    n_rows : int
-        Number of rows.
-    step_m : float
-        Wanted distance of the nodes [m].
-
-    Returns
-    -------
-    RowGrid
-        An even number of nodes in the middles of equal cells.
+    collector: Its width and panels.
+    step_m: Wanted distance of the nodes [m].
+    Returns: An even number of nodes in the middles of equal cells.
     """
     width = collector.aperture_width_m
     count = max(4, 2 * round(width / step_m / 2))
@@ -186,31 +152,15 @@ def solve_reflector(
 ) -> Reflector:
     """Estimate the slope errors of the mirror.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        Candidates of all photos.
-    photos : Photos
-        Poses with their covariance.
-    expected : Expectation
-        Collector, absorber and rows.
-    step_m : float
-        Wanted distance of the nodes across the trough [m].
-    prior : Roughness
-        What is known of the slope along the trough.
-    shaped : bool or None, optional
-        Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that; None: as
-        the reflection itself tells (`observer.selection.shape_share`).
-
-    Returns
-    -------
-    Reflector
-        Slope errors with covariance, and what became of each edge.
-
-    Raises
-    ------
-    EstimationError
-        Too few edges.
+    edges: Candidates of all photos.
+    photos: Poses with their covariance.
+    expected: Collector, absorber and rows.
+    step_m: Wanted distance of the nodes across the trough [m].
+    prior: What is known of the slope along the trough.
+    shaped: Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that;
+        None: as the reflection itself tells (`observer.selection.shape_share`).
+    Returns: Slope errors with covariance, and what became of each edge.
+    EstimationError: Too few edges.
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
     nominal = _Nominal(edges, photos, expected)

@@ -32,23 +32,11 @@ def borne_out(
 ) -> tuple[BoolArray, BoolArray]:
     """Tell which edges agree with those of the tube's other side.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Edges as observations with their noise, what rows have in common taken off their misfits.
-    side : ndarray, shape (m,)
-        +1 or -1 for each.
-    grid : RowGrid
-        Nodes.
-    roughness : Roughness
-        How slopes may vary.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Edges at whose place both sides know the slope and agree.
-    ndarray of bool, shape (r, nx)
-        Nodes of which that holds.
+    lines: Edges as observations with their noise, what rows have in common taken off their misfits.
+    side (m,): +1 or -1 for each.
+    roughness: How slopes may vary.
+    Returns (m,): Edges at whose place both sides know the slope and agree.
+    Returns (r, nx): Nodes of which that holds.
     """
     before, share = nodes_of(grid, lines.x_m)
     nearest = before + (share > 0.5)
@@ -82,21 +70,10 @@ def _one_side(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> tupl
 def pulled_curves(curve: IntArray, row: IntArray, normalised: FloatArray, n_rows: int) -> BoolArray:
     """Tell which edges are off by the same sign together with those before and after on their curve.
 
-    Parameters
-    ----------
-    curve : ndarray of int, shape (m,)
-        Number of the curve: one for each photo and side.
-    row : ndarray of int, shape (m,)
-        Row of the map.
-    normalised : ndarray, shape (m,)
-        Residual of each over the standard deviation that it has where the other edges alone predict it.
-    n_rows : int
-        Number of rows.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        Edges of pieces that are off.
+    Shapes: row (m,), result (m,).
+    curve (m,): Number of the curve: one for each photo and side.
+    normalised (m,): Residual of each over the standard deviation that it has where the other edges alone predict
+        it.
     """
     if curve.size == 0:
         return np.zeros(0, dtype=bool)

@@ -39,13 +39,9 @@ _WORTH_SIGMAS = 0.5
 class ShapeShare:
     """What the reflection says of the mirror's shape.
 
-    Parameters
-    ----------
-    share, sigma : float
-        Factor of the heights that the slopes integrate to, and its standard deviation; infinite where they are too
-        small to tell.
-    effect_rad : float
-        RMS by which the slopes across differ with those heights and without [rad].
+    share, sigma: Factor of the heights that the slopes integrate to, and its standard deviation; infinite where
+        they are too small to tell.
+    effect_rad: RMS by which the slopes across differ with those heights and without [rad].
     """
 
     share: float
@@ -75,23 +71,10 @@ def find_shape_share(
 ) -> ShapeShare:
     """Estimate by what factor the mirror has the heights that its slopes integrate to.
 
-    Parameters
-    ----------
-    both : (TouchingLines, TouchingLines)
-        The same edges as observations on the mirror with its heights, and without.
-    by_edge : ndarray, shape (m,)
-        By what their angle changes where all edges are too far towards the tube [rad/m].
-    grid : RowGrid
-        Nodes.
-    roughness : Roughness
-        How slopes may vary.
-    covariance : ndarray, shape (c, c)
-        Prior covariance of the common unknowns.
-
-    Returns
-    -------
-    ShapeShare
-        The factor, its sigma, and what it matters.
+    both: The same edges as observations on the mirror with its heights, and without.
+    by_edge (m,): By what their angle changes where all edges are too far towards the tube [rad/m].
+    roughness: How slopes may vary.
+    covariance (c, c): Prior covariance of the common unknowns.
     """
     rows = common_rows(both[0], grid, len(covariance))
     number = np.full(grid.n_rows, -1)
@@ -130,19 +113,8 @@ def _edge_step_m(lines: TouchingLines) -> float:
 def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) -> str | None:
     """Say whether the stated kind of surface contradicts the reflection, or matters and is not decided by it.
 
-    Parameters
-    ----------
-    found : ShapeShare
-        What the reflection says.
-    stated : bool or None
-        ``shape_from_slopes``; None where the reflection was to tell.
-    usual_sigma_rad : float
-        Usual sigma of a slope; what matters less than half of it is not worth a word [rad].
-
-    Returns
-    -------
-    str or None
-        A sentence.
+    stated: ``shape_from_slopes``; None where the reflection was to tell.
+    usual_sigma_rad: Usual sigma of a slope; what matters less than half of it is not worth a word [rad].
     """
     if found.effect_rad < _WORTH_SIGMAS * usual_sigma_rad:
         return None

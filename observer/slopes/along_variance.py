@@ -29,22 +29,12 @@ _CLEAR_EVIDENCE = 100.0
 def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughness:
     """Return the largest standard deviation of slopes along the trough that the edges allow.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations of slope errors from zero, with what rows have in common already taken off their misfits.
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        How slopes may vary, with the standard deviation that was assumed.
-
-    Returns
-    -------
-    Roughness
-        With the upper bound of two standard deviations, but what was assumed where the photos say nothing, as from
-        straight above; and where there clearly are such slopes 1.4 times the most probable value, because panels
-        differ, or what was assumed if that is more and better than none. And with the length over which they are
-        alike.
+    lines: Observations of slope errors from zero, with what rows have in common already taken off their misfits.
+    prior: How slopes may vary, with the standard deviation that was assumed.
+    Returns: With the upper bound of two standard deviations, but what was assumed where the photos say nothing, as
+        from straight above; and where there clearly are such slopes 1.4 times the most probable value, because
+        panels differ, or what was assumed if that is more and better than none. And with the length over which they
+        are alike.
     """
     lowest, highest = (round(float(np.log(end / prior.along_rad) / np.log(_FACTOR))) for end in _RANGE_RAD)
     known: dict[tuple[int, float], float] = {}

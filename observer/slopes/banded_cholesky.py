@@ -11,10 +11,7 @@ from heliogauge.validate import FloatArray
 class BandedFactor:
     """Cholesky roots of r banded matrices.
 
-    Parameters
-    ----------
-    root : ndarray, shape (r, n, w + 1)
-        Columns of the lower roots from the diagonal downwards: ``L[j + i, j]`` at ``[:, j, i]``.
+    root (r, n, w + 1): Columns of the lower roots from the diagonal downwards: ``L[j + i, j]`` at ``[:, j, i]``.
     """
 
     root: FloatArray
@@ -27,15 +24,8 @@ class BandedFactor:
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve the systems.
 
-        Parameters
-        ----------
-        right : ndarray, shape (..., r, n)
-            Right sides of all systems, as often as there are leading axes.
-
-        Returns
-        -------
-        ndarray, shape (..., r, n)
-            Solutions.
+        Shapes: result (..., r, n).
+        right (..., r, n): Right sides of all systems, as often as there are leading axes.
         """
         from scipy.linalg import lapack
 
@@ -47,15 +37,8 @@ class BandedFactor:
     def solve_many(self, right: FloatArray) -> FloatArray:
         """Solve systems that each have many right sides of their own: three times as fast as `solve` for hundreds.
 
-        Parameters
-        ----------
-        right : ndarray, shape (r, n, k)
-            Right sides; they are written over.
-
-        Returns
-        -------
-        ndarray, shape (r, n, k)
-            Solutions.
+        Shapes: result (r, n, k).
+        right (r, n, k): Right sides; they are written over.
         """
         turned, below = self._blocks()
         n_blocks, rows, width, _ = turned.shape
@@ -76,13 +59,8 @@ class BandedFactor:
     def inverse_blocks(self) -> FloatArray:
         """Return the blocks of w rows on the diagonals of the inverses.
 
-        Returns
-        -------
-        ndarray, shape (r, b, w, w)
-            Symmetric blocks; what reaches beyond the last row is that of unit rows.
+        Returns (r, b, w, w): Symmetric blocks; what reaches beyond the last row is that of unit rows.
 
-        Notes
-        -----
         With the blocks L_i of the root on the diagonal and M_i below them, ``T_i = L_i^-1`` and ``H_i = M_i T_i`` the
         block of the inverse is ``Z_i = T_i^T T_i + H_i^T Z_(i+1) H_i``, from the last one on.
         """
@@ -119,20 +97,9 @@ class BandedFactor:
 def factorise(bands: FloatArray) -> BandedFactor:
     """Factorise symmetric positive definite banded matrices.
 
-    Parameters
-    ----------
-    bands : ndarray, shape (r, n, w + 1)
-        Columns of r matrices from the diagonal downwards, zero beyond the last row; its memory is used for the roots.
-
-    Returns
-    -------
-    BandedFactor
-        The roots.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A matrix is not positive definite.
+    bands (r, n, w + 1): Columns of r matrices from the diagonal downwards, zero beyond the last row; its memory is
+        used for the roots.
+    numpy.linalg.LinAlgError: A matrix is not positive definite.
     """
     from scipy.linalg import lapack
 

@@ -30,12 +30,8 @@ _ENTRIES_AT_ONCE = 2_000_000
 class Beside:
     """Amounts of patterns of the lines that nothing else explains, found beside the common unknowns.
 
-    Parameters
-    ----------
-    amount : ndarray, shape (k,)
-        How much of each pattern there is.
-    covariance : ndarray, shape (k, k)
-        Covariance.
+    amount (k,): How much of each pattern there is.
+    covariance (k, k): Covariance.
     """
 
     amount: FloatArray
@@ -46,21 +42,14 @@ class Beside:
 class Reduced:
     """The common unknowns of some rows.
 
-    Parameters
-    ----------
-    common : ndarray, shape (c,)
-        Their estimates.
-    normal : ndarray, shape (c, c)
-        Their normal matrix, the slopes eliminated.
-    root : ndarray, shape (c, c)
-        Its lower Cholesky root.
-    evidence : float
-        Logarithm of how probable the lines are with slopes and common unknowns integrated out, but for a constant.
-    carried : ndarray, shape (r, n, 2, c)
-        By how much the slopes across and along at chosen nodes change against each common unknown; n is 0 where none
-        were asked for.
-    beside : Beside
-        Amounts of the patterns that were asked for.
+    common (c,): Their estimates.
+    normal (c, c): Their normal matrix, the slopes eliminated.
+    root (c, c): Its lower Cholesky root.
+    evidence: Logarithm of how probable the lines are with slopes and common unknowns integrated out, but for a
+        constant.
+    carried (r, n, 2, c): By how much the slopes across and along at chosen nodes change against each common
+        unknown; n is 0 where none were asked for.
+    beside: Amounts of the patterns that were asked for.
     """
 
     common: FloatArray
@@ -74,14 +63,9 @@ class Reduced:
 class Reduction:
     """Lines of some rows, gathered once for any roughness of these.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations, their misfits with zero slope error and zero common unknowns.
-    grid : RowGrid
-        Nodes.
-    covariance : ndarray, shape (c, c)
-        Prior covariance of the common unknowns about zero.
+    lines: Observations, their misfits with zero slope error and zero common unknowns.
+    grid: Nodes.
+    covariance (c, c): Prior covariance of the common unknowns about zero.
     """
 
     def __init__(self, lines: TouchingLines, grid: RowGrid, covariance: FloatArray) -> None:
@@ -114,25 +98,11 @@ class Reduction:
     ) -> Reduced:
         """Eliminate the slopes and estimate the common unknowns.
 
-        Parameters
-        ----------
-        prior : Roughness
-            How slopes may vary.
-        columns : ndarray of int, shape (n,), optional
-            Nodes at which it is wanted what the slopes have from the common unknowns.
-        beside : (ndarray, ndarray), shapes (m, k) and (k,), optional
-            Changes of the lines' misfits by patterns whose amounts are wanted [rad], and the prior standard deviations
-            of these. They have no influence on the common unknowns.
-
-        Returns
-        -------
-        Reduced
-            The common unknowns.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            They are not determined.
+        prior: How slopes may vary.
+        columns (n,): Nodes at which it is wanted what the slopes have from the common unknowns.
+        beside: Changes of the lines' misfits by patterns whose amounts are wanted [rad], and the prior standard
+            deviations of these. They have no influence on the common unknowns.
+        numpy.linalg.LinAlgError: They are not determined.
         """
         system = self._rows.under(prior)
         solved = system.factor.solve(self._pull)
@@ -206,17 +176,7 @@ class Reduction:
 def derivatives_of(lines: TouchingLines, count: int) -> "csr_array":
     """Return the derivatives of all lines over their sigmas with respect to the common unknowns.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations.
-    count : int
-        Number of common unknowns.
-
-    Returns
-    -------
-    csr_array, shape (m, c)
-        Derivatives.
+    Shapes: result (m, c).
     """
     from scipy.sparse import csr_array
 
@@ -245,22 +205,9 @@ _last_priors: list[tuple[weakref.ref[FloatArray], tuple[FloatArray, float]]] = [
 def root_of(matrix: FloatArray) -> tuple[FloatArray, float]:
     """Return the Cholesky root of a positive definite matrix.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (c, c)
-        The matrix; its lower half is read.
-
-    Returns
-    -------
-    root : ndarray, shape (c, c)
-        Lower root.
-    log_determinant : float
-        Logarithm of the matrix's determinant.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        It is not positive definite.
+    Shapes: root (c, c).
+    matrix (c, c): The matrix; its lower half is read.
+    numpy.linalg.LinAlgError: It is not positive definite.
     """
     from scipy.linalg import lapack
 
@@ -274,17 +221,8 @@ def root_of(matrix: FloatArray) -> tuple[FloatArray, float]:
 def solve_with(root: FloatArray, right: FloatArray) -> FloatArray:
     """Solve for a matrix that has a root.
 
-    Parameters
-    ----------
-    root : ndarray, shape (c, c)
-        Lower Cholesky root.
-    right : ndarray, shape (c,) or (c, k)
-        Right sides.
-
-    Returns
-    -------
-    ndarray, shape as right
-        Solutions.
+    Shapes: right (c,) or (c, k).
+    root (c, c): Lower Cholesky root.
     """
     from scipy.linalg import lapack
 
@@ -294,15 +232,8 @@ def solve_with(root: FloatArray, right: FloatArray) -> FloatArray:
 def inverse_of(root: FloatArray) -> FloatArray:
     """Return the inverse of the matrix that has a root.
 
-    Parameters
-    ----------
-    root : ndarray, shape (c, c)
-        Lower Cholesky root, zero above the diagonal.
-
-    Returns
-    -------
-    ndarray, shape (c, c)
-        Symmetric inverse.
+    Shapes: result (c, c).
+    root (c, c): Lower Cholesky root, zero above the diagonal.
     """
     from scipy.linalg import lapack
 

@@ -48,24 +48,15 @@ _TUBE_UNKNOWNS = 4
 class CommonUnknowns:
     """Unknowns that move many lines: poses, widths of photos, the tube's place, the tube itself, heights of panels.
 
-    Parameters
-    ----------
-    index : ndarray of int, shape (m, c)
-        Unknowns that move each line; those of its photo come first.
-    derivative : ndarray, shape (m, c)
-        By how much [rad].
-    covariance : ndarray, shape (k, k)
-        Prior covariance of the unknowns about zero.
-    n_photo : int
-        Number of unknowns that belong to single photos.
-    n_stations : int
-        Stations of the tube whose place is unknown; 0 where it is held.
-    units : ndarray, shape (4,)
-        Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
-    steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
-        Step of each photo's pose (`RigidTransform.moved`) for one unit of its first unknowns [rad, m].
-    height_unit_m : float
-        Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
+    index (m, c): Unknowns that move each line; those of its photo come first.
+    derivative (m, c): By how much [rad].
+    covariance (k, k): Prior covariance of the unknowns about zero.
+    n_photo: Number of unknowns that belong to single photos.
+    n_stations: Stations of the tube whose place is unknown; 0 where it is held.
+    units (4,): Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
+    steps (n, 6, MODES_PER_PHOTO): Step of each photo's pose (`RigidTransform.moved`) for one unit of its first
+        unknowns [rad, m].
+    height_unit_m: Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
     """
 
     index: IntArray
@@ -97,17 +88,8 @@ class CommonUnknowns:
     def place_as_slope(self, expected: Expectation, y_m: FloatArray, x_m: FloatArray) -> FloatArray:
         """Return by how much the tube's place looks like slope across: its theta_a is that of so much less slope.
 
-        Parameters
-        ----------
-        expected : Expectation
-            Collector and the tube's place.
-        y_m, x_m : ndarray, shapes (r,) and (n,)
-            Rows and columns of nodes [m].
-
-        Returns
-        -------
-        ndarray, shape (r, n, 2 k)
-            For each coordinate of the stations, x first; k is 0 where the tube is held [rad/m].
+        y_m, x_m: Rows and columns of nodes [m].
+        Returns (r, n, 2 k): For each coordinate of the stations, x first; k is 0 where the tube is held [rad/m].
         """
         path, focal, k = expected.absorber, expected.collector.focal_length_m, self.n_stations
         found = np.zeros((y_m.size, x_m.size, 2 * k))
@@ -127,17 +109,8 @@ class CommonUnknowns:
     def panel_heights_m(self, common: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return by how much each panel is higher than its design, and the standard deviation.
 
-        Parameters
-        ----------
-        common : ndarray, shape (k,)
-            The solution.
-        covariance : ndarray, shape (k, k)
-            Its covariance.
-
-        Returns
-        -------
-        height_m, sigma_m : ndarray, shape (p,)
-            In the order of `Collector.panel_index`; empty where heights are held [m].
+        Shapes: common (k,), covariance (k, k).
+        height_m, sigma_m (p,): In the order of `Collector.panel_index`; empty where heights are held [m].
         """
         first = self.radius + _TUBE_UNKNOWNS
         sigma = np.sqrt(np.diagonal(covariance)[first:])
@@ -148,29 +121,13 @@ class CommonUnknowns:
     ) -> tuple[tuple[RigidTransform, ...], FloatArray]:
         """Return the poses as the solution has them.
 
-        Parameters
-        ----------
-        poses : sequence of RigidTransform
-            As they were before, ``cam_from_frame``.
-        covariance : ndarray, shape (6 n, 6 n)
-            Joint covariance of their steps before.
-        common : ndarray, shape (k,)
-            The solution.
-        covariance_common : ndarray, shape (k, k)
-            Its covariance.
+        Shapes: common (k,), covariance_common (k, k), covariance (n, 6, 6).
+        poses: As they were before, ``cam_from_frame``.
+        covariance (6 n, 6 n): Joint covariance of their steps before.
 
-        Returns
-        -------
-        poses : tuple of RigidTransform
-            The poses.
-        covariance : ndarray, shape (n, 6, 6)
-            Of the steps of each one [rad, m].
-
-        Notes
-        -----
-        A photo's unknowns m are combinations of its step s with unit covariance, so that ``s = S m + rest`` with S the
-        `steps` and a rest that is independent of m. The edges tell m and, but for what m has in common with it, not
-        the rest: its expectation stays zero and its covariance ``P - S S^T``.
+        A photo's unknowns m are combinations of its step s with unit covariance, so that ``s = S m + rest`` with S
+        the `steps` and a rest that is independent of m. The edges tell m and, but for what m has in common with it,
+        not the rest: its expectation stays zero and its covariance ``P - S S^T``.
         """
         count, modes = len(self.steps), self.steps.shape[2]
         own = common[: count * modes].reshape(count, modes)
@@ -185,19 +142,8 @@ class CommonUnknowns:
     def moved(self, path: AbsorberPath, common: FloatArray, covariance: FloatArray) -> AbsorberPath:
         """Return the tube's path as the solution has it.
 
-        Parameters
-        ----------
-        path : AbsorberPath
-            As it was before.
-        common : ndarray, shape (k,)
-            The solution.
-        covariance : ndarray, shape (k, k)
-            Its covariance.
-
-        Returns
-        -------
-        AbsorberPath
-            The path; the same one where it was held.
+        Shapes: common (k,), covariance (k, k).
+        Returns: The path; the same one where it was held.
         """
         if self.n_stations == 0:
             return path
@@ -216,25 +162,11 @@ def common_unknowns(
 ) -> CommonUnknowns:
     """Collect what touching lines of sight have in common.
 
-    Parameters
-    ----------
-    edges : ReflectionEdges
-        The edges.
-    sights : Sights
-        Their lines of sight.
-    found : Misfit
-        Misfits and derivatives of these, with the design's slopes.
-    modes : CameraModes
-        The unknowns that stand for the poses.
-    expected : Expectation
-        Collector and the tube's place; it is held where it has no variance.
-    with_poses : ndarray, shape (2 k, 6 n), optional
-        Covariance of the tube's place with the steps of the poses: wrong targets displace both.
-
-    Returns
-    -------
-    CommonUnknowns
-        Index, derivatives and prior covariance.
+    found: Misfits and derivatives of these, with the design's slopes.
+    modes: The unknowns that stand for the poses.
+    expected: Collector and the tube's place; it is held where it has no variance.
+    with_poses (2 k, 6 n): Covariance of the tube's place with the steps of the poses: wrong targets displace both.
+    Returns: Index, derivatives and prior covariance.
     """
     path, collector, m = expected.absorber, expected.collector, edges.photo.size
     n_modes = len(modes.covariance)

@@ -42,12 +42,9 @@ LooksLikeSlope = Callable[[IntArray, IntArray], FloatArray]
 class TubeShare:
     """What the common unknowns do to the slope less what the tube's place looks like, which is theta_ra as a slope.
 
-    Parameters
-    ----------
-    variance : ndarray, shape (r, nx)
-        Variance from the common unknowns [rad^2].
-    modes : ndarray, shape (k, s, nx)
-        Change for one standard deviation of each of the strongest independent combinations of them [rad].
+    variance (r, nx): Variance from the common unknowns [rad^2].
+    modes (k, s, nx): Change for one standard deviation of each of the strongest independent combinations of them
+        [rad].
     """
 
     variance: FloatArray
@@ -58,28 +55,17 @@ class TubeShare:
 class SlopeErrors:
     """Solution for the rows and for what they share.
 
-    Parameters
-    ----------
-    slopes : ndarray, shape (r, nx, 2)
-        Errors of dz/dx and dz/dy of the mirror at the nodes [rad].
-    random : ndarray, shape (r, nx, 2, 2)
-        Covariance of both at each node from noise and from what lies between samples [rad^2].
-    shared : ndarray, shape (r, nx, 2)
-        Variance from the common unknowns [rad^2].
-    common : ndarray, shape (c,)
-        Estimates of the common unknowns.
-    covariance_common : ndarray, shape (c, c)
-        Their covariance.
-    mode_rows : ndarray of int, shape (s,)
-        Rows at which the modes are given.
-    modes : ndarray, shape (k, s, nx)
-        Change of dz/dx for one standard deviation of each of the strongest independent combinations of the common
-        unknowns [rad].
-    modes_apart : ndarray, shape (l, s, nx)
-        The same of those unknowns that are shown apart, with what the others do along with them; `modes` are then what
-        the others do besides.
-    to_tube : TubeShare or None, optional
-        Common share of the slope against the tube as it is; None where it was not asked for.
+    slopes (r, nx, 2): Errors of dz/dx and dz/dy of the mirror at the nodes [rad].
+    random (r, nx, 2, 2): Covariance of both at each node from noise and from what lies between samples [rad^2].
+    shared (r, nx, 2): Variance from the common unknowns [rad^2].
+    common (c,): Estimates of the common unknowns.
+    covariance_common (c, c): Their covariance.
+    mode_rows (s,): Rows at which the modes are given.
+    modes (k, s, nx): Change of dz/dx for one standard deviation of each of the strongest independent combinations
+        of the common unknowns [rad].
+    modes_apart (l, s, nx): The same of those unknowns that are shown apart, with what the others do along with
+        them; `modes` are then what the others do besides.
+    to_tube: Common share of the slope against the tube as it is; None where it was not asked for.
     """
 
     slopes: FloatArray
@@ -98,29 +84,14 @@ def find_roughness(
 ) -> Roughness:
     """Choose the roughness across the trough under which the lines are most probable.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations, misfits with zero slope error and zero common unknowns.
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        The slope along the trough, which is kept.
-    covariance : ndarray, shape (c, c)
-        Prior covariance of the common unknowns.
-    any_order : bool, optional
-        Whether the order of the random walk is chosen as well; otherwise it is the prior's.
+    lines: Observations, misfits with zero slope error and zero common unknowns.
+    prior: The slope along the trough, which is kept.
+    covariance (c, c): Prior covariance of the common unknowns.
+    any_order: Whether the order of the random walk is chosen as well; otherwise it is the prior's.
 
-    Returns
-    -------
-    Roughness
-        With the most probable roughness, to a quarter of a decade.
-
-    Notes
-    -----
-    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval in
-    which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is near
-    after the first round, and found by bisection.
+    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval
+    in which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is
+    near after the first round, and found by bisection.
     """
     some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
     some, own_covariance = _fewer_common(some, covariance)
@@ -194,30 +165,15 @@ def solve_jointly(
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations, their misfits with zero slope error and zero common unknowns.
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        How slopes may vary.
-    covariance : ndarray, shape (c, c)
-        Prior covariance of the common unknowns about zero.
-    with_shares : bool, ndarray of bool, shape (c,), or None, optional
-        Whether the share of the common unknowns in the slopes' variance is wanted; without it that share is zero and
-        there are no modes, which takes half the time. With an array the unknowns that are not chosen are shown apart.
-        With None not even the covariance of the common unknowns is computed; it is empty.
-    looks_like : callable, optional
-        By how much the unknowns that are shown apart look like slope across, for the share of both together.
+    lines: Observations, their misfits with zero slope error and zero common unknowns.
+    prior: How slopes may vary.
+    covariance (c, c): Prior covariance of the common unknowns about zero.
+    with_shares (c,): Whether the share of the common unknowns in the slopes' variance is wanted; without it that
+        share is zero and there are no modes, which takes half the time. With an array the unknowns that are not
+        chosen are shown apart. With None not even the covariance of the common unknowns is computed; it is empty.
+    looks_like: By how much the unknowns that are shown apart look like slope across, for the share of both
+        together.
 
-    Returns
-    -------
-    SlopeErrors
-        The solution.
-
-    Notes
-    -----
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
     count = len(covariance)
@@ -258,15 +214,7 @@ def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:
 def share_columns(grid: RowGrid) -> IntArray:
     """Return the nodes at which the share of the common unknowns is computed: evenly spread, and beside panel edges.
 
-    Parameters
-    ----------
-    grid : RowGrid
-        Nodes.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        Ascending.
+    Shapes: result (n,).
     """
     n = grid.x_m.size
     even = np.linspace(0, n - 1, min(n, _COLUMNS_FOR_SHARES)).round().astype(np.intp)
@@ -277,19 +225,7 @@ def share_columns(grid: RowGrid) -> IntArray:
 def common_rows(lines: TouchingLines, grid: RowGrid, count: int) -> IntArray:
     """Return the rows that some number of common unknowns are estimated from, shape (s,).
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations of all rows.
-    grid : RowGrid
-        All rows.
-    count : int
-        Number of common unknowns.
-
-    Returns
-    -------
-    ndarray of int, shape (s,)
-        Ascending numbers of rows.
+    Shapes: result (s,).
     """
     wanted = _ROWS_TIMES_COMMON // max(count, 1)
     return sample_rows(lines, grid, min(max(wanted, _FEWEST_ROWS_FOR_COMMON), _MOST_ROWS_FOR_COMMON))
@@ -298,19 +234,7 @@ def common_rows(lines: TouchingLines, grid: RowGrid, count: int) -> IntArray:
 def sample_rows(lines: TouchingLines, grid: RowGrid, most: int) -> IntArray:
     """Return rows spread over the part of the mirror that has lines, shape (s,).
 
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations of all rows.
-    grid : RowGrid
-        All rows.
-    most : int
-        How many at most.
-
-    Returns
-    -------
-    ndarray of int, shape (s,)
-        Ascending numbers of rows.
+    Shapes: result (s,).
     """
     number = np.bincount(lines.row, minlength=grid.n_rows)
     usual = float(np.median(number[number > 0])) if number.any() else 0.0

@@ -23,14 +23,9 @@ from observer.trough.absorber_path import AbsorberPath
 class Sights:
     """Lines of sight that touch the tube's edge after reflection.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (m, 3)
-        Mirror points [m].
-    eyes_m : ndarray, shape (m, 3)
-        The camera's centre for each [m].
-    side : ndarray, shape (m,)
-        +1 for the edge at the larger camera angle, -1 for the other.
+    points_m (m, 3): Mirror points [m].
+    eyes_m (m, 3): The camera's centre for each [m].
+    side (m,): +1 for the edge at the larger camera angle, -1 for the other.
     """
 
     points_m: FloatArray
@@ -42,20 +37,12 @@ class Sights:
 class Misfit:
     """How far reflected lines of sight pass beside the tube's edge, and what moves them.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (m,)
-        e of the module's text: angle across the trough by which the edge is missed [rad].
-    d_angle_d_slope_x, d_angle_d_slope_y : ndarray, shape (m,)
-        Derivatives with respect to dz/dx and dz/dy of the mirror [rad].
-    d_angle_d_eye : ndarray, shape (m, 3)
-        Derivatives with respect to the camera's centre, the mirror point held [rad/m].
-    d_angle_d_absorber : ndarray, shape (m, 2)
-        Derivatives with respect to X_a and Z_a where the ray passes [rad/m].
-    d_angle_d_radius : ndarray, shape (m,)
-        Derivative with respect to the tube's radius [rad/m].
-    passing_y_m : ndarray, shape (m,)
-        Where along the trough the ray passes the tube [m].
+    angle_rad (m,): e of the module's text: angle across the trough by which the edge is missed [rad].
+    d_angle_d_slope_x, d_angle_d_slope_y (m,): Derivatives with respect to dz/dx and dz/dy of the mirror [rad].
+    d_angle_d_eye (m, 3): Derivatives with respect to the camera's centre, the mirror point held [rad/m].
+    d_angle_d_absorber (m, 2): Derivatives with respect to X_a and Z_a where the ray passes [rad/m].
+    d_angle_d_radius (m,): Derivative with respect to the tube's radius [rad/m].
+    passing_y_m (m,): Where along the trough the ray passes the tube [m].
     """
 
     angle_rad: FloatArray
@@ -70,21 +57,9 @@ class Misfit:
 def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath, radius_m: float) -> Misfit:
     """Evaluate by what angle reflected lines of sight miss the tube's edge.
 
-    Parameters
-    ----------
-    sights : Sights
-        Mirror points, cameras and sides.
-    slopes : (ndarray, ndarray), shape (m,) each
-        dz/dx and dz/dy of the mirror at the points.
-    absorber : AbsorberPath
-        The tube's axis.
-    radius_m : float
-        The tube's radius [m].
-
-    Returns
-    -------
-    Misfit
-        Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
+    sights: Mirror points, cameras and sides.
+    slopes (m,): dz/dx and dz/dy of the mirror at the points.
+    Returns: Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
     """
     ray = _Ray(sights, slopes)
     angle, half, (to_x, to_z), passing = _beside_tube(sights, ray, absorber, radius_m)
@@ -103,23 +78,12 @@ def misfit_with_slopes(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Evaluate what `misfit` does, with derivatives with respect to the slopes alone: half the time.
 
-    Parameters
-    ----------
-    sights : Sights
-        Mirror points, cameras and sides.
-    slopes : (ndarray, ndarray), shape (m,) each
-        dz/dx and dz/dy of the mirror at the points.
-    absorber : AbsorberPath
-        The tube's axis.
-    radius_m : float
-        The tube's radius [m].
-
-    Returns
-    -------
-    angle_rad : ndarray, shape (m,)
-        Angle by which the edge is missed; NaN where the ray does not reach the tube [rad].
-    d_slope_x, d_slope_y : ndarray, shape (m,)
-        Its derivatives with respect to the slopes [rad].
+    Shapes: d_slope_x, d_slope_y (m,).
+    sights: Mirror points, cameras and sides.
+    slopes (m,): dz/dx and dz/dy of the mirror at the points.
+    absorber: The tube's axis.
+    radius_m: The tube's radius [m].
+    angle_rad (m,): Angle by which the edge is missed; NaN where the ray does not reach the tube [rad].
     """
     ray = _Ray(sights, slopes)
     angle, half, _, _ = _beside_tube(sights, ray, absorber, radius_m)
@@ -180,25 +144,11 @@ def beside_axis(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return by what angle reflected lines of sight pass beside the tube's axis, without derivatives.
 
-    Parameters
-    ----------
-    sights : Sights
-        Mirror points and cameras; sides do not matter.
-    slope_x : ndarray, shape (m,)
-        dz/dx of the mirror at the points; its slope along the trough counts as none.
-    absorber : AbsorberPath
-        The tube's axis.
-    radius_m : float
-        The tube's radius [m].
-
-    Returns
-    -------
-    angle_rad : ndarray, shape (m,)
-        Mean of the misfits of both edges [rad].
-    half_rad : ndarray, shape (m,)
-        Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
-    passing_y_m : ndarray, shape (m,)
-        Where along the trough the ray passes the tube [m].
+    sights: Mirror points and cameras; sides do not matter.
+    slope_x (m,): dz/dx of the mirror at the points; its slope along the trough counts as none.
+    angle_rad (m,): Mean of the misfits of both edges [rad].
+    half_rad (m,): Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
+    passing_y_m (m,): Where along the trough the ray passes the tube [m].
     """
     ray = _Ray(sights, (slope_x, np.zeros_like(slope_x)))
     angle, half, _, passing = _beside_tube(sights, ray, absorber, radius_m)
@@ -218,21 +168,9 @@ def gradient_on_mirror(
 ) -> FloatArray:
     """Differentiate the misfit with respect to the mirror point, the camera held and the slopes following the mirror.
 
-    Parameters
-    ----------
-    sights : Sights
-        The lines.
-    found : Misfit
-        Their misfits and derivatives.
-    focal_length_m : float
-        Focal length of the mirror, whose curvature turns the normal along the way [m].
-    bend_per_m : float or ndarray, shape (m,), optional
-        Curvature across that the mirror has beside that: change of the slope's error [1/m].
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-        Derivatives [rad/m]; movements must stay on the mirror.
+    focal_length_m: Focal length of the mirror, whose curvature turns the normal along the way [m].
+    bend_per_m (m,): Curvature across that the mirror has beside that: change of the slope's error [1/m].
+    Returns (m, 3): Derivatives [rad/m]; movements must stay on the mirror.
     """
     gradient = -found.d_angle_d_eye
     gradient[:, 0] += found.d_angle_d_slope_x * (1 / (2 * focal_length_m) + bend_per_m) - found.d_angle_d_absorber[:, 0]
@@ -245,21 +183,8 @@ def change_across(
 ) -> FloatArray:
     """Return by how much the misfit changes where the mirror point moves across the trough, shape (m,) [rad/m].
 
-    Parameters
-    ----------
-    sights : Sights
-        The lines.
-    found : Misfit
-        Their misfits and derivatives.
-    focal_length_m : float
-        Focal length of the mirror [m].
-    bend_per_m : float or ndarray, shape (m,), optional
-        Curvature across that the mirror has beside that [1/m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Total derivative along the parabola [rad/m].
+    bend_per_m (m,): Curvature across that the mirror has beside that [1/m].
+    Returns (m,): Total derivative along the parabola [rad/m].
     """
     gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
     return np.asarray(gradient[:, 0] + gradient[:, 2] * sights.points_m[:, 0] / (2 * focal_length_m))

@@ -22,18 +22,12 @@ MODES_PER_PHOTO = 3
 class CameraModes:
     """Unknowns of all photos that stand for their poses.
 
-    Parameters
-    ----------
-    index : ndarray of int, shape (m, MODES_PER_PHOTO)
-        Unknowns that move each line.
-    derivative : ndarray, shape (m, MODES_PER_PHOTO)
-        By how much [rad].
-    covariance : ndarray, shape (c, c)
-        Prior covariance of the unknowns; 1 on its diagonal.
-    steps : ndarray, shape (n, 6, MODES_PER_PHOTO)
-        Step of each photo's pose (`RigidTransform.moved`) for one unit of its unknowns [rad, m].
-    reading : ndarray, shape (n, MODES_PER_PHOTO, 6)
-        The unknowns of each photo from a step of its pose.
+    index (m, MODES_PER_PHOTO): Unknowns that move each line.
+    derivative (m, MODES_PER_PHOTO): By how much [rad].
+    covariance (c, c): Prior covariance of the unknowns; 1 on its diagonal.
+    steps (n, 6, MODES_PER_PHOTO): Step of each photo's pose (`RigidTransform.moved`) for one unit of its unknowns
+        [rad, m].
+    reading (n, MODES_PER_PHOTO, 6): The unknowns of each photo from a step of its pose.
     """
 
     index: IntArray
@@ -45,15 +39,8 @@ class CameraModes:
     def with_steps(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance of the unknowns with the steps of all poses.
 
-        Parameters
-        ----------
-        covariance : ndarray, shape (6 n, 6 n)
-            Joint covariance of the steps, as these modes were made of.
-
-        Returns
-        -------
-        ndarray, shape (c, 6 n)
-            Covariance [rad, m].
+        Shapes: result (c, 6 n).
+        covariance (6 n, 6 n): Joint covariance of the steps, as these modes were made of.
         """
         blocks = covariance.reshape(len(self.reading), 6, -1)
         return np.asarray((self.reading @ blocks).reshape(len(self.covariance), -1))
@@ -61,15 +48,7 @@ class CameraModes:
     def read(self, with_steps: FloatArray) -> FloatArray:
         """Return the covariance of something with the unknowns.
 
-        Parameters
-        ----------
-        with_steps : ndarray, shape (k, 6 n)
-            Its covariance with the steps of all poses.
-
-        Returns
-        -------
-        ndarray, shape (k, c)
-            Covariance.
+        Shapes: with_steps (k, 6 n), result (k, c).
         """
         blocks = np.swapaxes(with_steps.reshape(len(with_steps), len(self.reading), 6), 0, 1)
         parts = blocks @ np.swapaxes(self.reading, 1, 2)
@@ -86,25 +65,11 @@ def pose_derivatives(
 ) -> FloatArray:
     """Differentiate the misfit of lines of sight with respect to their photo's pose, the pixel held.
 
-    Parameters
-    ----------
-    sights : Sights
-        The lines.
-    found : Misfit
-        Their misfits and derivatives.
-    poses : sequence of RigidTransform
-        ``cam_from_frame`` of each photo.
-    photo : ndarray of int, shape (m,)
-        Photo of each line.
-    focal_length_m : float
-        Focal length of the mirror, whose curvature turns the normal where the line moves along it [m].
-    bend_per_m : float or ndarray, shape (m,), optional
-        Curvature across that the mirror has beside that: change of the slope's error [1/m].
-
-    Returns
-    -------
-    ndarray, shape (m, 6)
-        Derivatives with respect to the steps of `RigidTransform.moved` [rad/rad, rad/m].
+    Shapes: photo (m,).
+    poses: ``cam_from_frame`` of each photo.
+    focal_length_m: Focal length of the mirror, whose curvature turns the normal where the line moves along it [m].
+    bend_per_m (m,): Curvature across that the mirror has beside that: change of the slope's error [1/m].
+    Returns (m, 6): Derivatives with respect to the steps of `RigidTransform.moved` [rad/rad, rad/m].
     """
     points, sight = sights.points_m, sights.eyes_m - sights.points_m
     gradient = gradient_on_mirror(sights, found, focal_length_m, bend_per_m)
@@ -126,19 +91,8 @@ def pose_derivatives(
 def pose_scatter(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> FloatArray:
     """Return the variance that uncertain poses make in each line's angle.
 
-    Parameters
-    ----------
-    derivatives : ndarray, shape (m, 6)
-        From `pose_derivatives`.
-    photo : ndarray of int, shape (m,)
-        Photo of each line.
-    covariance : ndarray, shape (6 n, 6 n)
-        Joint covariance of the steps of all n poses.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Variance [rad^2].
+    Shapes: derivatives (m, 6), photo (m,), result (m,).
+    covariance (6 n, 6 n): Joint covariance of the steps of all n poses.
     """
     return np.asarray((_by_photo(derivatives, photo, _own_blocks(covariance)) * derivatives).sum(axis=1))
 
@@ -180,19 +134,8 @@ def _rows_of(photo: IntArray, count: int) -> list[IntArray | slice]:
 def reduce_to_modes(derivatives: FloatArray, photo: IntArray, covariance: FloatArray) -> CameraModes:
     """Keep the combinations of pose movements that move the lines most, in units of their standard deviation.
 
-    Parameters
-    ----------
-    derivatives : ndarray, shape (m, 6)
-        From `pose_derivatives`.
-    photo : ndarray of int, shape (m,)
-        Photo of each line.
-    covariance : ndarray, shape (6 n, 6 n)
-        Joint covariance of the steps of all n poses.
-
-    Returns
-    -------
-    CameraModes
-        The unknowns.
+    Shapes: derivatives (m, 6), photo (m,).
+    covariance (6 n, 6 n): Joint covariance of the steps of all n poses.
     """
     count = len(covariance) // 6
     index = MODES_PER_PHOTO * photo[:, None] + np.arange(MODES_PER_PHOTO)

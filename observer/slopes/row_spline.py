@@ -31,14 +31,8 @@ _DIFFERENCES = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}
 class RowGrid:
     """Nodes of all rows.
 
-    Parameters
-    ----------
-    x_m : ndarray, shape (nx,)
-        Equally spaced nodes across the trough, an even number [m].
-    joined : ndarray of bool, shape (nx - 1,)
-        Whether neighbouring nodes lie on one panel.
-    n_rows : int
-        Number of rows.
+    x_m (nx,): Equally spaced nodes across the trough, an even number [m].
+    joined (nx - 1,): Whether neighbouring nodes lie on one panel.
     """
 
     x_m: FloatArray
@@ -55,18 +49,12 @@ class RowGrid:
 class Roughness:
     """How slopes may vary along a row.
 
-    Parameters
-    ----------
-    across : float
-        Spectral density of the derivative of this order of the slope error across the trough
-        [rad^2 / m^(2 order - 1)].
-    along_rad : float
-        Standard deviation of the slope error along the trough, about zero [rad].
-    along_length_m : float
-        Length over which the slope along the trough is correlated across the trough [m].
-    order : int, optional
-        2: the bend of the mirror is a random walk, as where it has kinks. 3: the change of the bend is one, as that of
-        waves; what lies between edges then follows from how the mirror bends beside.
+    across: Spectral density of the derivative of this order of the slope error across the trough [rad^2 / m^(2
+        order - 1)].
+    along_rad: Standard deviation of the slope error along the trough, about zero [rad].
+    along_length_m: Length over which the slope along the trough is correlated across the trough [m].
+    order: 2: the bend of the mirror is a random walk, as where it has kinks. 3: the change of the bend is one, as
+        that of waves; what lies between edges then follows from how the mirror bends beside.
     """
 
     across: float
@@ -79,22 +67,13 @@ class Roughness:
 class TouchingLines:
     """Linearised observations: ``misfit + d_x ds_x + d_y ds_y + sum d_common dp = noise``.
 
-    Parameters
-    ----------
-    row : ndarray of int, shape (m,)
-        Row of each.
-    x_m : ndarray, shape (m,)
-        Where on the row [m].
-    misfit_rad : ndarray, shape (m,)
-        Angle by which the line misses the tube's edge with the present slopes [rad].
-    d_slope_x, d_slope_y : ndarray, shape (m,)
-        Its derivatives with respect to the slopes there.
-    sigma_rad : ndarray, shape (m,)
-        Standard deviation of the angle from the image [rad].
-    common_index : ndarray of int, shape (m, c)
-        Which common unknowns move it.
-    d_common : ndarray, shape (m, c)
-        Derivatives with respect to those.
+    row (m,): Row of each.
+    x_m (m,): Where on the row [m].
+    misfit_rad (m,): Angle by which the line misses the tube's edge with the present slopes [rad].
+    d_slope_x, d_slope_y (m,): Its derivatives with respect to the slopes there.
+    sigma_rad (m,): Standard deviation of the angle from the image [rad].
+    common_index (m, c): Which common unknowns move it.
+    d_common (m, c): Derivatives with respect to those.
     """
 
     row: IntArray
@@ -122,16 +101,10 @@ class TouchingLines:
 class Rows:
     """Normal equations of all rows by the lines alone, the unknowns of a row in the order of its nodes.
 
-    Parameters
-    ----------
-    grid : RowGrid
-        Nodes.
-    place : ndarray of int, shape (m,)
-        The first of four unknowns of all rows that move each line: (s_x, s_y) of the node before and of the node after.
-    weights : ndarray, shape (m, 4)
-        Derivatives of each line's misfit over its sigma with respect to those.
-    normal : ndarray, shape (r, 2 nx, 4)
-        Columns of the normal matrices from the diagonal downwards.
+    place (m,): The first of four unknowns of all rows that move each line: (s_x, s_y) of the node before and of the
+        node after.
+    weights (m, 4): Derivatives of each line's misfit over its sigma with respect to those.
+    normal (r, 2 nx, 4): Columns of the normal matrices from the diagonal downwards.
     """
 
     grid: RowGrid
@@ -169,14 +142,10 @@ class Rows:
 class RowSystem:
     """Factorised normal equations of all rows.
 
-    Parameters
-    ----------
-    factor : BandedFactor
-        The factorised matrices.
-    bands : ndarray, shape (order + 1, nx, 2)
-        The prior's precision of (s_x, s_y) between a node and itself, the next and those after that.
-    log_determinant : float
-        Logarithm of the determinant of the prior of all rows minus that of the normal matrices.
+    factor: The factorised matrices.
+    bands (order + 1, nx, 2): The prior's precision of (s_x, s_y) between a node and itself, the next and those
+        after that.
+    log_determinant: Logarithm of the determinant of the prior of all rows minus that of the normal matrices.
     """
 
     factor: BandedFactor
@@ -185,20 +154,7 @@ class RowSystem:
 
 
 def assemble(lines: TouchingLines, grid: RowGrid) -> Rows:
-    """Set up the normal equations of all rows.
-
-    Parameters
-    ----------
-    lines : TouchingLines
-        Observations.
-    grid : RowGrid
-        Nodes.
-
-    Returns
-    -------
-    Rows
-        The equations.
-    """
+    """Set up the normal equations of all rows."""
     before, share = nodes_of(grid, lines.x_m)
     by_x, by_y = lines.d_slope_x / lines.sigma_rad, lines.d_slope_y / lines.sigma_rad
     weights = np.stack([by_x * (1 - share), by_y * (1 - share), by_x * share, by_y * share], axis=1)
@@ -223,19 +179,8 @@ def assemble(lines: TouchingLines, grid: RowGrid) -> Rows:
 def nodes_of(grid: RowGrid, x_m: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the node before each place and the share of the node after; no share goes across a panel's edge.
 
-    Parameters
-    ----------
-    grid : RowGrid
-        Nodes.
-    x_m : ndarray, shape (m,)
-        Places on the rows [m].
-
-    Returns
-    -------
-    before : ndarray of int, shape (m,)
-        Node before.
-    share : ndarray, shape (m,)
-        Share of the node after.
+    Shapes: before (m,), share (m,).
+    x_m (m,): Places on the rows [m].
     """
     position = (x_m - grid.x_m[0]) / grid.step_m
     before = np.clip(np.floor(position).astype(np.intp), 0, grid.x_m.size - 2)
@@ -246,20 +191,10 @@ def nodes_of(grid: RowGrid, x_m: FloatArray) -> tuple[IntArray, FloatArray]:
 def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
     """Return the prior's precision as bands.
 
-    Parameters
-    ----------
-    grid : RowGrid
-        Nodes.
-    prior : Roughness
-        How slopes may vary.
+    prior: How slopes may vary.
+    Returns (order + 1, nx, 2): Precision of (s_x, s_y) between a node and itself, the next and those after that
+        [1/rad^2].
 
-    Returns
-    -------
-    ndarray, shape (order + 1, nx, 2)
-        Precision of (s_x, s_y) between a node and itself, the next and those after that [1/rad^2].
-
-    Notes
-    -----
     Across: differences of the order n within a panel have the variance q h^(2n - 1). Along: the process
     (k^2 - d^2/dx^2) s = white noise with free ends (Whittle 1954), which has the variance ``noise / (4 k^3)`` and the
     correlation length sqrt(3) / k.

@@ -13,19 +13,10 @@ from heliogauge.validate import FloatArray, float_array
 class AbsorberPath:
     """Axis of the absorber tube: a polyline through stations along the trough.
 
-    Parameters
-    ----------
-    y_m : ndarray, shape (n,)
-        Ascending stations along the trough [m].
-    x_m, z_m : ndarray, shape (n,)
-        Position of the axis at the stations [m].
-    covariance_m2 : ndarray, shape (2 n, 2 n)
-        Joint covariance of (x_1 .. x_n, z_1 .. z_n) [m^2].
-
-    Raises
-    ------
-    InputError
-        Stations that do not ascend, or arrays that do not belong together.
+    y_m (n,): Ascending stations along the trough [m].
+    x_m, z_m (n,): Position of the axis at the stations [m].
+    covariance_m2 (2 n, 2 n): Joint covariance of (x_1 .. x_n, z_1 .. z_n) [m^2].
+    InputError: Stations that do not ascend, or arrays that do not belong together.
     """
 
     y_m: FloatArray
@@ -47,17 +38,7 @@ class AbsorberPath:
     def straight(cls, x_m: float, z_m: float, half_length_m: float) -> "AbsorberPath":
         """Return an axis parallel to the trough that is known without error.
 
-        Parameters
-        ----------
-        x_m, z_m : float
-            Its position [m].
-        half_length_m : float
-            Half its length [m].
-
-        Returns
-        -------
-        AbsorberPath
-            Two stations, covariance zero.
+        Returns: Two stations, covariance zero.
         """
         ends = np.array([-half_length_m, half_length_m])
         return cls(ends, np.full(2, x_m), np.full(2, z_m), np.zeros((4, 4)))
@@ -70,15 +51,7 @@ class AbsorberPath:
     def at(self, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the axis at any place along the trough; beyond the ends it goes on as at the end.
 
-        Parameters
-        ----------
-        y_m : array_like, shape (...)
-            Places along the trough [m].
-
-        Returns
-        -------
-        x_m, z_m : ndarray, shape (...)
-            The axis [m].
+        Shapes: y_m (...), x_m, z_m (...).
         """
         place = np.asarray(y_m, dtype=np.float64)
         return np.interp(place, self.y_m, self.x_m), np.interp(place, self.y_m, self.z_m)
@@ -86,17 +59,9 @@ class AbsorberPath:
     def shares(self, y_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray]:
         """Return which station lies before each place and the share of the one after it.
 
-        Parameters
-        ----------
-        y_m : array_like, shape (m,)
-            Places along the trough [m].
-
-        Returns
-        -------
-        before : ndarray of int, shape (m,)
-            Station before the place.
-        share : ndarray, shape (m,)
-            Share of the next station, 0 to 1.
+        Shapes: before (m,).
+        y_m (m,): Places along the trough [m].
+        share (m,): Share of the next station, 0 to 1.
         """
         place = np.asarray(y_m, dtype=np.float64)
         if self.n == 1:
@@ -108,15 +73,7 @@ class AbsorberPath:
     def sigma_at(self, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the standard deviations of x and z at any place along the trough.
 
-        Parameters
-        ----------
-        y_m : array_like, shape (m,)
-            Places along the trough [m].
-
-        Returns
-        -------
-        sigma_x_m, sigma_z_m : ndarray, shape (m,)
-            Standard deviations [m].
+        Shapes: y_m (m,), sigma_x_m, sigma_z_m (m,).
         """
         before, share = self.shares(y_m)
         after = np.minimum(before + 1, self.n - 1)

@@ -8,21 +8,10 @@ from observer.trough.collector import Collector
 def turned_rad(collector: Collector, radii: float) -> float:
     """Return by what angle the glass turns a line of sight on its way in, before it passes the middle.
 
-    Parameters
-    ----------
-    collector : Collector
-        Its tube and glass.
-    radii : float
-        Distance at which the line passes the middle of the glass, in radii of the tube.
+    radii: Distance at which the line passes the middle of the glass, in radii of the tube.
+    Returns: Angle towards the side on which the line passes, in the plane across the tube; on the way out it is
+        turned by as much once more; 0 without glass [rad].
 
-    Returns
-    -------
-    float
-        Angle towards the side on which the line passes, in the plane across the tube; on the way out it is turned by
-        as much once more; 0 without glass [rad].
-
-    Notes
-    -----
     By the plane law of refraction: towards the middle at the outer face, away from it at the inner one. Beyond the
     inner face it stays what it is there.
     """

@@ -22,15 +22,8 @@ class Mirror(Protocol):
     def errors(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the errors of dz/dx and dz/dy, shape (m,) each [rad].
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (m,)
-            Places [m].
-
-        Returns
-        -------
-        (ndarray, ndarray), shape (m,) each
-            Errors of both slopes [rad].
+        Shapes: x_m, y_m (m,).
+        Returns (m,): Errors of both slopes [rad].
         """
         ...
 
@@ -68,16 +61,10 @@ class _Waves:
 class TypicalMirror:
     """A mirror whose panels are turned and bent, with waves over all of them.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design with its panels.
-    tilts_rad : ndarray, shape (2, n)
-        Turn of each panel: error of dz/dx and of dz/dy [rad].
-    bends_rad : ndarray, shape (2, n)
-        Slope error at the panel's edge from its bending, across and along [rad].
-    waves : tuple
-        Waves of both slopes.
+    collector: The design with its panels.
+    tilts_rad (2, n): Turn of each panel: error of dz/dx and of dz/dy [rad].
+    bends_rad (2, n): Slope error at the panel's edge from its bending, across and along [rad].
+    waves: Waves of both slopes.
     """
 
     collector: Collector
@@ -91,19 +78,8 @@ class TypicalMirror:
     ) -> "TypicalMirror":
         """Draw a mirror.
 
-        Parameters
-        ----------
-        collector : Collector
-            The design with its panels.
-        rng : numpy.random.Generator
-            Draws the errors.
-        across_rad, along_rad : float
-            Expected RMS of the errors of dz/dx and dz/dy [rad].
-
-        Returns
-        -------
-        TypicalMirror
-            The mirror.
+        collector: The design with its panels.
+        across_rad, along_rad: Expected RMS of the errors of dz/dx and dz/dy [rad].
         """
         n = (collector.panel_edges_x_m.size - 1) * (collector.panel_edges_y_m.size - 1)
         rms = np.array([[across_rad], [along_rad]])
@@ -133,12 +109,8 @@ class TypicalMirror:
 class MeasuredMirror:
     """A mirror as an earlier measurement found it; what was not measured is interpolated from what is beside it.
 
-    Parameters
-    ----------
-    x_m, y_m : ndarray, shapes (nx,) and (ny,)
-        Nodes [m].
-    error_x, error_y : ndarray, shape (ny, nx)
-        Errors of dz/dx and dz/dy at the nodes, all finite [rad].
+    x_m, y_m: Nodes [m].
+    error_x, error_y (ny, nx): Errors of dz/dx and dz/dy at the nodes, all finite [rad].
     """
 
     x_m: FloatArray
@@ -150,15 +122,7 @@ class MeasuredMirror:
     def of(cls, slope_map: SlopeMap) -> "MeasuredMirror":
         """Return the mirror of a slope map.
 
-        Parameters
-        ----------
-        slope_map : SlopeMap
-            The measurement.
-
-        Returns
-        -------
-        MeasuredMirror
-            The mirror; slopes along the trough that were not measured are taken as the design's.
+        Returns: The mirror; slopes along the trough that were not measured are taken as the design's.
         """
         return cls(slope_map.x_m, slope_map.y_m, _filled(slope_map.slope_error_x), _filled(slope_map.slope_error_y))
 

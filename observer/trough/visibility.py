@@ -1,7 +1,8 @@
 """Which part of a mirror can show the absorber tube to the cameras, and where a camera would have to be for the rest.
 
-A line of sight from the mirror point P under the angle ``Phi`` across the trough touches the tube where
-``Phi = 2 theta_ra +- w`` (`observer.slopes.observation_equation`). In the design's geometry the reflected line passes the tube's axis at
+A line of sight from the mirror point P under the angle ``Phi`` across the trough touches the tube where ``Phi = 2
+theta_ra +- w`` (`observer.slopes.observation_equation`). In the design's geometry the reflected line passes the
+tube's axis at
 
     y_A = P_y - (y_camera - P_y) R_a / R_c,
 
@@ -34,14 +35,10 @@ _GAP_TIMES = 2.5
 class Visibility:
     """What the cameras can see of the tube by way of each node.
 
-    Parameters
-    ----------
-    flags : ndarray of uint32, shape (r, nx)
-        Reasons (`heliogauge.flags.SampleFlag`) for nodes that cannot be measured; 0 elsewhere.
-    seeable : ndarray of bool, shape (r, nx)
-        Nodes by which a camera on this path, were it long enough, would see an edge of the tube.
-    camera_from_x_m, camera_to_x_m : float
-        Where cameras would have to be, at their height, to see the tube by way of the whole aperture [m].
+    flags (r, nx): Reasons (`heliogauge.flags.SampleFlag`) for nodes that cannot be measured; 0 elsewhere.
+    seeable (r, nx): Nodes by which a camera on this path, were it long enough, would see an edge of the tube.
+    camera_from_x_m, camera_to_x_m: Where cameras would have to be, at their height, to see the tube by way of the
+        whole aperture [m].
     """
 
     flags: FlagArray
@@ -73,23 +70,10 @@ def visibility(
 ) -> Visibility:
     """Tell which nodes of the mirror can show the tube's edges.
 
-    Parameters
-    ----------
-    nodes_m : (ndarray, ndarray), shapes (nx,) and (r,)
-        Ascending columns and rows [m].
-    eyes_m : ndarray, shape (n, 3)
-        The cameras [m].
-    collector : Collector
-        The design.
-    absorber : AbsorberPath
-        The tube's axis.
-    theta_r_rad : ndarray, shape (r, nx)
-        Slope error as far as known; NaN counts as none [rad].
-
-    Returns
-    -------
-    Visibility
-        Reasons, and where the camera would have to go.
+    Shapes: eyes_m (n, 3).
+    nodes_m: Ascending columns and rows [m].
+    theta_r_rad (r, nx): Slope error as far as known; NaN counts as none [rad].
+    Returns: Reasons, and where the camera would have to go.
     """
     x, y = nodes_m
     step = float(y[1] - y[0]) if y.size > 1 else 1.0
@@ -163,21 +147,9 @@ def _needed(nodes: _Nodes, eyes_m: FloatArray) -> tuple[float, float]:
 def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> str | None:
     """Say which part of the aperture the cameras' path leaves out, and where to fly.
 
-    Parameters
-    ----------
-    found : Visibility
-        What the cameras can see.
-    x_m : ndarray, shape (nx,)
-        Columns [m].
-    aperture : ndarray of bool, shape (r, nx)
-        Nodes on panels.
-    eyes_m : ndarray, shape (n, 3)
-        The cameras [m].
-
-    Returns
-    -------
-    str or None
-        A sentence; None where less than 1 % of the mirror is left out.
+    Shapes: x_m (nx,), eyes_m (n, 3).
+    aperture (r, nx): Nodes on panels.
+    Returns: A sentence; None where less than 1 % of the mirror is left out.
     """
     missing = aperture & ((found.flags & np.uint32(SampleFlag.NOT_COVERED)) > 0)
     share = int(np.count_nonzero(missing)) / max(int(np.count_nonzero(aperture)), 1)
@@ -209,19 +181,9 @@ def _intervals(columns_m: FloatArray) -> str:
 def shares(found: Visibility, aperture: BoolArray, valid: BoolArray) -> tuple[float, float]:
     """Return the share of the mirror that can show the tube, and how much of that was measured.
 
-    Parameters
-    ----------
-    found : Visibility
-        What the cameras can see.
-    aperture : ndarray of bool, shape (r, nx)
-        Nodes on panels.
-    valid : ndarray of bool, shape (r, nx)
-        Nodes with a value.
-
-    Returns
-    -------
-    seeable_share, seeable_measured_share : float
-        Both between 0 and 1.
+    aperture (r, nx): Nodes on panels.
+    valid (r, nx): Nodes with a value.
+    seeable_share, seeable_measured_share: Both between 0 and 1.
     """
     can = aperture & found.seeable
     count = max(int(np.count_nonzero(can)), 1)

@@ -25,15 +25,9 @@ class CovarianceFactors:
 class BundleCovariance:
     """Joint covariance of everything that was estimated, under one datum.
 
-    Parameters
-    ----------
-    system : SchurSystem
-        The normal equations at the minimum, with their datum.
-    factors : CovarianceFactors
-        Scale.
+    system: The normal equations at the minimum, with their datum.
+    factors: Scale.
 
-    Notes
-    -----
     With Q the inverse of the normal matrix plus any minimal border, K the free movements and G the datum columns, the
     covariance under the datum is ``P Q P^T``, ``P = I - K (G^T K)^-1 G^T`` (Baarda's S-transformation). Only
     ``F = S^-1/2`` times the coupling of the targets is ever formed, so all points cost one triangular solution.
@@ -254,19 +248,9 @@ class BundleCovariance:
     ) -> FloatArray:
         """Return the joint covariance of chosen targets, poses and all free intrinsics, in this order.
 
-        Parameters
-        ----------
-        targets : sequence of int
-            Places of targets, none of them fixed.
-        photos : sequence of int
-            Places of photos.
-        intrinsics : bool, optional
-            Whether the free intrinsics follow.
-
-        Returns
-        -------
-        ndarray, shape (k, k)
-            Three rows for each target, six for each photo, then the intrinsics; NaN where not determined.
+        targets: Places of targets, none of them fixed.
+        Returns (k, k): Three rows for each target, six for each photo, then the intrinsics; NaN where not
+            determined.
         """
         layout = self._layout
         chosen, places = np.asarray(targets, dtype=np.intp), np.asarray(photos, dtype=np.intp)

@@ -29,22 +29,13 @@ class DatumKind(StrEnum):
 class Datum:
     """How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
 
-    Parameters
-    ----------
-    kind : DatumKind, optional
-        Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against the
-        start are zero, which gives them the smallest mean variance. Minimal constraints hold coordinates of three
-        targets, as many as needed. PHOTOS holds position and rotation of one photo and, where there is no scale, one
-        coordinate of another. CONTROL says that constraints and fixed targets must define all.
-    targets : tuple of str, optional
-        The chosen targets; for inner constraints all by default, for minimal ones three.
-    photos : tuple of str, optional
-        The photos that are held, one or two.
-
-    Raises
-    ------
-    InputError
-        Minimal constraints without exactly three targets, or photos held without one or two.
+    kind: Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against
+        the start are zero, which gives them the smallest mean variance. Minimal constraints hold coordinates of
+        three targets, as many as needed. PHOTOS holds position and rotation of one photo and, where there is no
+        scale, one coordinate of another. CONTROL says that constraints and fixed targets must define all.
+    targets: The chosen targets; for inner constraints all by default, for minimal ones three.
+    photos: The photos that are held, one or two.
+    InputError: Minimal constraints without exactly three targets, or photos held without one or two.
     """
 
     kind: DatumKind = DatumKind.INNER
@@ -62,14 +53,9 @@ class Datum:
 class Movements:
     """Movements of the whole network that no image point sees; the derivative of everything by them.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3, d)
-        Movement of the targets.
-    poses : ndarray, shape (p, 6, d)
-        Movement of the poses, as steps of `RigidTransform.moved`.
-    shares : ndarray, shape (7, d)
-        Shares of three shifts, three rotations and a stretch in each movement.
+    points (n, 3, d): Movement of the targets.
+    poses (p, 6, d): Movement of the poses, as steps of `RigidTransform.moved`.
+    shares (7, d): Shares of three shifts, three rotations and a stretch in each movement.
     """
 
     points: FloatArray
@@ -98,20 +84,10 @@ class Movements:
 def similarity_movements(state: BundleState, center_m: FloatArray | None = None) -> Movements:
     """Return the seven movements of a network as a whole.
 
-    Parameters
-    ----------
-    state : BundleState
-        Where the network is.
-    center_m : ndarray, shape (3,), optional
-        Point that rotations and stretch leave where it is; the targets' mean by default [m].
+    center_m (3,): Point that rotations and stretch leave where it is; the targets' mean by default [m].
+    Returns: Three shifts, three rotations about the centre and a stretch from it, each of unit size at the mean
+        distance.
 
-    Returns
-    -------
-    Movements
-        Three shifts, three rotations about the centre and a stretch from it, each of unit size at the mean distance.
-
-    Notes
-    -----
     A world that moves by ``a + w x (X - c) + s (X - c)`` leaves every image point where it is when the poses turn by
     ``-R w`` and shift by ``-R a + R (w x c) + s (t + R c)``.
     """
@@ -134,19 +110,9 @@ def similarity_movements(state: BundleState, center_m: FloatArray | None = None)
 def moved_as_a_whole(state: BundleState, shares: FloatArray, center_m: FloatArray) -> BundleState:
     """Move a network by a finite similarity that no image point sees.
 
-    Parameters
-    ----------
-    state : BundleState
-        Where the network is.
-    shares : ndarray, shape (7,)
-        Amounts of the movements of `similarity_movements` about the same centre.
-    center_m : ndarray, shape (3,)
-        The centre [m].
-
-    Returns
-    -------
-    BundleState
-        ``X' = c + a + (1 + s) R(w) (X - c)`` with the poses that see every target where they saw it.
+    Shapes: center_m (3,).
+    shares (7,): Amounts of the movements of `similarity_movements` about the same centre.
+    Returns: ``X' = c + a + (1 + s) R(w) (X - c)`` with the poses that see every target where they saw it.
     """
     arms = state.points_m - center_m
     size = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-300)
@@ -160,19 +126,9 @@ def moved_as_a_whole(state: BundleState, shares: FloatArray, center_m: FloatArra
 def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntArray]], fixed: IntArray) -> Movements:
     """Return the movements that no constraint and no fixed target sees.
 
-    Parameters
-    ----------
-    movements : Movements
-        The seven of `similarity_movements`.
-    known : sequence of (ndarray of shape (r, k, 3), ndarray of int of shape (k,))
-        Derivatives of each constraint and the targets they belong to.
-    fixed : ndarray of int
-        Targets without error.
-
-    Returns
-    -------
-    Movements
-        None to seven of them.
+    movements: The seven of `similarity_movements`.
+    known (r, k, 3): Derivatives of each constraint and the targets they belong to.
+    fixed: Targets without error.
     """
     seen = [np.einsum("rkc,kcd->rd", jacobian, movements.points[targets]) for jacobian, targets in known]
     seen.append(movements.points[fixed].reshape(3 * fixed.size, movements.count))
@@ -193,14 +149,9 @@ def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntAr
 class DatumConstraints:
     """Constraint columns of a datum on targets and poses, with its name.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, 3, d)
-        Targets: steps obey ``sum columns[i, c] * step[i, c] + sum poses[j, c] * step[j, c] = 0``.
-    poses : ndarray, shape (p, 6, d)
-        The same of the poses.
-    text : str
-        The datum in words, to print with every sigma.
+    columns (n, 3, d): Targets: steps obey ``sum columns[i, c] * step[i, c] + sum poses[j, c] * step[j, c] = 0``.
+    poses (p, 6, d): The same of the poses.
+    text: The datum in words, to print with every sigma.
     """
 
     columns: FloatArray
@@ -213,28 +164,12 @@ def datum_constraints(
 ) -> DatumConstraints:
     """Build the constraints that take away the free movements.
 
-    Parameters
-    ----------
-    datum : Datum
-        The wanted kind.
-    movements : Movements
-        What is free.
-    chosen : ndarray of int
-        The datum's targets, or its photos.
-    defined : str, optional
-        What constraints and fixed targets define, in words.
-    names : sequence of str, optional
-        Names of the chosen ones, for the text.
-
-    Returns
-    -------
-    DatumConstraints
-        One column for each free movement.
-
-    Raises
-    ------
-    EstimationError
-        The chosen targets or photos do not hold the free movements (too few, or on one line), or control leaves some.
+    datum: The wanted kind.
+    chosen: The datum's targets, or its photos.
+    defined: What constraints and fixed targets define, in words.
+    names: Names of the chosen ones, for the text.
+    EstimationError: The chosen targets or photos do not hold the free movements (too few, or on one line), or
+        control leaves some.
     """
     columns, poses = np.zeros(movements.points.shape), np.zeros(movements.poses.shape)
     rest = f"; the rest from {defined}" if defined else ""

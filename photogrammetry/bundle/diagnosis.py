@@ -17,14 +17,8 @@ _MOST_NAMES = 8
 class Defect:
     """Degrees of freedom that nothing holds.
 
-    Parameters
-    ----------
-    count : int
-        How many.
-    targets, photos, intrinsics : tuple of str
-        Whom they concern, those most concerned first.
-    text : str
-        The same in one sentence, with the remedy.
+    targets, photos, intrinsics: Whom they concern, those most concerned first.
+    text: The same in one sentence, with the remedy.
     """
 
     count: int
@@ -37,16 +31,9 @@ class Defect:
 def diagnose(result: BundleResult) -> tuple[Defect, ...]:
     """Name everything that the adjustment does not determine.
 
-    Parameters
-    ----------
-    result : BundleResult
-        An adjusted network.
-
-    Returns
-    -------
-    tuple of Defect
-        First targets that fail on their own (one ray, no angle between the rays), then what photos and intrinsics
-        share; empty when all is determined.
+    result: An adjusted network.
+    Returns: First targets that fail on their own (one ray, no angle between the rays), then what photos and
+        intrinsics share; empty when all is determined.
     """
     found = []
     own = _lonely_targets(result)
@@ -61,22 +48,9 @@ def diagnose(result: BundleResult) -> tuple[Defect, ...]:
 def require(result: BundleResult, what: str = "bundle adjustment") -> BundleResult:
     """Return the result if it is usable, refuse it otherwise.
 
-    Parameters
-    ----------
-    result : BundleResult
-        An adjusted network.
-    what : str, optional
-        What was adjusted, for the message.
-
-    Returns
-    -------
-    BundleResult
-        The same result.
-
-    Raises
-    ------
-    EstimationError
-        Not converged, or something is not determined; the message names it.
+    result: An adjusted network.
+    what: What was adjusted, for the message.
+    EstimationError: Not converged, or something is not determined; the message names it.
     """
     defects = diagnose(result)
     if defects:

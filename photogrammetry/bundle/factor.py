@@ -26,14 +26,9 @@ _LARGEST_RANK_SHARE = 0.25
 class BorderedBlocks:
     """A symmetric matrix: a block for each pose, a border, and the corner of all other unknowns.
 
-    Parameters
-    ----------
-    poses : ndarray, shape (p, 6, 6)
-        Blocks of the poses.
-    border : ndarray, shape (6 p, r)
-        Poses with other unknowns.
-    corner : ndarray, shape (r, r)
-        Other unknowns.
+    poses (p, 6, 6): Blocks of the poses.
+    border (6 p, r): Poses with other unknowns.
+    corner (r, r): Other unknowns.
     """
 
     poses: FloatArray
@@ -109,10 +104,7 @@ class Factor(Protocol):
 class DenseFactor:
     """Factorised whole matrix: Cholesky, or eigenvectors where it is singular.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (g, g)
-        The scaled matrix; overwritten.
+    matrix (g, g): The scaled matrix; overwritten.
     """
 
     def __init__(self, matrix: FloatArray) -> None:
@@ -173,23 +165,14 @@ class DenseFactor:
 class BlockFactor:
     """Factorised blocks with what ties them together: ``D - U U^T + V V^T``, D with a border.
 
-    Parameters
-    ----------
-    blocks : BorderedBlocks
-        D, with positive definite blocks of poses and corner.
-    minus, plus : ndarray, shape (g, k)
-        U and V, few columns each.
+    blocks: D, with positive definite blocks of poses and corner.
+    minus, plus (g, k): U and V, few columns each.
+    numpy.linalg.LinAlgError: A block is not positive definite, or the matrix so near to singular that the whole
+        must be looked at.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A block is not positive definite, or the matrix so near to singular that the whole must be looked at.
-
-    Notes
-    -----
-    With L the root of the blocks without border, the matrix is ``L (I + Z diag(m) Z^T) L^T``; Z has orthonormal columns
-    in the span of ``L^-1 [U, V, border]``, and m are the eigenvalues there. So ``F = (I + Z diag((1 + m)^-1/2 - 1) Z^T)
-    L^-1``, exactly, at a cost that grows with the number of blocks.
+    With L the root of the blocks without border, the matrix is ``L (I + Z diag(m) Z^T) L^T``; Z has orthonormal
+    columns in the span of ``L^-1 [U, V, border]``, and m are the eigenvalues there. So ``F = (I + Z diag((1 + m)^-1/2
+    - 1) Z^T) L^-1``, exactly, at a cost that grows with the number of blocks.
     """
 
     def __init__(self, blocks: BorderedBlocks, minus: FloatArray, plus: FloatArray) -> None:

@@ -26,27 +26,15 @@ class ResidualSpace(StrEnum):
 class CameraModel:
     """What is estimated of one physical camera; the rest is held at the values of the start.
 
-    Parameters
-    ----------
-    name : str
-        Name of the camera.
-    free : tuple of str, optional
-        Names from `INTRINSIC_NAMES` that are estimated.
-    priors : tuple of Prior, optional
-        Values of free intrinsics known before, each with its sigma.
-    prior_covariance : array_like, shape (10, 10), optional
-        Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
-    prior_values : array_like, shape (10,), optional
-        What that calibration found; the values of the start by default, which only then are right when nothing has
-        been adjusted before.
-    residual : ResidualSpace, optional
-        Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
-        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal length.
-
-    Raises
-    ------
-    InputError
-        An unknown or repeated name, or a prior of an intrinsic that is held.
+    free: Names from `INTRINSIC_NAMES` that are estimated.
+    priors: Values of free intrinsics known before, each with its sigma.
+    prior_covariance (10, 10): Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
+    prior_values (10,): What that calibration found; the values of the start by default, which only then are right
+        when nothing has been adjusted before.
+    residual: Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
+        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal
+        length.
+    InputError: An unknown or repeated name, or a prior of an intrinsic that is held.
     """
 
     name: str
@@ -85,25 +73,13 @@ class CameraModel:
 class BundleProblem:
     """What is observed and what is sought.
 
-    Parameters
-    ----------
-    observations : ImagePoints
-        The image points.
-    cameras : tuple of CameraModel
-        The physical cameras.
-    camera_of_photo : array_like of int, shape (p,), optional
-        Camera of each photo; the first one by default.
-    constraints : tuple of Constraint, optional
-        Scale bars, distances, coordinates, control points with sigma, planes.
-    fixed : tuple of str, optional
-        Targets whose coordinates are those of the start, without error.
-    datum : Datum, optional
-        How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
-
-    Raises
-    ------
-    InputError
-        An unknown target or camera, or a photo without camera.
+    observations: The image points.
+    cameras: The physical cameras.
+    camera_of_photo (p,): Camera of each photo; the first one by default.
+    constraints: Scale bars, distances, coordinates, control points with sigma, planes.
+    fixed: Targets whose coordinates are those of the start, without error.
+    datum: How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
+    InputError: An unknown target or camera, or a photo without camera.
     """
 
     observations: ImagePoints
@@ -148,18 +124,10 @@ class Layout:
     Targets that an observation other than an image point links to another target are kept in the dense part; all
     others are eliminated one by one (Schur complement).
 
-    Parameters
-    ----------
-    n_photos : int
-        Number of photos.
-    intrinsic_columns : tuple of ndarray of int
-        Columns of each camera's free intrinsics.
-    kept, eliminated : ndarray of int
-        Targets of the dense part, and those outside it.
-    kept_column : ndarray of int, shape (n,)
-        First column of each target of the dense part, -1 for others.
-    slot : ndarray of int, shape (n,)
-        Place of each target among the eliminated, -1 for others (kept or fixed).
+    intrinsic_columns: Columns of each camera's free intrinsics.
+    kept, eliminated: Targets of the dense part, and those outside it.
+    kept_column (n,): First column of each target of the dense part, -1 for others.
+    slot (n,): Place of each target among the eliminated, -1 for others (kept or fixed).
     """
 
     n_photos: int
@@ -183,17 +151,7 @@ class Layout:
 def layout_of(problem: BundleProblem, state: BundleState) -> Layout:
     """Order the unknowns of a problem.
 
-    Parameters
-    ----------
-    problem : BundleProblem
-        The problem.
-    state : BundleState
-        The start, to see which targets each constraint links.
-
-    Returns
-    -------
-    Layout
-        The order.
+    state: The start, to see which targets each constraint links.
     """
     n_targets = len(problem.observations.targets)
     fixed = problem.target_indices(problem.fixed)

@@ -27,18 +27,11 @@ _FEW_POINTS = 64
 class ExtraRows:
     """Whitened residuals and derivatives of what is known besides image points, at one state.
 
-    Parameters
-    ----------
-    residuals : tuple of ndarray
-        For each constraint, shape (r,).
-    jacobians : tuple of ndarray
-        Shape (r, k, 3) each.
-    targets : tuple of ndarray of int
-        Targets of each constraint, shape (k,).
-    prior_residuals : ndarray, shape (q,)
-        Residuals of the priors on intrinsics.
-    prior_jacobian : ndarray, shape (q, n_intrinsics)
-        Their derivatives by all free intrinsics.
+    residuals: For each constraint, shape (r,).
+    jacobians: Shape (r, k, 3) each.
+    targets: Targets of each constraint, shape (k,).
+    prior_residuals (q,): Residuals of the priors on intrinsics.
+    prior_jacobian (q, n_intrinsics): Their derivatives by all free intrinsics.
     """
 
     residuals: tuple[FloatArray, ...]
@@ -57,17 +50,10 @@ class ExtraRows:
 class CameraRows:
     """Whitened image residuals of one camera with their derivatives; image points run along the last axis.
 
-    Parameters
-    ----------
-    camera : int
-        Which camera.
-    jacobian : ndarray, shape (2, 6 + k + 1 + 3, m)
-        Columns: pose step, k free intrinsics, the residual itself, target. One array, so that the products of one
-        photo are one matrix product.
-    photos, targets : ndarray of int, shape (m,)
-        Photo and target of each image point; photos ascend.
-    starts : ndarray of int, shape (q + 1,)
-        Where the image points of each photo begin.
+    jacobian (2, 6 + k + 1 + 3, m): Columns: pose step, k free intrinsics, the residual itself, target. One array,
+        so that the products of one photo are one matrix product.
+    photos, targets (m,): Photo and target of each image point; photos ascend.
+    starts (q + 1,): Where the image points of each photo begin.
     """
 
     camera: int
@@ -104,14 +90,7 @@ class CameraRows:
 class BundleModel:
     """A problem made ready: image points sorted by camera and photo, whitening, layout of the unknowns.
 
-    Parameters
-    ----------
-    problem : BundleProblem
-        The problem.
-    start : BundleState
-        The start; held intrinsics and fixed targets keep its values.
-    loss : Loss, optional
-        Loss of the image points.
+    start: The start; held intrinsics and fixed targets keep its values.
     """
 
     def __init__(self, problem: BundleProblem, start: BundleState, loss: Loss | None = None) -> None:

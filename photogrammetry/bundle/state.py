@@ -41,16 +41,10 @@ def d_parameters_d_intrinsics(camera: Camera) -> FloatArray:
 class BundleState:
     """Cameras, poses and points.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        One for each physical camera.
-    rotations : ndarray, shape (p, 3, 3)
-        Rotation of ``cam_from_world`` for each photo.
-    translations_m : ndarray, shape (p, 3)
-        Its translation [m].
-    points_m : ndarray, shape (n, 3)
-        Targets in the world frame [m].
+    cameras: One for each physical camera.
+    rotations (p, 3, 3): Rotation of ``cam_from_world`` for each photo.
+    translations_m (p, 3): Its translation [m].
+    points_m (n, 3): Targets in the world frame [m].
     """
 
     cameras: tuple[Camera, ...]
@@ -71,24 +65,8 @@ class BundleState:
 def bundle_state(cameras: Sequence[Camera], poses: Sequence[RigidTransform], points_m: FloatArray) -> BundleState:
     """Build a state from poses ``cam_from_world`` and points.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        The physical cameras.
-    poses : sequence of RigidTransform, length p
-        ``cam_from_world`` of each photo.
-    points_m : ndarray, shape (n, 3)
-        Targets [m].
-
-    Returns
-    -------
-    BundleState
-        The state.
-
-    Raises
-    ------
-    InputError
-        A point is not finite.
+    Shapes: poses length p, points_m (n, 3).
+    InputError: A point is not finite.
     """
     if not poses or not cameras:
         raise InputError("bundle: at least one camera and one photo are needed")

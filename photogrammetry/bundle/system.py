@@ -47,16 +47,10 @@ class Coupling(NamedTuple):
 class NormalBlocks:
     """Normal equations before elimination.
 
-    Parameters
-    ----------
-    dense : BorderedBlocks, size g
-        Photos, intrinsics and kept targets.
-    dense_gradient : ndarray, shape (g,)
-        Their gradient.
-    targets : ndarray, shape (e, 3, 3)
-        Own blocks of the eliminated targets.
-    target_gradient : ndarray, shape (e, 3)
-        Their gradient.
+    dense: Photos, intrinsics and kept targets.
+    dense_gradient (g,): Their gradient.
+    targets (e, 3, 3): Own blocks of the eliminated targets.
+    target_gradient (e, 3): Their gradient.
     """
 
     dense: BorderedBlocks
@@ -68,19 +62,10 @@ class NormalBlocks:
 def normal_blocks(layout: Layout, rows: tuple[CameraRows, ...], extra: ExtraRows) -> NormalBlocks:
     """Sum up the normal equations.
 
-    Parameters
-    ----------
-    layout : Layout
-        Order of the unknowns.
-    rows : tuple of CameraRows
-        Whitened, weighted image residuals.
-    extra : ExtraRows
-        Constraints and priors.
-
-    Returns
-    -------
-    NormalBlocks
-        All but the coupling of targets with the dense part.
+    layout: Order of the unknowns.
+    rows: Whitened, weighted image residuals.
+    extra: Constraints and priors.
+    Returns: All but the coupling of targets with the dense part.
     """
     count = layout.eliminated.size
     dense = BorderedBlocks.zeros(layout.n_photos, layout.n_global - 6 * layout.n_photos)
@@ -195,18 +180,10 @@ class Elimination:
 class SchurSystem:
     """One linearised bundle adjustment; satisfies `heliogauge.adjust.gauss_newton.LinearSystem`.
 
-    Parameters
-    ----------
-    model : BundleModel
-        Layout and order of the image points.
-    state : BundleState
-        Where it is linearised.
-    evaluated : tuple of (tuple of CameraRows, ExtraRows)
-        Residuals and derivatives there.
-    root : ndarray, shape (m,), optional
-        Roots of the weights of the image points; all 1 if not given.
-    scale_floor : ndarray, shape (n,), optional
-        Smallest column scale.
+    model: Layout and order of the image points.
+    evaluated: Residuals and derivatives there.
+    root (m,): Roots of the weights of the image points; all 1 if not given.
+    scale_floor (n,): Smallest column scale.
     """
 
     def __init__(

@@ -46,30 +46,16 @@ _DUAL_GRID_PX, _CONTOUR_GRID_PX = 0.002, 0.004
 def dual_conic_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> TargetCenter:
     """Measure a target's centre from the lines that the gradients define.
 
-    Parameters
-    ----------
-    window_dn : ndarray of float64, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The outline to a pixel or so, in the window's pixels.
+    window_dn (h, w): Grey values [DN].
+    start: The outline to a pixel or so, in the window's pixels.
+    Returns: Centre with covariance, outline, contrast; the blur is NaN.
+    EstimationError: Too few pixels, no contrast, or the lines touch no ellipse.
 
-    Returns
-    -------
-    TargetCenter
-        Centre with covariance, outline, contrast; the blur is NaN.
-
-    Raises
-    ------
-    EstimationError
-        Too few pixels, no contrast, or the lines touch no ellipse.
-
-    Notes
-    -----
-    The line through a pixel x, square to its gradient g, is l = (g, -g.x). Tangents of an ellipse satisfy l' C* l = 0,
-    which is linear in the dual conic C*; squared gradients weight the equations (Ouellet and Hebert, Precise ellipse
-    estimation without contour point extraction, Machine Vision and Applications 21, 2009). A gradient of another edge
-    falsifies the centre by pixels, so only pixels in the ring round the target's own edge are used, and only
-    gradients that point its way. The ground's slope, found outside the ring, is taken off before.
+    The line through a pixel x, square to its gradient g, is l = (g, -g.x). Tangents of an ellipse satisfy l' C* l =
+    0, which is linear in the dual conic C*; squared gradients weight the equations (Ouellet and Hebert, Precise
+    ellipse estimation without contour point extraction, Machine Vision and Applications 21, 2009). A gradient of
+    another edge falsifies the centre by pixels, so only pixels in the ring round the target's own edge are used, and
+    only gradients that point its way. The ground's slope, found outside the ring, is taken off before.
     """
     ellipse = start
     for _ in range(_RING_PASSES):
@@ -208,27 +194,13 @@ def _dual_influence(edges: _Edges, theta: FloatArray, normal: FloatArray, shape:
 def contour_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> TargetCenter:
     """Measure a target's centre as the mean of ellipses fitted to level lines (spec 002 1.3).
 
-    Parameters
-    ----------
-    window_dn : ndarray of float64, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The outline to a pixel or so, in the window's pixels.
+    window_dn (h, w): Grey values [DN].
+    start: The outline to a pixel or so, in the window's pixels.
+    Returns: Centre with covariance, outline, contrast; the blur is NaN.
+    EstimationError: No level line is closed and as long as its ellipse.
 
-    Returns
-    -------
-    TargetCenter
-        Centre with covariance, outline, contrast; the blur is NaN.
-
-    Raises
-    ------
-    EstimationError
-        No level line is closed and as long as its ellipse.
-
-    Notes
-    -----
-    Level lines at 35 to 65 % of the way between the levels inside and outside, closed ones that surround the start and
-    are as long as their ellipse's circumference to 10 %. The ground's slope, found outside the ring, is taken off
+    Level lines at 35 to 65 % of the way between the levels inside and outside, closed ones that surround the start
+    and are as long as their ellipse's circumference to 10 %. The ground's slope, found outside the ring, is taken off
     before. Neighbouring levels see the same pixels, so that four levels are hardly better than one; the covariance
     knows it.
     """

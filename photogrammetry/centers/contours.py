@@ -14,12 +14,9 @@ __all__ = ["Contour", "closed_contours"]
 class Contour:
     """One closed level line.
 
-    Parameters
-    ----------
-    points_px : ndarray, shape (n, 2)
-        Its crossings with the lines between neighbouring pixel centres, in order; the first is not repeated [px].
-    length_px : float
-        Length of the polygon [px].
+    points_px (n, 2): Its crossings with the lines between neighbouring pixel centres, in order; the first is not
+        repeated [px].
+    length_px: Length of the polygon [px].
     """
 
     points_px: FloatArray
@@ -29,17 +26,8 @@ class Contour:
 def closed_contours(window_dn: npt.ArrayLike, level_dn: float) -> tuple[Contour, ...]:
     """Find the closed lines along which an image has one grey value.
 
-    Parameters
-    ----------
-    window_dn : array_like, shape (h, w)
-        Grey values [DN].
-    level_dn : float
-        The grey value [DN].
-
-    Returns
-    -------
-    tuple of Contour
-        Closed lines; those that run out of the window are left out.
+    Shapes: window_dn (h, w).
+    Returns: Closed lines; those that run out of the window are left out.
     """
     from skimage.measure import find_contours  # 0.4 s, needed by this estimator only
 

@@ -22,16 +22,10 @@ _OUTLIER_SIGMAS = 3.0
 class Outlines:
     """Ellipses of many spots.
 
-    Parameters
-    ----------
-    centers_px : ndarray, shape (n, 2)
-        Centres [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Shape matrices [px^2].
-    rms_px : ndarray, shape (n,)
-        Rms distance of the edges from the ellipse [px].
-    found : ndarray of bool, shape (n,)
-        Whether there is an ellipse.
+    centers_px (n, 2): Centres [px].
+    shapes_px2 (n, 2, 2): Shape matrices [px^2].
+    rms_px (n,): Rms distance of the edges from the ellipse [px].
+    found (n,): Whether there is an ellipse.
     """
 
     centers_px: FloatArray
@@ -45,21 +39,11 @@ def outlines_along_rays(
 ) -> Outlines:
     """Find where rays leave spots, and fit an ellipse to each.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        The photo; large spots are looked at on a halving, where neither noise nor a display's pixels disturb.
-    centers_px : ndarray, shape (n, 2)
-        Starts: centres [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Starts: shape matrices [px^2].
-    middle_dn : ndarray, shape (n,)
-        Level half way between inside and outside [DN].
-
-    Returns
-    -------
-    Outlines
-        One for each start, found or not.
+    pyramid: The photo; large spots are looked at on a halving, where neither noise nor a display's pixels disturb.
+    centers_px (n, 2): Starts: centres [px].
+    shapes_px2 (n, 2, 2): Starts: shape matrices [px^2].
+    middle_dn (n,): Level half way between inside and outside [DN].
+    Returns: One for each start, found or not.
     """
     centers, shapes = centers_px.copy(), shapes_px2.copy()
     rms, found = np.full(len(centers), np.inf), np.ones(len(centers), dtype=np.bool_)

@@ -23,20 +23,10 @@ _LENS_POINTS = 12
 class Ellipse:
     """An ellipse in the image.
 
-    Parameters
-    ----------
-    center_px : ndarray, shape (2,)
-        Its centre (x, y) [px].
-    shape_px2 : ndarray, shape (2, 2)
-        Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
+    center_px (2,): Its centre (x, y) [px].
+    shape_px2 (2, 2): Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
+    InputError: The shape is not symmetric or not positive definite.
 
-    Raises
-    ------
-    InputError
-        The shape is not symmetric or not positive definite.
-
-    Examples
-    --------
     >>> circle = Ellipse(np.array([5.0, 4.0]), 9.0 * np.eye(2))
     >>> circle.radius_px, circle.axis_ratio
     (3.0, 1.0)
@@ -59,19 +49,7 @@ class Ellipse:
     def from_axes(cls, center_px: npt.ArrayLike, semi_axes_px: tuple[float, float], angle_rad: float) -> "Ellipse":
         """Make an ellipse from its semi-axes; the angle turns the first one from +x towards +y.
 
-        Parameters
-        ----------
-        center_px : array_like, shape (2,)
-            Centre (x, y) [px].
-        semi_axes_px : tuple of float
-            Both semi-axes [px].
-        angle_rad : float
-            Direction of the first one [rad].
-
-        Returns
-        -------
-        Ellipse
-            The ellipse.
+        Shapes: center_px (2,).
         """
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         axes = np.array([[cosine, -sine], [sine, cosine]]) * np.asarray(semi_axes_px, dtype=np.float64)
@@ -81,20 +59,8 @@ class Ellipse:
     def from_dual_conic(cls, dual: npt.ArrayLike) -> "Ellipse":
         """Make an ellipse from the matrix of its tangents.
 
-        Parameters
-        ----------
-        dual : array_like, shape (3, 3)
-            Symmetric; any scale.
-
-        Returns
-        -------
-        Ellipse
-            The ellipse.
-
-        Raises
-        ------
-        InputError
-            The conic is not an ellipse.
+        dual (3, 3): Symmetric; any scale.
+        InputError: The conic is not an ellipse.
         """
         matrix = float_array("dual", dual, (3, 3))
         center = matrix[:2, 2] / matrix[2, 2]
@@ -145,17 +111,9 @@ class Ellipse:
     def points_px(self, angles_rad: npt.ArrayLike, scale: npt.ArrayLike = 1.0) -> FloatArray:
         """Return points of the ellipse, or of an ellipse of the same centre and form.
 
-        Parameters
-        ----------
-        angles_rad : array_like, shape (...)
-            Parameter t of c + scale R (cos t, sin t) [rad].
-        scale : array_like, broadcastable to the angles
-            Size relative to this ellipse.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            The points [px].
+        Shapes: result (..., 2).
+        angles_rad (...): Parameter t of c + scale R (cos t, sin t) [rad].
+        scale: Size relative to this ellipse.
         """
         angles = np.asarray(angles_rad, dtype=np.float64)
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * np.asarray(scale, dtype=np.float64)[..., None]
@@ -164,15 +122,7 @@ class Ellipse:
     def moved(self, offset_px: npt.ArrayLike) -> "Ellipse":
         """Return the same ellipse elsewhere.
 
-        Parameters
-        ----------
-        offset_px : array_like, shape (2,)
-            Added to the centre [px].
-
-        Returns
-        -------
-        Ellipse
-            The ellipse moved.
+        offset_px (2,): Added to the centre [px].
         """
         return Ellipse(self.center_px + np.asarray(offset_px, dtype=np.float64), self.shape_px2)
 
@@ -181,14 +131,9 @@ class Ellipse:
 class NamedEllipses:
     """Ellipses of named targets in one photo.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        The targets.
-    centers_px : ndarray, shape (n, 2)
-        Centres (x, y) [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Shapes as of `Ellipse` [px^2].
+    names length n: The targets.
+    centers_px (n, 2): Centres (x, y) [px].
+    shapes_px2 (n, 2, 2): Shapes as of `Ellipse` [px^2].
     """
 
     names: tuple[str, ...]
@@ -206,19 +151,7 @@ class NamedEllipses:
     def renewed(self, names: tuple[str, ...], centers_px: FloatArray, shapes_px2: FloatArray) -> "NamedEllipses":
         """Return them with other ellipses of some of the targets.
 
-        Parameters
-        ----------
-        names : tuple of str, length m
-            Some of the targets.
-        centers_px : ndarray, shape (m, 2)
-            Their centres [px].
-        shapes_px2 : ndarray, shape (m, 2, 2)
-            Their shapes [px^2].
-
-        Returns
-        -------
-        NamedEllipses
-            All targets.
+        Shapes: names length m, centers_px (m, 2), shapes_px2 (m, 2, 2).
         """
         place = {name: k for k, name in enumerate(self.names)}
         rows = [place[name] for name in names]
@@ -231,16 +164,9 @@ class NamedEllipses:
 class EllipseFit:
     """An ellipse through edge points.
 
-    Parameters
-    ----------
-    ellipse : Ellipse
-        The ellipse.
-    rms_px : float
-        Distance of the points from it, per degree of freedom [px].
-    center_per_normal : ndarray, shape (n, 2)
-        How the centre moves when a point moves outwards along its normal [px/px].
-    normals : ndarray, shape (n, 2)
-        Outward normals at the points.
+    rms_px: Distance of the points from it, per degree of freedom [px].
+    center_per_normal (n, 2): How the centre moves when a point moves outwards along its normal [px/px].
+    normals (n, 2): Outward normals at the points.
     """
 
     ellipse: Ellipse
@@ -257,23 +183,9 @@ class EllipseFit:
 def fit_ellipse(points_px: npt.ArrayLike) -> EllipseFit:
     """Fit an ellipse to edge points, in no particular order.
 
-    Parameters
-    ----------
-    points_px : array_like, shape (n, 2)
-        At least six points, well round the ellipse [px].
+    points_px (n, 2): At least six points, well round the ellipse [px].
+    EstimationError: Fewer than six points, or they lie on no ellipse.
 
-    Returns
-    -------
-    EllipseFit
-        The ellipse, with what each point does to its centre.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than six points, or they lie on no ellipse.
-
-    Notes
-    -----
     Linear least squares of A x^2 + B x y + C y^2 + D x + E y = 1 (spec 002, B.14-B.19) in centred and scaled
     coordinates, repeated twice with each equation divided by its gradient (Sampson), so that distances in pixels are
     minimised. Without the weights, points on the flat sides of a tilted circle count too little.
@@ -330,24 +242,11 @@ def circle_image_center_px(
 ) -> FloatArray:
     """Return where a centre operator finds circles: the centres of their images' ellipses.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera with its lens.
-    centers_cam_m : array_like, shape (n, 3)
-        Centres of the circles in the camera's frame [m].
-    normals_cam : array_like, shape (n, 3)
-        Unit normals of their planes in the camera's frame; the sign does not matter.
-    radius_m : array_like, shape (n,) or a number
-        Radii [m].
+    Shapes: radius_m (n,).
+    centers_cam_m (n, 3): Centres of the circles in the camera's frame [m].
+    normals_cam (n, 3): Unit normals of their planes in the camera's frame; the sign does not matter.
+    Returns (n, 2): Centres of the ellipses; NaN for circles that reach behind the camera [px].
 
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Centres of the ellipses; NaN for circles that reach behind the camera [px].
-
-    Notes
-    -----
     A circle of centre X, unit normal n and radius r has in the ideal image (at unit distance) the dual conic
     C* = P Q* P' = X X' - r^2 (I - n n'), from which centre and shape are read. The lens bends this ellipse: twelve of
     its points are sent through the camera, and the first harmonic of their departure, along the normals, from the
@@ -398,24 +297,11 @@ def eccentricity_px(
 ) -> FloatArray:
     """Return centre of the ellipse minus image of the circle's centre.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera with its lens.
-    centers_cam_m : array_like, shape (n, 3)
-        Centres of the circles in the camera's frame [m].
-    normals_cam : array_like, shape (n, 3)
-        Unit normals of their planes in the camera's frame; the sign does not matter.
-    radius_m : array_like, shape (n,) or a number
-        Radii [m].
+    Shapes: radius_m (n,).
+    centers_cam_m (n, 3): Centres of the circles in the camera's frame [m].
+    normals_cam (n, 3): Unit normals of their planes in the camera's frame; the sign does not matter.
+    Returns (n, 2): To be subtracted from measured centres, or added to projected points [px].
 
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        To be subtracted from measured centres, or added to projected points [px].
-
-    Notes
-    -----
     About 0.005 px at 12 px diameter, 0.03 px at 30 px and 0.09 px at 50 px: worth correcting above 15 px.
     """
     return freeze(

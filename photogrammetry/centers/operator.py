@@ -25,12 +25,8 @@ REACH = 1.65
 class UnmeasuredTargetError(EstimationError):
     """A target has no centre; the flag tells why in one word.
 
-    Parameters
-    ----------
-    flag : SampleFlag
-        The reason.
-    message : str
-        The reason, with numbers.
+    flag: The reason.
+    message: The reason, with numbers.
     """
 
     def __init__(self, flag: SampleFlag, message: str) -> None:
@@ -42,23 +38,14 @@ class UnmeasuredTargetError(EstimationError):
 class TargetCenter:
     """Centre of one target.
 
-    Parameters
-    ----------
-    ellipse : Ellipse
-        The target's outline; its centre is the result.
-    covariance_px2 : ndarray, shape (2, 2)
-        Covariance of the centre [px^2].
-    contrast_dn : float
-        Inside minus outside level; negative for a dark target [DN].
-    inside_dn : float
-        Level inside [DN].
-    blur_px : float
-        Width of the edge as the standard deviation of a Gaussian, without the pixel's own width; NaN where the operator
-        does not estimate it [px].
-    residual_dn : float
-        Rms of what the operator's model leaves, per degree of freedom [DN].
-    n_samples : int
-        Pixels, or contour points, used.
+    ellipse: The target's outline; its centre is the result.
+    covariance_px2 (2, 2): Covariance of the centre [px^2].
+    contrast_dn: Inside minus outside level; negative for a dark target [DN].
+    inside_dn: Level inside [DN].
+    blur_px: Width of the edge as the standard deviation of a Gaussian, without the pixel's own width; NaN where the
+        operator does not estimate it [px].
+    residual_dn: Rms of what the operator's model leaves, per degree of freedom [DN].
+    n_samples: Pixels, or contour points, used.
     """
 
     ellipse: Ellipse
@@ -87,15 +74,7 @@ class TargetCenter:
     def moved(self, offset_px: npt.ArrayLike) -> "TargetCenter":
         """Return the same centre in the pixels of an image of which the window was cut out.
 
-        Parameters
-        ----------
-        offset_px : array_like, shape (2,)
-            The window's first pixel [px].
-
-        Returns
-        -------
-        TargetCenter
-            The centre moved.
+        offset_px (2,): The window's first pixel [px].
         """
         return replace(self, ellipse=self.ellipse.moved(offset_px))
 
@@ -111,12 +90,8 @@ class CenterOperator(Protocol):
 class Window:
     """Part of an image.
 
-    Parameters
-    ----------
-    values_dn : ndarray of float64, shape (h, w)
-        Its grey values [DN].
-    origin_px : tuple of int
-        Column and row of its first pixel in the image.
+    values_dn (h, w): Its grey values [DN].
+    origin_px: Column and row of its first pixel in the image.
     """
 
     values_dn: FloatArray
@@ -126,24 +101,10 @@ class Window:
 def cut_window(image_dn: npt.NDArray[np.generic], target: Ellipse, reach: float = REACH) -> Window:
     """Cut the pixels round a target out of an image.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values of any type [DN].
-    target : Ellipse
-        The target's outline in the image.
-    reach : float, optional
-        Half size of the window in radii of the ellipse; three pixels are added.
-
-    Returns
-    -------
-    Window
-        A copy as float64.
-
-    Raises
-    ------
-    EstimationError
-        The target touches the image's border.
+    image_dn (h, w): Grey values of any type [DN].
+    target: The target's outline in the image.
+    reach: Half size of the window in radii of the ellipse; three pixels are added.
+    EstimationError: The target touches the image's border.
     """
     half_x, half_y = reach * np.sqrt(np.diag(target.shape_px2))
     x, y = target.center_px
@@ -170,14 +131,9 @@ def normalised_radius(shape: tuple[int, ...], ellipse: Ellipse) -> FloatArray:
 class Grounds:
     """Levels and noise on both sides of a target's edge; each side's level is a plane.
 
-    Parameters
-    ----------
-    inside_dn, outside_dn : float
-        Levels at the target's centre [DN].
-    inside_variance_dn2, outside_variance_dn2 : float
-        Variance of a pixel about the plane [DN^2].
-    slope_dn_px : ndarray, shape (2,)
-        Slope of the outside level along x and y; 0 where it is not determined [DN/px].
+    inside_dn, outside_dn: Levels at the target's centre [DN].
+    inside_variance_dn2, outside_variance_dn2: Variance of a pixel about the plane [DN^2].
+    slope_dn_px (2,): Slope of the outside level along x and y; 0 where it is not determined [DN/px].
     """
 
     inside_dn: float
@@ -190,24 +146,12 @@ class Grounds:
 def ground_noise(window_dn: FloatArray, ellipse: Ellipse, margin_px: float = 1.5) -> Grounds:
     """Measure levels and noise inside and outside a target, away from its edge.
 
-    Parameters
-    ----------
-    window_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    ellipse : Ellipse
-        The target's outline in the window.
-    margin_px : float, optional
-        Pixels nearer to the edge than this are left out.
-
-    Returns
-    -------
-    Grounds
-        Levels and variances. A side with too few pixels for a plane and its noise takes the other side's variance.
-
-    Raises
-    ------
-    EstimationError
-        Neither side has enough pixels.
+    window_dn (h, w): Grey values [DN].
+    ellipse: The target's outline in the window.
+    margin_px: Pixels nearer to the edge than this are left out.
+    Returns: Levels and variances. A side with too few pixels for a plane and its noise takes the other side's
+        variance.
+    EstimationError: Neither side has enough pixels.
     """
     radius = normalised_radius(window_dn.shape, ellipse)
     smaller = ellipse.semi_axes_px[1]
@@ -243,19 +187,11 @@ def ground_noise(window_dn: FloatArray, ellipse: Ellipse, margin_px: float = 1.5
 def influence_covariance(influence: FloatArray, window_dn: FloatArray, grounds: Grounds) -> FloatArray:
     """Return the centre's covariance from what each pixel does to it.
 
-    Parameters
-    ----------
-    influence : ndarray, shape (2, h, w)
-        Movement of the centre by one grey value of each pixel [px/DN].
-    window_dn : ndarray, shape (h, w)
-        Grey values: noise is taken to run linearly with the level between both grounds, as photon noise does [DN].
-    grounds : Grounds
-        Levels and noise of both sides.
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        Covariance [px^2].
+    Shapes: result (2, 2).
+    influence (2, h, w): Movement of the centre by one grey value of each pixel [px/DN].
+    window_dn (h, w): Grey values: noise is taken to run linearly with the level between both grounds, as photon
+        noise does [DN].
+    grounds: Levels and noise of both sides.
     """
     step = grounds.outside_dn - grounds.inside_dn
     share = np.clip((window_dn - grounds.inside_dn) / step, 0.0, 1.0) if step else np.zeros_like(window_dn)

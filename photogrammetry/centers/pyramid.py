@@ -24,10 +24,7 @@ _ROWS = 16384
 class Pyramid:
     """A photo and its halvings.
 
-    Parameters
-    ----------
-    levels : tuple of ndarray of uint8
-        The photo, and means over 2 x 2, 4 x 4... of its pixels [DN].
+    levels: The photo, and means over 2 x 2, 4 x 4... of its pixels [DN].
     """
 
     levels: tuple[Bytes, ...]
@@ -41,15 +38,7 @@ class Pyramid:
     def level_for(self, shapes_px2: FloatArray) -> npt.NDArray[np.intp]:
         """Tell on which level ellipses are looked at: with 12 to 24 px from centre to edge, or as fine as the photo.
 
-        Parameters
-        ----------
-        shapes_px2 : ndarray, shape (n, 2, 2)
-            Shape matrices in the photo [px^2].
-
-        Returns
-        -------
-        ndarray of int, shape (n,)
-            Levels.
+        Shapes: shapes_px2 (n, 2, 2), result (n,).
         """
         middle = 0.5 * (shapes_px2[:, 0, 0] + shapes_px2[:, 1, 1])
         reach = np.hypot(0.5 * (shapes_px2[:, 0, 0] - shapes_px2[:, 1, 1]), shapes_px2[:, 0, 1])
@@ -60,17 +49,9 @@ class Pyramid:
     def sample(self, x_px: Float32Array, y_px: Float32Array, level: npt.NDArray[np.intp]) -> Float32Array:
         """Return grey values between the pixels, by linear interpolation.
 
-        Parameters
-        ----------
-        x_px, y_px : ndarray of float32, shape (n, m)
-            Places in the photo; beyond its border its last pixels go on [px].
-        level : ndarray of int, shape (n,)
-            On which level each row is sampled.
-
-        Returns
-        -------
-        ndarray of float32, shape (n, m)
-            Grey values [DN].
+        Shapes: result (n, m).
+        x_px, y_px (n, m): Places in the photo; beyond its border its last pixels go on [px].
+        level (n,): On which level each row is sampled.
         """
         values = np.empty(x_px.shape, dtype=np.float32)
         for k in np.unique(level).tolist():
@@ -87,19 +68,10 @@ class Pyramid:
     def around(self, centers_px: FloatArray, shapes_px2: FloatArray, unit: FloatArray) -> Float32Array:
         """Return grey values at the same places of many ellipses, each on its level.
 
-        Parameters
-        ----------
-        centers_px : ndarray, shape (n, 2)
-            Centres in the photo [px].
-        shapes_px2 : ndarray, shape (n, 2, 2)
-            Shape matrices in the photo [px^2].
-        unit : ndarray, shape (2, m)
-            Places; the unit circle is the ellipse.
-
-        Returns
-        -------
-        ndarray of float32, shape (n, m)
-            Grey values [DN].
+        Shapes: result (n, m).
+        centers_px (n, 2): Centres in the photo [px].
+        shapes_px2 (n, 2, 2): Shape matrices in the photo [px^2].
+        unit (2, m): Places; the unit circle is the ellipse.
         """
         frames, centers = ellipse_frames(shapes_px2).astype(np.float32), centers_px.astype(np.float32)
         u, v = unit.astype(np.float32)
@@ -112,22 +84,10 @@ class Pyramid:
 def make_pyramid(image_dn: npt.NDArray[np.generic], levels: int = 8) -> Pyramid:
     """Halve a photo again and again.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    levels : int, optional
-        At most so many levels; none is smaller than 16 px.
-
-    Returns
-    -------
-    Pyramid
-        The photo in 8 bit and its halvings.
-
-    Raises
-    ------
-    InputError
-        Not an image of one colour.
+    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    levels: At most so many levels; none is smaller than 16 px.
+    Returns: The photo in 8 bit and its halvings.
+    InputError: Not an image of one colour.
     """
     if image_dn.ndim != 2 or min(image_dn.shape) < 16:
         raise InputError(f"image: a grey image of at least 16 x 16 px is needed, not shape {image_dn.shape}")
@@ -154,15 +114,7 @@ def _bytes(image_dn: npt.NDArray[np.generic]) -> Bytes:
 def ellipse_frames(shapes_px2: FloatArray) -> FloatArray:
     """Return the symmetric roots R of shape matrices: c + R (cos t, sin t) runs along the ellipse.
 
-    Parameters
-    ----------
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Shape matrices [px^2].
-
-    Returns
-    -------
-    ndarray, shape (n, 2, 2)
-        Roots [px].
+    Shapes: shapes_px2 (n, 2, 2), result (n, 2, 2).
     """
     determinant = shapes_px2[:, 0, 0] * shapes_px2[:, 1, 1] - shapes_px2[:, 0, 1] ** 2
     root = np.sqrt(np.maximum(determinant, 1e-9))

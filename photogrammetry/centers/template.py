@@ -64,30 +64,20 @@ def normal_distribution(z: FloatArray) -> tuple[FloatArray, FloatArray]:
 def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the grey values of a blurred elliptic disc on a plane, with their derivatives.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (12,), (12, n) or (12, k, 1)
-        Of one disc, of the disc that each pixel belongs to, or of k discs with n pixels each. Centre (x, y); m11, m12,
-        m22 of the symmetric M that maps the ellipse onto the unit circle; standard deviation s of the edge with the
-        pixel's width; plane outside (level at the origin of x and y, slopes); inside minus outside (level, slopes).
-    x, y : ndarray, shape (n,) or (k, n)
-        Pixels.
+    Shapes: x, y (n,) or (k, n), values_dn (n,) or (k, n), d_values_d_parameters (n, 12) or (k, n, 12).
+    parameters (12,): Of one disc, of the disc that each pixel belongs to, or of k discs with n pixels each. Centre
+        (x, y); m11, m12, m22 of the symmetric M that maps the ellipse onto the unit circle; standard deviation s of
+        the edge with the pixel's width; plane outside (level at the origin of x and y, slopes); inside minus
+        outside (level, slopes).
 
-    Returns
-    -------
-    values_dn : ndarray, shape (n,) or (k, n)
-        Grey values [DN].
-    d_values_d_parameters : ndarray, shape (n, 12) or (k, n, 12)
-        Their derivatives.
-
-    Notes
-    -----
-    With ``u = M (x - c)``, ``q = |u|`` and ``g = |M u|``, the signed distance from the edge is d = (q - q^2) / g, exact
+    With ``u = M (x - c)``, ``q = |u|`` and ``g = |M u|``, the signed distance from the edge is d = (q - q^2) / g,
+    exact
     for circles and to first order for ellipses. The coverage is P(d / s) + (n_x^4 + n_y^4) (z^3 - 3 z) p(z) /
     (2880 s^4): a Gaussian edge of the same variance as blur and pixel square together, and the next term of the
     Edgeworth series, which the square contributes because it is no Gaussian (its cumulant along the normal n is
     -(n_x^4 + n_y^4) / 120 px^4). Here d is the distance less k s^2 / 2: blur moves the middle level of an edge of
-    curvature k = (det M)^2 q^3 / g^3 towards the centre of its curvature. Without it discs of 6 px at a blur of 0.5 px
+    curvature k = (det M)^2 q^3 / g^3 towards the centre of its curvature. Without it discs of 6 px at a blur of 0.5
+    px
     are measured 1.9 % too small, and 12 px ones 0.5 %.
     """
     cx, cy, m11, m12, m22, s = parameters[:6]
@@ -141,25 +131,11 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
 def template_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> TargetCenter:
     """Measure a target's centre by fitting a blurred elliptic disc on a plane to the pixels.
 
-    Parameters
-    ----------
-    window_dn : ndarray of float64, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The outline to half a pixel or so, in the window's pixels.
+    window_dn (h, w): Grey values [DN].
+    start: The outline to half a pixel or so, in the window's pixels.
+    Returns: Centre with covariance, outline, blur, contrast.
+    EstimationError: Too few pixels, no contrast, or the fit ran away from its start.
 
-    Returns
-    -------
-    TargetCenter
-        Centre with covariance, outline, blur, contrast.
-
-    Raises
-    ------
-    EstimationError
-        Too few pixels, no contrast, or the fit ran away from its start.
-
-    Notes
-    -----
     Levels inside and outside are planes of their own, so neither shading nor a slope of the ground shifts the centre.
     Used are the pixels within 1.65 radii (a code ring begins at 2) and not far inside. Dust and glare are left out: 5
     robust sigmas and 5 % of the contrast. The covariance takes the residuals' variance, that of the inside and of the
@@ -176,19 +152,10 @@ def template_centers(
 ) -> tuple[TargetCenter | EstimationError, ...]:
     """Measure the centres of all targets of a photo, several at a time: the same numbers as one by one, but faster.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    starts : sequence of Ellipse
-        The outlines to half a pixel or so, in the photo's pixels.
-    reach : float, optional
-        How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
-
-    Returns
-    -------
-    tuple of TargetCenter or EstimationError
-        One for each start, in the photo's pixels; why there is no centre otherwise.
+    image_dn (h, w): Grey values [DN].
+    starts: The outlines to half a pixel or so, in the photo's pixels.
+    reach: How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
+    Returns: One for each start, in the photo's pixels; why there is no centre otherwise.
     """
     found: list[TargetCenter | EstimationError] = []
     origins: list[FloatArray] = []

@@ -44,18 +44,11 @@ _STACK_PIXELS = 80_000
 class StackedCenters:
     """Centres of n targets.
 
-    Parameters
-    ----------
-    centers_px : ndarray, shape (n, 2)
-        Centres (x, y) [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Their ellipses [px^2].
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Covariances of the centres [px^2].
-    contrast_dn, inside_dn, residual_dn : ndarray, shape (n,)
-        As in `photogrammetry.centers.operator.TargetCenter` [DN].
-    settled : ndarray of bool, shape (n,)
-        Whether the fit ended; else the numbers mean nothing and `template_center` may try.
+    centers_px (n, 2): Centres (x, y) [px].
+    shapes_px2 (n, 2, 2): Their ellipses [px^2].
+    covariance_px2 (n, 2, 2): Covariances of the centres [px^2].
+    contrast_dn, inside_dn, residual_dn (n,): As in `photogrammetry.centers.operator.TargetCenter` [DN].
+    settled (n,): Whether the fit ended; else the numbers mean nothing and `template_center` may try.
     """
 
     centers_px: FloatArray
@@ -83,23 +76,10 @@ def stacked_centers(
 ) -> StackedCenters:
     """Measure centres near known places.
 
-    Parameters
-    ----------
-    images : sequence of ndarray, shape (h, w)
-        Photos [DN].
-    photo : ndarray of int, shape (n,)
-        Photo of each target.
-    centers_px : ndarray, shape (n, 2)
-        Places to half a pixel or so [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Ellipses to a few percent [px^2].
-    reach : float
-        How far from the centre pixels are used, in radii of the dot.
-
-    Returns
-    -------
-    StackedCenters
-        One for each.
+    Shapes: images (h, w), photo (n,).
+    centers_px (n, 2): Places to half a pixel or so [px].
+    shapes_px2 (n, 2, 2): Ellipses to a few percent [px^2].
+    reach: How far from the centre pixels are used, in radii of the dot.
     """
     count = len(photo)
     found = StackedCenters(

@@ -30,21 +30,13 @@ _GAP_PART, _RING_PART, _BEYOND_RADII = (0.35, 0.65), (0.25, 0.75), (0.25, 0.5)
 class RingLimits:
     """How good a ring must be to be read.
 
-    Parameters
-    ----------
-    least_contrast : float, optional
-        Darkest blank against lightest inked sector, as a share of the dot's contrast.
-    most_gap_unevenness : float, optional
-        Rms of the gap's grey values about a plane, as a share of the dot's contrast.
-    most_border_error : float, optional
-        Rms distance of the borders between sectors from an even division, in sectors.
-    most_radial_error : float, optional
-        Distance of the ring's inner and outer border from where the print has them, in radii of the dot.
-    most_misfit : float, optional
-        Rms of ink away from all borders against the code read, as a share of the dot's contrast.
+    least_contrast: Darkest blank against lightest inked sector, as a share of the dot's contrast.
+    most_gap_unevenness: Rms of the gap's grey values about a plane, as a share of the dot's contrast.
+    most_border_error: Rms distance of the borders between sectors from an even division, in sectors.
+    most_radial_error: Distance of the ring's inner and outer border from where the print has them, in radii of the
+        dot.
+    most_misfit: Rms of ink away from all borders against the code read, as a share of the dot's contrast.
 
-    Notes
-    -----
     Measured on busy ground: docs/targets.md.
     """
 
@@ -59,24 +51,14 @@ class RingLimits:
 class RingReading:
     """What was read round one dot.
 
-    Parameters
-    ----------
-    code : RingCode or None
-        The code if the target is seen as printed; None if the word is in no dictionary.
-    mirrored : RingCode or None
-        The code of the mirror image.
-    sectors : tuple of bool
-        Ink of the sectors, clockwise in the image.
-    contrast : float
-        Lightest inked against darkest blank sector, as a share of the dot's contrast.
-    gap_unevenness : float
-        Rms of the gap about a plane, as a share of the dot's contrast.
-    border_error : float
-        Rms distance of the borders between sectors from an even division [sectors].
-    radial_error : float
-        Larger distance of the ring's inner and outer border from where the print has them [radii].
-    misfit : float
-        Rms of ink away from all borders against the code, as a share of the dot's contrast.
+    code: The code if the target is seen as printed; None if the word is in no dictionary.
+    mirrored: The code of the mirror image.
+    sectors: Ink of the sectors, clockwise in the image.
+    contrast: Lightest inked against darkest blank sector, as a share of the dot's contrast.
+    gap_unevenness: Rms of the gap about a plane, as a share of the dot's contrast.
+    border_error: Rms distance of the borders between sectors from an even division [sectors].
+    radial_error: Larger distance of the ring's inner and outer border from where the print has them [radii].
+    misfit: Rms of ink away from all borders against the code, as a share of the dot's contrast.
     """
 
     code: RingCode | None
@@ -91,15 +73,8 @@ class RingReading:
     def within(self, limits: RingLimits) -> bool:
         """Tell whether this is a ring.
 
-        Parameters
-        ----------
-        limits : RingLimits
-            How good it must be.
-
-        Returns
-        -------
-        bool
-            All measures keep their limits.
+        limits: How good it must be.
+        Returns: All measures keep their limits.
         """
         return (
             self.contrast >= limits.least_contrast
@@ -118,22 +93,12 @@ def read_ring(
 ) -> RingReading | None:
     """Read the code ring round a dot.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        The photo's grey values [DN].
-    dot : Ellipse
-        The dot's outline in the photo's pixels.
-    dictionary : RingDictionary
-        The codes that may occur.
-    limits : RingLimits, optional
-        How good a ring must be.
-
-    Returns
-    -------
-    RingReading or None
-        None if there is no ring, or not all of it in the photo; a reading without a code if there is a ring whose
-        word no dictionary holds.
+    image_dn (h, w): The photo's grey values [DN].
+    dot: The dot's outline in the photo's pixels.
+    dictionary: The codes that may occur.
+    limits: How good a ring must be.
+    Returns: None if there is no ring, or not all of it in the photo; a reading without a code if there is a ring
+        whose word no dictionary holds.
     """
     return read_rings(make_pyramid(image_dn), [dot], dictionary, limits)[0]
 
@@ -143,22 +108,11 @@ def read_rings(
 ) -> tuple[RingReading | None, ...]:
     """Read the code rings round all dots of a photo.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        The photo.
-    dots : sequence of Ellipse
-        Outlines of the dots in the photo's pixels.
-    dictionary : RingDictionary
-        The codes that may occur, and the radii of their rings.
-    limits : RingLimits, optional
-        How good a ring must be.
-
-    Returns
-    -------
-    tuple of RingReading or None
-        One for each dot; None if there is no ring, or not all of it in the photo; a reading without a code if there is
-        a ring whose word no dictionary holds.
+    dots: Outlines of the dots in the photo's pixels.
+    dictionary: The codes that may occur, and the radii of their rings.
+    limits: How good a ring must be.
+    Returns: One for each dot; None if there is no ring, or not all of it in the photo; a reading without a code if
+        there is a ring whose word no dictionary holds.
     """
     found: list[RingReading | None] = [None] * len(dots)
     if not dots:
@@ -292,16 +246,6 @@ def _misfit(ink: Float32Array, inked: BoolArray, middle: BoolArray, radii: _Radi
 def ring_outline(dot: Ellipse, radii: RingRadii = VENDOR_RADII) -> Ellipse:
     """Return the outer outline of a target's code ring.
 
-    Parameters
-    ----------
-    dot : Ellipse
-        The dot.
-    radii : RingRadii, optional
-        The ring's radii.
-
-    Returns
-    -------
-    Ellipse
-        The dot's ellipse, enlarged to the ring's outer radius.
+    Returns: The dot's ellipse, enlarged to the ring's outer radius.
     """
     return Ellipse(dot.center_px, dot.shape_px2 * radii.outer**2)

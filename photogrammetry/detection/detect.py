@@ -53,23 +53,12 @@ _MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
 class SearchLimits:
     """What is searched for.
 
-    Parameters
-    ----------
-    smallest_px, largest_px : float, optional
-        Diameters of targets seen square on [px].
-    least_contrast_dn : float, optional
-        Difference of target and ground, in grey values of 255 [DN].
-    most_tilt_rad : float, optional
-        Tilt against the line of sight [rad].
-    polarities : tuple of Polarity, optional
-        Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
-    gap_radius : float, optional
-        Where the next ink may begin, in radii of the dot: the inner radius of code rings.
-
-    Raises
-    ------
-    InputError
-        Sizes, contrast or tilt that no target has.
+    smallest_px, largest_px: Diameters of targets seen square on [px].
+    least_contrast_dn: Difference of target and ground, in grey values of 255 [DN].
+    most_tilt_rad: Tilt against the line of sight [rad].
+    polarities: Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
+    gap_radius: Where the next ink may begin, in radii of the dot: the inner radius of code rings.
+    InputError: Sizes, contrast or tilt that no target has.
     """
 
     smallest_px: float = 6.0
@@ -97,16 +86,10 @@ class SearchLimits:
 class Candidate:
     """One spot that may be a target.
 
-    Parameters
-    ----------
-    ellipse : Ellipse
-        Outline in the photo's pixels, good to a tenth of a pixel or so.
-    inside_dn, outside_dn : float
-        Levels of the spot and of the ground round it, in grey values of 255 [DN].
-    edge_rms_px : float
-        Rms distance of the edges along 24 rays from the outline [px].
-    polarity : Polarity
-        Dark or light.
+    ellipse: Outline in the photo's pixels, good to a tenth of a pixel or so.
+    inside_dn, outside_dn: Levels of the spot and of the ground round it, in grey values of 255 [DN].
+    edge_rms_px: Rms distance of the edges along 24 rays from the outline [px].
+    polarity: Dark or light.
     """
 
     ellipse: Ellipse
@@ -119,22 +102,9 @@ class Candidate:
 def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
     """Find all spots of a photo that may be circular targets.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    limits : SearchLimits, optional
-        What is searched for.
-
-    Returns
-    -------
-    tuple of Candidate
-        Spots with an elliptic edge, each once, from top to bottom.
-
-    Raises
-    ------
-    InputError
-        Not an image of one colour.
+    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    Returns: Spots with an elliptic edge, each once, from top to bottom.
+    InputError: Not an image of one colour.
     """
     return find_in_pyramid(make_pyramid(image_dn), limits or SearchLimits())
 
@@ -142,17 +112,7 @@ def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | No
 def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, ...]:
     """Find all spots of a photo that may be circular targets, the photo being halved already.
 
-    Parameters
-    ----------
-    pyramid : Pyramid
-        The photo.
-    asked : SearchLimits
-        What is searched for.
-
-    Returns
-    -------
-    tuple of Candidate
-        Spots with an elliptic edge, each once, from top to bottom.
+    Returns: Spots with an elliptic edge, each once, from top to bottom.
     """
     parts = []
     for level, image in enumerate(pyramid.levels):
@@ -165,24 +125,9 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
 def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, operator: CenterOperator) -> TargetCenter:
     """Measure a target's centre in the photo's pixels.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The target's outline in the photo, to a pixel or so.
-    operator : CenterOperator
-        The estimator.
-
-    Returns
-    -------
-    TargetCenter
-        The result in the photo's pixels.
-
-    Raises
-    ------
-    EstimationError
-        The target touches the border, or the estimator refuses.
+    image_dn (h, w): Grey values [DN].
+    start: The target's outline in the photo, to a pixel or so.
+    EstimationError: The target touches the border, or the estimator refuses.
     """
     window = cut_window(image_dn, start)
     origin = np.array(window.origin_px, dtype=np.float64)

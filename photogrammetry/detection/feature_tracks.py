@@ -19,16 +19,10 @@ _CELLS = 12
 class Keypoints:
     """Features of one photo.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    size_px : (int, int)
-        Its width and height [px].
-    pixels_px : array_like, shape (n, 2)
-        Places; the centre of the top-left pixel is (0, 0) [px].
-    scale_px : array_like, shape (n,)
-        Standard deviation of the Gaussian that a feature was found with [px].
+    photo: Name of the photo.
+    size_px: Its width and height [px].
+    pixels_px (n, 2): Places; the centre of the top-left pixel is (0, 0) [px].
+    scale_px (n,): Standard deviation of the Gaussian that a feature was found with [px].
     """
 
     photo: str
@@ -46,13 +40,9 @@ class Keypoints:
 class TrackChoice:
     """Which tracks are kept.
 
-    Parameters
-    ----------
-    min_photos : int, optional
-        Photos that must show a point. Two rays cross wherever the second lies along the first: from three on a false
-        match is seen.
-    max_points : int, optional
-        Points to keep, those seen in most photos first, spread over the photos.
+    min_photos: Photos that must show a point. Two rays cross wherever the second lies along the first: from three
+        on a false match is seen.
+    max_points: Points to keep, those seen in most photos first, spread over the photos.
     """
 
     min_photos: int = 3
@@ -63,16 +53,10 @@ class TrackChoice:
 class Tracks:
     """Natural points and where they are seen.
 
-    Parameters
-    ----------
-    points : ImagePoints
-        Image points, named ``n1``, ``n2``, ... with a first guess of their sigma.
-    scale_px : ndarray, shape (m,)
-        Scale of each image point's feature [px].
-    ambiguous : int
-        Tracks left out that show two places of one photo.
-    short : int
-        Tracks left out that too few photos show.
+    points: Image points, named ``n1``, ``n2``, ... with a first guess of their sigma.
+    scale_px (m,): Scale of each image point's feature [px].
+    ambiguous: Tracks left out that show two places of one photo.
+    short: Tracks left out that too few photos show.
     """
 
     points: ImagePoints
@@ -86,29 +70,11 @@ def follow_tracks(
 ) -> Tracks:
     """Join matches of pairs of photos to tracks.
 
-    Parameters
-    ----------
-    photos : sequence of Keypoints
-        The photos.
-    matches : sequence of (int, int, ndarray of shape (k, 2))
-        Two photos and the keypoints of theirs that show the same.
-    choice : TrackChoice, optional
-        Which tracks are kept.
+    matches (k, 2): Two photos and the keypoints of theirs that show the same.
+    EstimationError: No track is long enough.
 
-    Returns
-    -------
-    Tracks
-        The tracks.
-
-    Raises
-    ------
-    EstimationError
-        No track is long enough.
-
-    Notes
-    -----
-    A track is a connected component of the graph of matches. One false match joins two points to one track, which then
-    shows two places of one photo: such tracks are left out whole.
+    A track is a connected component of the graph of matches. One false match joins two points to one track, which
+    then shows two places of one photo: such tracks are left out whole.
     """
     choice = choice or TrackChoice()
     first = np.concatenate([[0], np.cumsum([one.scale_px.size for one in photos])])

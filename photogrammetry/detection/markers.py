@@ -26,16 +26,10 @@ Bytes = npt.NDArray[np.uint8]
 class MarkerLimits:
     """How good a marker must be.
 
-    Parameters
-    ----------
-    least_contrast_dn : float, optional
-        Paper minus ink, in grey values of 255 [DN].
-    most_straightness_px : float, optional
-        Rms departure of the sides from lines [px].
-    least_bit_margin : float, optional
-        Darkest white cell minus lightest black cell, as a share of the contrast.
-    most_sigma_px : float, optional
-        Standard deviation of the worst corner along its worst direction [px].
+    least_contrast_dn: Paper minus ink, in grey values of 255 [DN].
+    most_straightness_px: Rms departure of the sides from lines [px].
+    least_bit_margin: Darkest white cell minus lightest black cell, as a share of the contrast.
+    most_sigma_px: Standard deviation of the worst corner along its worst direction [px].
     """
 
     least_contrast_dn: float = 15.0
@@ -48,14 +42,9 @@ class MarkerLimits:
 class RejectedMarker:
     """Something that OpenCV takes for a marker.
 
-    Parameters
-    ----------
-    number : int
-        The number read.
-    center_px : ndarray, shape (2,)
-        Where it is [px].
-    reason : str
-        Why it is none, with the number that decided.
+    number: The number read.
+    center_px (2,): Where it is [px].
+    reason: Why it is none, with the number that decided.
     """
 
     number: int
@@ -67,18 +56,11 @@ class RejectedMarker:
 class PhotoMarkers:
     """The markers of one photo.
 
-    Parameters
-    ----------
-    detections : Detections
-        Corners "23.0" to "23.3": marker and corner, clockwise from the top left of the upright marker.
-    numbers : tuple of int
-        The markers, four detections each.
-    squares : tuple of SquareCorners
-        What was measured of each.
-    rejected : tuple of RejectedMarker
-        What only looks like one.
-    duplicated : tuple of int
-        Numbers that occur more than once; all of them are among the detections.
+    detections: Corners "23.0" to "23.3": marker and corner, clockwise from the top left of the upright marker.
+    numbers: The markers, four detections each.
+    squares: What was measured of each.
+    rejected: What only looks like one.
+    duplicated: Numbers that occur more than once; all of them are among the detections.
     """
 
     detections: Detections
@@ -93,26 +75,11 @@ def find_markers(
 ) -> PhotoMarkers:
     """Find the square markers of a photo and measure their corners.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    photo : str
-        Name of the photo.
-    dictionary : str
-        OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
-    limits : MarkerLimits, optional
-        How good a marker must be.
-
-    Returns
-    -------
-    PhotoMarkers
-        Corners with covariances, and what was refused. No marker is no error.
-
-    Raises
-    ------
-    InputError
-        Not a grey image, or no such dictionary.
+    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    dictionary: OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
+    limits: How good a marker must be.
+    Returns: Corners with covariances, and what was refused. No marker is no error.
+    InputError: Not a grey image, or no such dictionary.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: a grey image is needed, not shape {image_dn.shape}")

@@ -28,12 +28,7 @@ _FARTHEST_RAD, _RATIO = 0.7, 0.8
 class Features:
     """Features of one photo with what tells them from others.
 
-    Parameters
-    ----------
-    keypoints : Keypoints
-        Where they are.
-    descriptors : ndarray of float32, shape (n, 128)
-        Descriptors of unit length.
+    descriptors (n, 128): Descriptors of unit length.
     """
 
     keypoints: Keypoints
@@ -43,10 +38,7 @@ class Features:
 def require_pycolmap() -> None:
     """Say what to install where pycolmap is missing.
 
-    Raises
-    ------
-    InputError
-        It is not installed.
+    InputError: It is not installed.
     """
     if find_spec("pycolmap") is None:
         raise InputError(
@@ -67,27 +59,11 @@ def _pycolmap() -> Any:
 def find_features(image: npt.NDArray[Any], photo: str, max_features: int) -> Features:
     """Find the features of one photo.
 
-    Parameters
-    ----------
-    image : ndarray of uint8, uint16 or float32, shape (h, w)
-        The photo, grey [DN].
-    photo : str
-        Its name.
-    max_features : int
-        Most features, the largest first.
+    Shapes: image (h, w).
+    max_features: Most features, the largest first.
+    Returns: SIFT features with one orientation each: with two, one point would count as two independent ones.
+    InputError: pycolmap is not installed.
 
-    Returns
-    -------
-    Features
-        SIFT features with one orientation each: with two, one point would count as two independent ones.
-
-    Raises
-    ------
-    InputError
-        pycolmap is not installed.
-
-    Notes
-    -----
     COLMAP's origin is the outer corner of the first pixel: half a pixel is taken off.
     """
     pycolmap = _pycolmap()
@@ -115,24 +91,10 @@ def _eight_bits(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 def match_features(first: Features, second: Features, cameras: tuple[Camera, Camera], *, known: bool) -> IntArray:
     """Match the features of two photos, as far as one relative pose of the cameras explains them.
 
-    Parameters
-    ----------
-    first, second : Features
-        The photos.
-    cameras : (Camera, Camera)
-        Their cameras, known or guessed.
-    known : bool
-        Whether the lens is known; else any fundamental matrix does.
-
-    Returns
-    -------
-    ndarray of int, shape (k, 2)
-        Places of keypoints that show the same; none where fewer than `LEAST_MATCHES` agree.
-
-    Raises
-    ------
-    InputError
-        pycolmap is not installed.
+    cameras: Their cameras, known or guessed.
+    known: Whether the lens is known; else any fundamental matrix does.
+    Returns (k, 2): Places of keypoints that show the same; none where fewer than `LEAST_MATCHES` agree.
+    InputError: pycolmap is not installed.
     """
     pycolmap = _pycolmap()
     found = _mutual_matches(first.descriptors, second.descriptors)

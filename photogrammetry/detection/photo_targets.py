@@ -29,20 +29,12 @@ _CLIPPED_SHARE = 0.99
 class TargetSearch:
     """What is searched for in photos, and how it is measured.
 
-    Parameters
-    ----------
-    dictionary : RingDictionary or None, optional
-        The ring codes that may occur; None for targets without code only.
-    limits : SearchLimits, optional
-        Sizes, contrast, tilt, polarity.
-    ring_limits : RingLimits, optional
-        How good a code ring must be.
-    with_uncoded : bool, optional
-        Also return dots without a code ring.
-    operator : CenterOperator, optional
-        Estimator of the centres.
-    most_misfit : float, optional
-        Residual of a dot without code as a share of its contrast, above which it is none.
+    dictionary: The ring codes that may occur; None for targets without code only.
+    limits: Sizes, contrast, tilt, polarity.
+    ring_limits: How good a code ring must be.
+    with_uncoded: Also return dots without a code ring.
+    operator: Estimator of the centres.
+    most_misfit: Residual of a dot without code as a share of its contrast, above which it is none.
     """
 
     dictionary: RingDictionary | None = None
@@ -57,16 +49,10 @@ class TargetSearch:
 class UnusedTarget:
     """A target that is there but has no centre, or not one of its own.
 
-    Parameters
-    ----------
-    name : str
-        Its code's name; empty for a dot that may belong to a code cut off.
-    center_px : ndarray, shape (2,)
-        Where it is, to a pixel or so [px].
-    flag : SampleFlag
-        Why.
-    reason : str
-        Why, with numbers.
+    name: Its code's name; empty for a dot that may belong to a code cut off.
+    center_px (2,): Where it is, to a pixel or so [px].
+    flag: Why.
+    reason: Why, with numbers.
     """
 
     name: str
@@ -79,22 +65,14 @@ class UnusedTarget:
 class PhotoTargets:
     """The targets of one photo and what was noticed about them.
 
-    Parameters
-    ----------
-    detections : Detections
-        Coded targets by their names, then dots without a code as "u0", "u1"...
-    centers : tuple of TargetCenter
-        All that is known of each detection.
-    readings : tuple of RingReading
-        The readings of the coded targets, first in the detections.
-    mirrored : tuple of str
-        Names of codes that are in the dictionary only as mirror images (print or photo is mirrored); not detections.
-    unknown_words : tuple of str
-        Sectors ("110100...") of good rings whose word is not in the dictionary.
-    duplicated : tuple of str
-        Names that occur more than once; all of them are among the detections.
-    unused : tuple of UnusedTarget
-        Targets that are partly covered, cut by the border, too small.
+    detections: Coded targets by their names, then dots without a code as "u0", "u1"...
+    centers: All that is known of each detection.
+    readings: The readings of the coded targets, first in the detections.
+    mirrored: Names of codes that are in the dictionary only as mirror images (print or photo is mirrored); not
+        detections.
+    unknown_words: Sectors ("110100...") of good rings whose word is not in the dictionary.
+    duplicated: Names that occur more than once; all of them are among the detections.
+    unused: Targets that are partly covered, cut by the border, too small.
     """
 
     detections: Detections
@@ -109,19 +87,8 @@ class PhotoTargets:
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
     """Find, read and centre all circular targets of a photo.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16 or float32 [DN].
-    photo : str
-        Name of the photo.
-    search : TargetSearch
-        What is searched for.
-
-    Returns
-    -------
-    PhotoTargets
-        Detections with covariances, and what was noticed. No target is no error.
+    image_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
+    Returns: Detections with covariances, and what was noticed. No target is no error.
     """
     pyramid = make_pyramid(image_dn)
     dictionary = search.dictionary
@@ -167,21 +134,8 @@ def measure_at(
 ) -> list[tuple[Detections, FloatArray]]:
     """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
 
-    Parameters
-    ----------
-    images_dn : sequence of ndarray, shape (h, w)
-        Grey values: uint8, uint16 or float32 [DN].
-    photos : sequence of str
-        Names of the photos.
-    starts : sequence of NamedEllipses
-        Where the dot of each target of each photo is.
-    search : TargetSearch
-        How targets are measured.
-
-    Returns
-    -------
-    list of (Detections, ndarray of shape (n, 2, 2))
-        Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
+    images_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
+    Returns (n, 2, 2): Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
     if search.operator is not template_center:
         return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]

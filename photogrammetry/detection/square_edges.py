@@ -36,21 +36,13 @@ _WHOLE_SIDES = 2.0
 class SquareCorners:
     """The corners of one black square.
 
-    Parameters
-    ----------
-    corners_px : ndarray, shape (4, 2)
-        In the order of the start values [px].
-    covariance_px2 : ndarray, shape (4, 2, 2)
-        Covariance of each [px^2].
-    straightness_px : float
-        Rms offset of sections of the sides from their lines [px].
-    contrast_dn : float
-        Paper minus ink, the least of the four sides [DN].
-    blur_px : float
-        Width of the edges as the standard deviation of a Gaussian, without the pixel's own; the median of the sides
-        [px].
-    section_excess : float
-        Variance of the sections' offsets over what independent pixels would give; 1 for ideal edges.
+    corners_px (4, 2): In the order of the start values [px].
+    covariance_px2 (4, 2, 2): Covariance of each [px^2].
+    straightness_px: Rms offset of sections of the sides from their lines [px].
+    contrast_dn: Paper minus ink, the least of the four sides [DN].
+    blur_px: Width of the edges as the standard deviation of a Gaussian, without the pixel's own; the median of the
+        sides [px].
+    section_excess: Variance of the sections' offsets over what independent pixels would give; 1 for ideal edges.
     """
 
     corners_px: FloatArray
@@ -78,32 +70,16 @@ def square_corners(
 ) -> SquareCorners:
     """Measure the corners of a black square on light ground.
 
-    Parameters
-    ----------
-    window_dn : ndarray of float64, shape (h, w)
-        Grey values [DN].
-    corners_px : array_like, shape (4, 2)
-        Corners to two pixels or so, in order round the square, in the window's pixels.
-    white : ndarray of bool, shape (cells, cells)
-        Which cells are white, the black border's included, in the order of the corners: cells of the second row that
-        are white make the border narrow there.
+    window_dn (h, w): Grey values [DN].
+    corners_px (4, 2): Corners to two pixels or so, in order round the square, in the window's pixels.
+    white (cells, cells): Which cells are white, the black border's included, in the order of the corners: cells of
+        the second row that are white make the border narrow there.
+    EstimationError: A side has no clear edge, or too few pixels.
 
-    Returns
-    -------
-    SquareCorners
-        The corners with covariances.
-
-    Raises
-    ------
-    EstimationError
-        A side has no clear edge, or too few pixels.
-
-    Notes
-    -----
     Each side: grey values of the pixels near it, between a tenth and nine tenths of its length, are fitted by a
-    blurred step, ground and step running linearly along the side, and by the step back where white cells follow on the
-    black border. A line follows from some hundred pixels, so that a corner is known to a few hundredths of a pixel,
-    where a corner operator sees a dozen pixels that the print rounds.
+    blurred step, ground and step running linearly along the side, and by the step back where white cells follow on
+    the black border. A line follows from some hundred pixels, so that a corner is known to a few hundredths of a
+    pixel, where a corner operator sees a dozen pixels that the print rounds.
     """
     corners = np.array(corners_px, dtype=np.float64)
     for _ in range(_PASSES):
@@ -134,18 +110,8 @@ def square_corners(
 def with_correlated_errors(squares: Sequence[SquareCorners]) -> tuple[SquareCorners, ...]:
     """Enlarge the covariances of a photo's squares by what neighbouring pixels have in common.
 
-    Parameters
-    ----------
-    squares : sequence of SquareCorners
-        All squares of one photo, as `square_corners` returns them.
+    squares: All squares of one photo, as `square_corners` returns them.
 
-    Returns
-    -------
-    tuple of SquareCorners
-        The squares with covariances that hold from photo to photo.
-
-    Notes
-    -----
     `square_corners` takes the errors of pixels for independent. Demosaicing, sharpening and JPEG make neighbours err
     alike, and print and paper are not straight: sections of the sides scatter 1.5 times as much as independent pixels
     would make them. The median of that excess over the photo's squares (one square tells it to a third only)

@@ -44,25 +44,12 @@ _INTRINSIC = {"f": "focal_px", "fx": "focal_px", "fy": "aspect", "cx": "center_x
 def import_colmap(model_folder: Path, folder: Path) -> tuple[str, ...]:
     """Write a measurement folder from a COLMAP model.
 
-    Parameters
-    ----------
-    model_folder : Path
-        Folder with cameras, images and points3D, .bin or .txt.
-    folder : Path
-        The measurement folder; must be absent or empty.
+    model_folder: Folder with cameras, images and points3D, .bin or .txt.
+    folder: The measurement folder; must be absent or empty.
+    Returns: What was taken over and what not, in lines to print.
+    InputError: The model cannot be read (see `photogrammetry.exchange.colmap_files.read_colmap`), or the folder is
+        in use.
 
-    Returns
-    -------
-    tuple of str
-        What was taken over and what not, in lines to print.
-
-    Raises
-    ------
-    InputError
-        The model cannot be read (see `photogrammetry.exchange.colmap_files.read_colmap`), or the folder is in use.
-
-    Notes
-    -----
     The measurement holds all keypoints that show a point of the model, with the points' numbers as names
     (or the names that `export_colmap` wrote beside them). Intrinsics
     start at the model's values, and those are free that its camera model has; poses and points are start values.
@@ -161,28 +148,12 @@ def _point_table(model: ColmapModel, names: dict[int, str], targets: Sequence[st
 def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str, ...]:
     """Write a COLMAP model from a results folder of photogrammetry.
 
-    Parameters
-    ----------
-    result : Path
-        Folder with cameras.json, points.csv and residuals.csv.
-    out : Path
-        Folder for cameras, images and points3D; must be absent or empty.
-    binary : bool, optional
-        Write .bin instead of .txt.
+    out: Folder for cameras, images and points3D; must be absent or empty.
+    binary: Write .bin instead of .txt.
+    Returns: What was written and what the format does not hold, in lines to print.
+    InputError: The results cannot be read, do not belong together, or a camera cannot be held by COLMAP (skew); or
+        the folder is in use.
 
-    Returns
-    -------
-    tuple of str
-        What was written and what the format does not hold, in lines to print.
-
-    Raises
-    ------
-    InputError
-        The results cannot be read, do not belong together, or a camera cannot be held by COLMAP (skew); or the folder
-        is in use.
-
-    Notes
-    -----
     Poses are cam_from_world in both; half a pixel is added for COLMAP's origin. Lenses that correct with their
     polynomial are fitted in the other direction, and the residual of that is said.
     """

@@ -32,23 +32,11 @@ _GREY = (128, 128, 128)
 class ColmapImage:
     """One image of a model.
 
-    Parameters
-    ----------
-    name : str
-        Name of the file.
-    camera : int
-        Number of its camera.
-    cam_from_world : RigidTransform
-        Pose.
-    pixels_px : array_like, shape (m, 2)
-        Keypoints; the centre of the top-left pixel is (0, 0) [px].
-    point_ids : array_like of int, shape (m,)
-        The point that each keypoint shows, -1 for none.
-
-    Raises
-    ------
-    InputError
-        Lengths differ.
+    name: Name of the file.
+    cam_from_world: Pose.
+    pixels_px (m, 2): Keypoints; the centre of the top-left pixel is (0, 0) [px].
+    point_ids (m,): The point that each keypoint shows, -1 for none.
+    InputError: Lengths differ.
     """
 
     name: str
@@ -68,19 +56,10 @@ class ColmapImage:
 class ColmapModel:
     """A COLMAP model; its pixel origin is already ours.
 
-    Parameters
-    ----------
-    cameras : dict of int to Camera
-        Cameras by number.
-    images : tuple of ColmapImage
-        The images.
-    points_m : dict of int to ndarray, shape (3,)
-        Points by number, in the model's unit [m].
+    points_m (3,): Points by number, in the model's unit [m].
 
-    Notes
-    -----
-    The format has no covariance. pycolmap computes some when asked; those are conditional (on the other points, on two
-    cameras held fixed), far too small, and not taken over in either direction.
+    The format has no covariance. pycolmap computes some when asked; those are conditional (on the other points, on
+    two cameras held fixed), far too small, and not taken over in either direction.
     """
 
     cameras: dict[int, Camera]
@@ -91,21 +70,9 @@ class ColmapModel:
 def read_colmap(folder: Path) -> ColmapModel:
     """Read a COLMAP model.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with cameras, images and points3D, all .txt or all .bin; binary is taken where both are there.
-
-    Returns
-    -------
-    ColmapModel
-        The model.
-
-    Raises
-    ------
-    InputError
-        A missing, cut or unreadable file, a camera model that is not Brown's, an image of a camera or a keypoint of a
-        point that is not in the model, or a model without images or points.
+    folder: Folder with cameras, images and points3D, all .txt or all .bin; binary is taken where both are there.
+    InputError: A missing, cut or unreadable file, a camera model that is not Brown's, an image of a camera or a
+        keypoint of a point that is not in the model, or a model without images or points.
     """
     suffix = _suffix(folder)
     try:
@@ -301,20 +268,9 @@ def _read_binary(folder: Path) -> ColmapModel:
 def write_colmap(folder: Path, model: ColmapModel, *, binary: bool = False) -> None:
     """Write a COLMAP model into an existing folder; no covariance, the format has none.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    model : ColmapModel
-        The model.
-    binary : bool, optional
-        Whether as .bin instead of .txt.
-
-    Raises
-    ------
-    InputError
-        A camera that COLMAP cannot hold (see `heliogauge.camera.formats.to_colmap`), a name with white space in a text
-        model, or a file that cannot be written.
+    binary: Whether as .bin instead of .txt.
+    InputError: A camera that COLMAP cannot hold (see `heliogauge.camera.formats.to_colmap`), a name with white
+        space in a text model, or a file that cannot be written.
     """
     tracks, errors = _tracks(model)
     lenses = {number: to_colmap(camera) for number, camera in model.cameras.items()}

@@ -29,15 +29,10 @@ class PixelOrigin(StrEnum):
 class ImagePointFile:
     """What an ``image_points.csv`` held.
 
-    Parameters
-    ----------
-    points : ImagePoints
-        The image points; the centre of the top-left pixel is (0, 0).
-    sigma_assumed : bool
-        Whether sigmas were missing and one for all was taken: then only their ratios are known, and the adjustment
-        should scale its covariance a posteriori.
-    warnings : tuple of str
-        What is doubtful, to repeat in the report.
+    points: The image points; the centre of the top-left pixel is (0, 0).
+    sigma_assumed: Whether sigmas were missing and one for all was taken: then only their ratios are known, and the
+        adjustment should scale its covariance a posteriori.
+    warnings: What is doubtful, to repeat in the report.
     """
 
     points: ImagePoints
@@ -54,28 +49,15 @@ def read_image_points_csv(
 ) -> ImagePointFile:
     """Read ``image_points.csv``.
 
-    Parameters
-    ----------
-    path : Path
-        The file, with the columns image, target, x_px, y_px and, optionally, sigma_x_px, sigma_y_px.
-    origin : PixelOrigin, optional
-        Whether (0, 0) is the centre or the outer corner of the top-left pixel (PhotoModeler, DBAT, COLMAP: corner).
-    default_sigma_px : float, optional
-        Sigma of image points that have none, where no other has one either; else the median of the others [px].
-    sizes_px : mapping of str to (int, int), (int, int) or callable, optional
-        Width and height of each image or of all, or what gives those of each from their names, to see whether points
-        lie inside [px].
-
-    Returns
-    -------
-    ImagePointFile
-        The image points and what is doubtful about them.
-
-    Raises
-    ------
-    InputError
-        A missing column, cells that are no numbers, a sigma that is not positive, a target twice in one image (named
-        with both lines), image points outside their image (with a hint when x and y look swapped).
+    path: The file, with the columns image, target, x_px, y_px and, optionally, sigma_x_px, sigma_y_px.
+    origin: Whether (0, 0) is the centre or the outer corner of the top-left pixel (PhotoModeler, DBAT, COLMAP:
+        corner).
+    default_sigma_px: Sigma of image points that have none, where no other has one either; else the median of the
+        others [px].
+    sizes_px: Width and height of each image or of all, or what gives those of each from their names, to see whether
+        points lie inside [px].
+    InputError: A missing column, cells that are no numbers, a sigma that is not positive, a target twice in one
+        image (named with both lines), image points outside their image (with a hint when x and y look swapped).
     """
     columns = read_table_csv(path, COLUMNS)
     photos, targets = columns["image"], columns["target"]
@@ -105,15 +87,7 @@ def read_image_points_csv(
 
 
 def write_image_points_csv(path: Path, points: ImagePoints) -> None:
-    """Write ``image_points.csv``; the centre of the top-left pixel is (0, 0). Correlations of x and y are not kept.
-
-    Parameters
-    ----------
-    path : Path
-        The file; replaced where it exists.
-    points : ImagePoints
-        What to write.
-    """
+    """Write ``image_points.csv``; the centre of the top-left pixel is (0, 0). Correlations of x and y are not kept."""
     sigmas = np.sqrt(np.einsum("mii->mi", points.covariance_px2))
     write_table_csv(
         path,

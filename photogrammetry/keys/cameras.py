@@ -144,22 +144,7 @@ CameraSections = Annotated[
 def camera_of_photos(cameras: Sequence[NetworkCameraSection], photos: Sequence[str]) -> tuple[int, ...]:
     """Say which camera took each photo.
 
-    Parameters
-    ----------
-    cameras : sequence of NetworkCameraSection
-        The cameras.
-    photos : sequence of str
-        Names of the photos.
-
-    Returns
-    -------
-    tuple of int
-        Place of the camera of each photo.
-
-    Raises
-    ------
-    ValueError
-        A photo of no camera or of several; the message names it.
+    ValueError: A photo of no camera or of several; the message names it.
     """
     rest = next((place for place, one in enumerate(cameras) if one.photos is None), None)
     result = []

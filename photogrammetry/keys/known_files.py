@@ -27,25 +27,11 @@ _Kind = TypeVar("_Kind", bound=Section)
 def with_known_files(model: PhotogrammetryModel, folder: Path) -> PhotogrammetryModel:
     """Add what the tables of ``[files]`` say to what measurement.toml says.
 
-    Parameters
-    ----------
-    model : PhotogrammetryModel
-        The checked measurement.toml.
-    folder : Path
-        Its folder.
-
-    Returns
-    -------
-    PhotogrammetryModel
-        The same with the tables' rows appended: ``control_points`` with the columns target, x_m, y_m, z_m and, if they
-        are not exact, sigma_x_mm, sigma_y_mm, sigma_z_mm; ``scale_bars`` with a, b, length_m, sigma_mm and, if wanted,
-        check_only (0 or 1); ``coordinates`` with target, axis, value_m, sigma_mm.
-
-    Raises
-    ------
-    InputError
-        A file that is not there, a missing column, a value that cannot be meant (with its line), or a control point
-        that is given twice.
+    Returns: The same with the tables' rows appended: ``control_points`` with the columns target, x_m, y_m, z_m and,
+        if they are not exact, sigma_x_mm, sigma_y_mm, sigma_z_mm; ``scale_bars`` with a, b, length_m, sigma_mm and,
+        if wanted, check_only (0 or 1); ``coordinates`` with target, axis, value_m, sigma_mm.
+    InputError: A file that is not there, a missing column, a value that cannot be meant (with its line), or a
+        control point that is given twice.
     """
     files = model.files
     more: dict[str, Any] = {}

@@ -38,17 +38,9 @@ _LEAST_TURN_RAD = np.deg2rad(30.0)
 class Sense:
     """What settles symmetric layouts, in the frame of the list.
 
-    Parameters
-    ----------
-    up : array_like of shape (3,), optional
-        Direction that points up in the photo, roughly.
-    front : array_like of shape (3,), optional
-        Direction from the targets towards the side they are seen from.
-
-    Raises
-    ------
-    InputError
-        A direction of length 0.
+    up (3,): Direction that points up in the photo, roughly.
+    front (3,): Direction from the targets towards the side they are seen from.
+    InputError: A direction of length 0.
     """
 
     up: FloatArray | None = None
@@ -69,16 +61,10 @@ class Sense:
 class Assignment:
     """Dots of one photo with the names of listed targets.
 
-    Parameters
-    ----------
-    target_of_dot : ndarray of int, shape (m,)
-        Place of each dot's target in the list, -1 for none.
-    cam_from_list : RigidTransform
-        The pose.
-    misses : ndarray, shape (m,)
-        How far each assigned dot is from where it should be, in sigma; NaN for others.
-    accidents : float
-        Expected number of such agreements by accident, of all poses that were tried.
+    target_of_dot (m,): Place of each dot's target in the list, -1 for none.
+    cam_from_list: The pose.
+    misses (m,): How far each assigned dot is from where it should be, in sigma; NaN for others.
+    accidents: Expected number of such agreements by accident, of all poses that were tried.
     """
 
     target_of_dot: IntArray
@@ -117,39 +103,20 @@ def assign_targets(
 ) -> Assignment:
     """Find which dots of a photo are which listed targets, and the photo's pose.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    pixels_px : array_like, shape (m, 2)
-        The dots, false ones among them [px].
-    covariance_px2 : array_like, shape (m, 2, 2)
-        Their covariances [px^2].
-    listed : ListedTargets
-        The targets with approximate coordinates; some may not be in the photo.
-    sense : Sense, optional
-        What settles symmetric layouts.
+    Shapes: covariance_px2 (m, 2, 2).
+    pixels_px (m, 2): The dots, false ones among them [px].
+    listed: The targets with approximate coordinates; some may not be in the photo.
+    sense: What settles symmetric layouts.
+    InputError: Lengths differ.
+    EstimationError: Fewer than five targets or dots; no pose explains them; or several do: a layout that looks the
+        same after a turn or in a mirror, which ``sense`` may settle.
 
-    Returns
-    -------
-    Assignment
-        The dots' targets and the pose.
-
-    Raises
-    ------
-    InputError
-        Lengths differ.
-    EstimationError
-        Fewer than five targets or dots; no pose explains them; or several do: a layout that looks the same after a turn
-        or in a mirror, which ``sense`` may settle.
-
-    Notes
-    -----
     Triples of dots with all ordered triples of targets by the three-point solution; poses are judged by the dots near
     listed targets, the best refined with the sigmas of dots and of listed coordinates. The first triple of dots whose
-    best pose is no accident ends the search; its rivals come from the same triple with other targets. The score is the
-    sum of ``gate - miss^2`` over the targets that have a dot, gate the chi-square quantile of two degrees of freedom.
-    A rival is a pose with other names for the dots, as many of them but one, and residuals that the sigmas allow.
+    best pose is no accident ends the search; its rivals come from the same triple with other targets. The score is
+    the sum of ``gate - miss^2`` over the targets that have a dot, gate the chi-square quantile of two degrees of
+    freedom. A rival is a pose with other names for the dots, as many of them but one, and residuals that the sigmas
+    allow.
     """
     pixels = float_array("pixels_px", pixels_px, (None, 2))
     covariance = float_array("covariance_px2", covariance_px2, (len(pixels), 2, 2))

@@ -29,19 +29,10 @@ _LEAST_COMMON = 4
 class TrackLimits:
     """How far targets may move and how much they may change from one photo to the next.
 
-    Parameters
-    ----------
-    search_radius_px : float, optional
-        Farthest movement between two photos [px].
-    least_correlation : float, optional
-        Normalised correlation of a target and its surroundings with those in the photo before.
-    most_growth : float, optional
-        Factor by which its radius may change.
-
-    Raises
-    ------
-    InputError
-        Values that make no sense.
+    search_radius_px: Farthest movement between two photos [px].
+    least_correlation: Normalised correlation of a target and its surroundings with those in the photo before.
+    most_growth: Factor by which its radius may change.
+    InputError: Values that make no sense.
     """
 
     search_radius_px: float = 100.0
@@ -60,22 +51,13 @@ class TrackLimits:
 class Track:
     """Where the targets are in the photo last seen.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Their names.
-    places_px : ndarray, shape (n, 2)
-        Where they are or, if lost, should be [px].
-    radius_px : ndarray, shape (n,)
-        Radius of each [px].
-    dark : ndarray of bool, shape (n,)
-        Whether each is darker than its ground.
-    image_dn : ndarray, shape (h, w)
-        The photo.
-    search : TargetSearch
-        Sizes, contrast, estimator.
-    limits : TrackLimits
-        How far they may move.
+    names length n: Their names.
+    places_px (n, 2): Where they are or, if lost, should be [px].
+    radius_px (n,): Radius of each [px].
+    dark (n,): Whether each is darker than its ground.
+    image_dn (h, w): The photo.
+    search: Sizes, contrast, estimator.
+    limits: How far they may move.
     """
 
     names: tuple[str, ...]
@@ -91,14 +73,9 @@ class Track:
 class TrackedPhoto:
     """The targets in one photo.
 
-    Parameters
-    ----------
-    detections : Detections
-        Centres; lost targets carry the flag NOT_SEEN and no place.
-    ellipses_px2 : ndarray, shape (n, 2, 2)
-        Their ellipses; NaN where lost [px^2].
-    lost : tuple of LeftOut
-        Targets that were lost, and why.
+    detections: Centres; lost targets carry the flag NOT_SEEN and no place.
+    ellipses_px2 (n, 2, 2): Their ellipses; NaN where lost [px^2].
+    lost: Targets that were lost, and why.
     """
 
     detections: Detections
@@ -123,28 +100,11 @@ def start_track(
 ) -> tuple[Track, TrackedPhoto]:
     """Start from marks set by hand.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        The photo with the marks [DN].
-    photo : str
-        Its name.
-    marks : (tuple of str, array_like of shape (n, 2))
-        Names and places of the marks, each within its target [px].
-    search : TargetSearch
-        Sizes, contrast, estimator of the centres.
-    limits : TrackLimits, optional
-        How far targets may move between photos.
-
-    Returns
-    -------
-    tuple of Track and TrackedPhoto
-        The start, and the centres in this photo.
-
-    Raises
-    ------
-    InputError
-        A name twice, or a mark outside the photo or on no target.
+    Shapes: image_dn (h, w).
+    marks (n, 2): Names and places of the marks, each within its target [px].
+    search: Sizes, contrast, estimator of the centres.
+    limits: How far targets may move between photos.
+    InputError: A name twice, or a mark outside the photo or on no target.
     """
     names, places = marks[0], float_array("marks", marks[1], (len(marks[0]), 2))
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -178,32 +138,16 @@ def start_track(
 def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple[Track, TrackedPhoto]:
     """Find the targets in the next photo.
 
-    Parameters
-    ----------
-    track : Track
-        Where they were.
-    image_dn : ndarray, shape (h, w)
-        The next photo, of the same size [DN].
-    photo : str
-        Its name.
+    image_dn (h, w): The next photo, of the same size [DN].
+    Returns: Where they are, and the centres. Lost targets are looked for again in later photos, where the others'
+        motion puts them.
+    InputError: The photo has another size.
 
-    Returns
-    -------
-    tuple of Track and TrackedPhoto
-        Where they are, and the centres. Lost targets are looked for again in later photos, where the others' motion
-        puts them.
-
-    Raises
-    ------
-    InputError
-        The photo has another size.
-
-    Notes
-    -----
-    On a coarse image each target is found with its surroundings by normalised correlation within the search radius; the
-    others' common motion (an affine map, robust) replaces what contradicts it. There the nearest round spot of the same
-    polarity and of about the same size is measured by the centre estimator, if no other target is as near and no other
-    spot is in reach. Targets lost so far are looked for once more where the motion of those found puts them.
+    On a coarse image each target is found with its surroundings by normalised correlation within the search radius;
+    the others' common motion (an affine map, robust) replaces what contradicts it. There the nearest round spot of
+    the same polarity and of about the same size is measured by the centre estimator, if no other target is as near
+    and no other spot is in reach. Targets lost so far are looked for once more where the motion of those found puts
+    them.
     """
     if image_dn.shape != track.image_dn.shape:
         raise InputError(

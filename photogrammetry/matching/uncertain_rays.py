@@ -18,21 +18,11 @@ from photogrammetry.image_points import IntArray
 class Dots:
     """Dots without a code in the photos of a network, one row each.
 
-    Parameters
-    ----------
-    photo_index : array_like of int, shape (m,)
-        Photo of each dot.
-    pixels_px : array_like, shape (m, 2)
-        Centres; (0, 0) is the centre of the top-left pixel [px].
-    covariance_px2 : array_like, shape (m, 2, 2)
-        Their covariances [px^2].
-    ellipses_px2 : array_like, shape (m, 2, 2)
-        Shapes of their ellipses [px^2].
-
-    Raises
-    ------
-    InputError
-        Lengths differ, or a value is not finite.
+    photo_index (m,): Photo of each dot.
+    pixels_px (m, 2): Centres; (0, 0) is the centre of the top-left pixel [px].
+    covariance_px2 (m, 2, 2): Their covariances [px^2].
+    ellipses_px2 (m, 2, 2): Shapes of their ellipses [px^2].
+    InputError: Lengths differ, or a value is not finite.
     """
 
     photo_index: IntArray
@@ -59,22 +49,14 @@ class Dots:
 class KnownViews:
     """Cameras and poses of a network, and how well they are known together.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        The physical cameras.
-    camera_of_photo : ndarray of int, shape (p,)
-        Camera of each photo.
-    poses : tuple of RigidTransform, length p
-        ``cam_from_world``.
-    covariance : ndarray, shape (6 p + k, 6 p + k)
-        Joint covariance of the steps of `RigidTransform.moved` of all photos, then of the free intrinsics [rad, m].
-    d_parameters : tuple of ndarray, shape (10, k)
-        For each camera, the derivative of its parameters by all free intrinsics.
-    middle_m : ndarray, shape (3,)
-        Middle of the known targets [m].
-    reach_m : float
-        Distance of the farthest known target from it [m].
+    cameras: The physical cameras.
+    camera_of_photo (p,): Camera of each photo.
+    poses length p: ``cam_from_world``.
+    covariance (6 p + k, 6 p + k): Joint covariance of the steps of `RigidTransform.moved` of all photos, then of
+        the free intrinsics [rad, m].
+    d_parameters (10, k): For each camera, the derivative of its parameters by all free intrinsics.
+    middle_m (3,): Middle of the known targets [m].
+    reach_m: Distance of the farthest known target from it [m].
     """
 
     cameras: tuple[Camera, ...]
@@ -97,18 +79,7 @@ class KnownViews:
 
 
 def known_views(bundle: BundleResult) -> KnownViews:
-    """Take cameras, poses and their joint covariance from an adjusted network.
-
-    Parameters
-    ----------
-    bundle : BundleResult
-        The network.
-
-    Returns
-    -------
-    KnownViews
-        What dots are matched with.
-    """
+    """Take cameras, poses and their joint covariance from an adjusted network."""
     count, known = len(bundle.state.rotations), bundle.problem.observations.n_rays > 0
     covariance = bundle.covariance.joint(photos=np.arange(count), intrinsics=True)
     free = [model.columns for model in bundle.problem.cameras]
@@ -157,12 +128,7 @@ class PointFit:
 class UncertainRays:
     """Rays of dots through views that are known with a joint covariance.
 
-    Parameters
-    ----------
-    dots : Dots
-        The dots.
-    views : KnownViews
-        Cameras, poses, covariance.
+    views: Cameras, poses, covariance.
     """
 
     def __init__(self, dots: Dots, views: KnownViews) -> None:

@@ -30,21 +30,12 @@ _TWO_RAYS = 5.0
 class MatchLimits:
     """When dots belong together.
 
-    Parameters
-    ----------
-    significance : float, optional
-        Probability of losing a ray, or a point, that is right.
-    most_accidents : float, optional
-        Expected number of points, of all, that agree by accident.
-    most_missing : int, optional
-        Photos that should show a point seen in two photos only, and do not.
-    reach : float, optional
-        How far from the middle of the known targets points are looked for, in distances of the farthest known one.
-
-    Raises
-    ------
-    InputError
-        Probabilities or numbers that make no sense.
+    significance: Probability of losing a ray, or a point, that is right.
+    most_accidents: Expected number of points, of all, that agree by accident.
+    most_missing: Photos that should show a point seen in two photos only, and do not.
+    reach: How far from the middle of the known targets points are looked for, in distances of the farthest known
+        one.
+    InputError: Probabilities or numbers that make no sense.
     """
 
     significance: float = 1e-4
@@ -63,18 +54,11 @@ class MatchLimits:
 class MatchedDots:
     """Points found from dots.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        The points; in the order of their first dot [m].
-    covariance_m2 : ndarray, shape (n, 3, 3)
-        Their covariance, uncertainty of the poses included [m^2].
-    point_of_dot : ndarray of int, shape (m,)
-        The point of each dot, -1 for none.
-    accidents : ndarray, shape (n,)
-        Expected number of such agreements by accident.
-    rejected : tuple of LeftOut
-        What looked like a point and was not taken, with the reason.
+    points_m (n, 3): The points; in the order of their first dot [m].
+    covariance_m2 (n, 3, 3): Their covariance, uncertainty of the poses included [m^2].
+    point_of_dot (m,): The point of each dot, -1 for none.
+    accidents (n,): Expected number of such agreements by accident.
+    rejected: What looked like a point and was not taken, with the reason.
     """
 
     points_m: FloatArray
@@ -87,34 +71,18 @@ class MatchedDots:
 def match_dots(dots: Dots, views: KnownViews, limits: MatchLimits | None = None) -> MatchedDots:
     """Find the points that dots of several photos are images of.
 
-    Parameters
-    ----------
-    dots : Dots
-        The dots.
-    views : KnownViews
-        Cameras and poses with their joint covariance.
-    limits : MatchLimits, optional
-        When dots belong together.
+    views: Cameras and poses with their joint covariance.
+    limits: When dots belong together.
+    Returns: Points with at least three rays, or two that nothing else explains.
+    InputError: A dot of a photo that is not among the views.
 
-    Returns
-    -------
-    MatchedDots
-        Points with at least three rays, or two that nothing else explains.
-
-    Raises
-    ------
-    InputError
-        A dot of a photo that is not among the views.
-
-    Notes
-    -----
     Pairs of photos by their parallax: dots on each other's epipolar lines give points, which are looked for in all
-    other photos. A point stands if its rays meet within the joint covariance of dots, poses and intrinsics (chi-square
-    of generalised least squares, 2 n - 3 degrees of freedom) and the expected number of accidents is small: number of
-    pairs tried, times the probability that so many of the photos that should show the point have a dot there by chance.
-    Two rays alone stand only where no dot of either photo has another partner, no more than a few photos should show
-    the point too, and chance partners are rare. Covariances of dots are widened by the largest eccentricity their
-    ellipse can have, a^2 / (2 f).
+    other photos. A point stands if its rays meet within the joint covariance of dots, poses and intrinsics
+    (chi-square of generalised least squares, 2 n - 3 degrees of freedom) and the expected number of accidents is
+    small: number of pairs tried, times the probability that so many of the photos that should show the point have a
+    dot there by chance. Two rays alone stand only where no dot of either photo has another partner, no more than a
+    few photos should show the point too, and chance partners are rare. Covariances of dots are widened by the largest
+    eccentricity their ellipse can have, a^2 / (2 f).
     """
     asked = limits or MatchLimits()
     if len(dots) and int(dots.photo_index.max()) >= len(views.poses):

@@ -26,19 +26,10 @@ _BASES = 60
 class ListedTargets:
     """Targets with approximate coordinates in a frame of their own.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Their names.
-    points_m : array_like, shape (n, 3)
-        Approximate coordinates [m].
-    sigma_m : array_like, shape (n, 3)
-        How approximate, each axis [m].
-
-    Raises
-    ------
-    InputError
-        A name twice, lengths that differ, or a sigma that is not positive.
+    names length n: Their names.
+    points_m (n, 3): Approximate coordinates [m].
+    sigma_m (n, 3): How approximate, each axis [m].
+    InputError: A name twice, lengths that differ, or a sigma that is not positive.
     """
 
     names: tuple[str, ...]
@@ -64,12 +55,8 @@ class ListedTargets:
 class NamedPoints:
     """Which point is which listed target.
 
-    Parameters
-    ----------
-    names : tuple of str or None
-        Name of each point; None for those that are not in the list.
-    left : tuple of LeftOut
-        Listed targets without a point, with the reason.
+    names: Name of each point; None for those that are not in the list.
+    left: Listed targets without a point, with the reason.
     """
 
     names: tuple[str | None, ...]
@@ -81,21 +68,10 @@ def name_points(
 ) -> NamedPoints:
     """Give points the names of the listed targets they agree with.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        The points in the network's frame [m].
-    covariance_m2 : ndarray, shape (n, 3, 3)
-        Their covariances [m^2].
-    listed : ListedTargets
-        The list.
-    list_from_world : RigidTransform
-        The network's frame in the list's.
-
-    Returns
-    -------
-    NamedPoints
-        Names where point and listed target agree within their sigmas and nothing else does nearly as well.
+    Shapes: covariance_m2 (n, 3, 3).
+    points_m (n, 3): The points in the network's frame [m].
+    list_from_world: The network's frame in the list's.
+    Returns: Names where point and listed target agree within their sigmas and nothing else does nearly as well.
     """
     names: list[str | None] = [None] * len(points_m)
     squares, far = _distances(points_m, covariance_m2, listed, list_from_world)
@@ -134,27 +110,11 @@ def _distances(
 def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: ListedTargets) -> RigidTransform:
     """Find the network's frame in the list's: from common names, else from the distances between points.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Points without a name in the network's frame, which must have the right scale [m].
-    known_m : mapping of str to ndarray of shape (3,)
-        Named targets of the network [m].
-    listed : ListedTargets
-        The list; three names of the network in it settle the frame.
+    Shapes: known_m (3,).
+    points_m (n, 3): Points without a name in the network's frame, which must have the right scale [m].
+    listed: The list; three names of the network in it settle the frame.
+    EstimationError: Nothing fits, or two different frames fit equally well.
 
-    Returns
-    -------
-    RigidTransform
-        The frame.
-
-    Raises
-    ------
-    EstimationError
-        Nothing fits, or two different frames fit equally well.
-
-    Notes
-    -----
     Without common names, triples of points with the three distances of listed targets give frames; the one in which
     most listed targets find a point is taken. Mirror images are never taken. A rival is a frame with other names, as
     many but one, and distances that the sigmas allow: the layout is symmetric within them.

@@ -22,14 +22,9 @@ _CLOSE = 0.1
 class Weighed:
     """A network whose kinds of image points were weighed against each other.
 
-    Parameters
-    ----------
-    solved : Solved
-        The network with the final sigmas.
-    points : ImagePoints
-        All image points that were given, with sigmas of the right ratios.
-    factors : ndarray, shape (g,)
-        What the stated sigmas of each kind were multiplied by.
+    solved: The network with the final sigmas.
+    points: All image points that were given, with sigmas of the right ratios.
+    factors (g,): What the stated sigmas of each kind were multiplied by.
     """
 
     solved: Solved
@@ -40,26 +35,13 @@ class Weighed:
 def variance_factors(bundle: BundleResult, kinds: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Compare the residuals of each kind of image points with its stated sigmas.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        An adjusted network.
-    kinds : ndarray of int, shape (m,)
-        Kind of each of its image points.
-    count : int
-        Number of kinds.
+    Shapes: kinds (m,), redundancy (count,).
+    bundle: An adjusted network.
+    factors (count,): Squared whitened residuals over redundancy; 1 where all is right, NaN without redundancy.
 
-    Returns
-    -------
-    factors : ndarray, shape (count,)
-        Squared whitened residuals over redundancy; 1 where all is right, NaN without redundancy.
-    redundancy : ndarray, shape (count,)
-        Their redundancies.
-
-    Notes
-    -----
-    Variance components as Foerstner's iteration has them: ``v^T P v / r`` of each group (Foerstner 1979, Ein Verfahren
-    zur Schaetzung von Varianz- und Kovarianzkomponenten, eq. 12); at its fixed point it is the strict estimate.
+    Variance components as Foerstner's iteration has them: ``v^T P v / r`` of each group (Foerstner 1979, Ein
+    Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten, eq. 12); at its fixed point it is the strict
+    estimate.
     """
     numbers = np.einsum("mii->m", examine_image_points(bundle).redundancy)
     squares = (bundle.whitened_residuals**2).sum(axis=1)
@@ -78,30 +60,12 @@ def solve_weighed(
 ) -> Weighed:
     """Solve a network of several kinds of image points without believing how their sigmas compare.
 
-    Parameters
-    ----------
-    points : ImagePoints
-        All image points, false ones among them.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Ellipses of the targets; NaN where there is none [px^2].
-    kinds : ndarray of int, shape (m,)
-        Kind of each image point: coded targets, features of one range of size, ...
-    cameras : NetworkCameras
-        The cameras to start from and what of them is free.
-    knowledge : Knowledge
-        Scale bars, control points, constraints and datum.
-    options : SolveOptions
-        How to solve.
-
-    Returns
-    -------
-    Weighed
-        The network, and by what the sigmas of each kind were multiplied.
-
-    Raises
-    ------
-    EstimationError
-        As `photogrammetry.networks.solve_network.solve_network`.
+    points: All image points, false ones among them.
+    ellipses_px2 (m, 2, 2): Ellipses of the targets; NaN where there is none [px^2].
+    kinds (m,): Kind of each image point: coded targets, features of one range of size, ...
+    cameras: The cameras to start from and what of them is free.
+    knowledge: Scale bars, control points, constraints and datum.
+    EstimationError: As `photogrammetry.networks.solve_network.solve_network`.
     """
     count = int(kinds.max(initial=0)) + 1
     factors = np.ones(count)

@@ -43,22 +43,11 @@ class Verdict(StrEnum):
 class PermissibleError:
     """Largest permissible length measurement error ``E(L) = A + L / K``, never above B.
 
-    Parameters
-    ----------
-    a_m : float
-        A, the error permitted at length zero [m].
-    k : float, optional
-        K, dimensionless: 100 000 adds 10 um for each metre.
-    b_m : float, optional
-        B, the error permitted at any length [m].
+    a_m: A, the error permitted at length zero [m].
+    k: K, dimensionless: 100 000 adds 10 um for each metre.
+    b_m: B, the error permitted at any length [m].
+    InputError: A number is not positive, or B is below A.
 
-    Raises
-    ------
-    InputError
-        A number is not positive, or B is below A.
-
-    Examples
-    --------
     >>> round(PermissibleError(a_m=1e-5, k=100_000, b_m=5e-5).at(2.0), 9)
     3e-05
     """
@@ -83,22 +72,12 @@ class PermissibleError:
 class LengthCheck:
     """One known length against a network that did not use it.
 
-    Parameters
-    ----------
-    name : str
-        The two targets.
-    role : LengthRole
-        Kept apart from the adjustment, or left out of it for this comparison only.
-    known_m, sigma_known_m : float
-        The known length and its sigma [m].
-    measured_m, sigma_measured_m : float
-        The network's length, and its sigma from the joint covariance of both targets [m].
-    ends_m : ndarray, shape (2, 3)
-        The two targets [m].
-    line : int
-        Number of its measuring line, counted from 1.
-    permissible_m : float
-        Permissible error; infinite without a limit [m].
+    name: The two targets.
+    role: Kept apart from the adjustment, or left out of it for this comparison only.
+    measured_m, sigma_measured_m: The network's length, and its sigma from the joint covariance of both targets [m].
+    ends_m (2, 3): The two targets [m].
+    line: Number of its measuring line, counted from 1.
+    permissible_m: Permissible error; infinite without a limit [m].
     """
 
     name: str
@@ -140,14 +119,9 @@ class LengthCheck:
 class LengthStatement:
     """The quality of a network in known lengths.
 
-    Parameters
-    ----------
-    checks : tuple of LengthCheck
-        The comparisons: those kept apart first, then each used length left out once.
-    not_checked : tuple of str
-        Used lengths without which the network has no scale, and lengths of targets that are not in it.
-    permissible : PermissibleError or None
-        The limit.
+    checks: The comparisons: those kept apart first, then each used length left out once.
+    not_checked: Used lengths without which the network has no scale, and lengths of targets that are not in it.
+    permissible: The limit.
     """
 
     checks: tuple[LengthCheck, ...]
@@ -201,26 +175,13 @@ def state_length_errors(
 ) -> LengthStatement:
     """Compare known lengths with a network that did not use them.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The adjusted network.
-    checks : sequence of Distance
-        Lengths that were kept apart. Every length that was used is also left out once.
-    permissible : PermissibleError, optional
-        Limit of the errors.
+    checks: Lengths that were kept apart. Every length that was used is also left out once.
+    permissible: Limit of the errors.
 
-    Returns
-    -------
-    LengthStatement
-        All comparisons with their sigmas.
-
-    Notes
-    -----
-    A length that was used is predicted without it in closed form: with the leverage ``h = s^2 / sigma^2`` of its known
-    value (s the adjusted length's sigma, sigma its own), the network without it differs from the known value by
-    ``e / (1 - h)`` and has the variance ``s^2 / (1 - h)``, to first order what an adjustment without it gives. At
-    ``h = 1`` the length alone is the scale, and nothing is left to compare it with.
+    A length that was used is predicted without it in closed form: with the leverage ``h = s^2 / sigma^2`` of its
+    known value (s the adjusted length's sigma, sigma its own), the network without it differs from the known value by
+    ``e / (1 - h)`` and has the variance ``s^2 / (1 - h)``, to first order what an adjustment without it gives. At ``h
+    = 1`` the length alone is the scale, and nothing is left to compare it with.
     """
     place = {name: i for i, name in enumerate(bundle.problem.observations.targets)}
     used = [one for one in bundle.problem.constraints if isinstance(one, Distance)]
@@ -261,15 +222,7 @@ def state_length_errors(
 def scale_is_known(bundle: BundleResult) -> bool:
     """Say whether constraints or fixed targets give the network its scale.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The network.
-
-    Returns
-    -------
-    bool
-        False where coordinates are in an arbitrary unit.
+    Returns: False where coordinates are in an arbitrary unit.
     """
     shares = bundle.system.movements.shares
     return not bool(np.linalg.norm(shares[6]) > 1e-6) if shares.size else True
@@ -278,17 +231,8 @@ def scale_is_known(bundle: BundleResult) -> bool:
 def measured_length(bundle: BundleResult, pair: IntArray) -> tuple[float, float]:
     """Return the distance of two targets with its sigma.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The network.
-    pair : ndarray of int, shape (2,)
-        Places of the targets.
-
-    Returns
-    -------
-    tuple of float
-        Distance and sigma from the joint covariance of both targets; the sigma of fixed ones is 0 [m].
+    Shapes: pair (2,).
+    Returns: Distance and sigma from the joint covariance of both targets; the sigma of fixed ones is 0 [m].
     """
     difference = bundle.points_m[pair[0]] - bundle.points_m[pair[1]]
     length = float(np.linalg.norm(difference))

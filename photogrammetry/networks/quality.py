@@ -33,14 +33,9 @@ _MANY_REJECTED = 0.08
 class CheckedDistance:
     """A known distance, and what the network says of it.
 
-    Parameters
-    ----------
-    name : str
-        The two targets.
-    used : bool
-        Whether the adjustment knew it.
-    known_m, sigma_known_m, measured_m, sigma_measured_m : float
-        Distances and their sigmas [m].
+    name: The two targets.
+    used: Whether the adjustment knew it.
+    known_m, sigma_known_m, measured_m, sigma_measured_m: Distances and their sigmas [m].
     """
 
     name: str
@@ -54,17 +49,8 @@ class CheckedDistance:
 def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[CheckedDistance, ...]:
     """Compare known distances with those of the adjusted network.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The adjusted network.
-    checks : sequence of Distance
-        Distances that were not used; those used follow from the network.
-
-    Returns
-    -------
-    tuple of CheckedDistance
-        Used ones first; those of targets that are not in the network are left out.
+    checks: Distances that were not used; those used follow from the network.
+    Returns: Used ones first; those of targets that are not in the network are left out.
     """
     table = bundle.problem.observations
     place = {name: i for i, name in enumerate(table.targets)}
@@ -82,17 +68,9 @@ def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[Checke
 def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[str, str]]:
     """Return the headline numbers, and why some are not determined.
 
-    Parameters
-    ----------
-    solved : Solved
-        The adjusted network.
-    lengths : LengthStatement
-        Known lengths against the network.
-
-    Returns
-    -------
-    tuple of dict
-        Numbers with units in their names; reasons.
+    solved: The adjusted network.
+    lengths: Known lengths against the network.
+    Returns: Numbers with units in their names; reasons.
     """
     bundle = solved.bundle
     table = bundle.problem.observations
@@ -170,18 +148,7 @@ def _length_numbers(lengths: LengthStatement) -> Numbers:
 
 
 def length_doubts(lengths: LengthStatement) -> tuple[str, ...]:
-    """Say which known lengths, that the network did not use, disagree with it.
-
-    Parameters
-    ----------
-    lengths : LengthStatement
-        Known lengths against the network.
-
-    Returns
-    -------
-    tuple of str
-        Sentences with numbers.
-    """
+    """Say which known lengths, that the network did not use, disagree with it."""
     said = [
         f"{one.name}, kept apart, is off by {1e3 * one.error_m:+.3f} mm, {abs(one.error_m) / one.sigma_error_m:.1f} "
         "times the sigma of this error: the lengths of this network are not as sure as their sigmas say"
@@ -197,17 +164,8 @@ def length_doubts(lengths: LengthStatement) -> tuple[str, ...]:
 def quality_texts(lengths: LengthStatement, extent_m: float) -> dict[str, str]:
     """Say what the numbers of quality mean, and what of VDI/VDE 2634 part 1 is fulfilled.
 
-    Parameters
-    ----------
-    lengths : LengthStatement
-        Known lengths against the network.
-    extent_m : float
-        Largest distance of two points [m].
-
-    Returns
-    -------
-    dict of str to str
-        Sentences for the summary.
+    lengths: Known lengths against the network.
+    extent_m: Largest distance of two points [m].
     """
     limit, texts = lengths.permissible, {"length_check": lengths.coverage_text}
     if limit is not None:
@@ -246,18 +204,7 @@ def _rms(values: Sequence[float]) -> float | None:
 
 
 def doubts(solved: Solved) -> tuple[str, ...]:
-    """Say what makes a network doubtful.
-
-    Parameters
-    ----------
-    solved : Solved
-        The adjusted network.
-
-    Returns
-    -------
-    tuple of str
-        Sentences with numbers.
-    """
+    """Say what makes a network doubtful."""
     bundle = solved.bundle
     said = [f"photo {one.name} is left out: {one.reason}" for one in solved.network.photos_left_out]
     said += [f"{one.name}: {one.reason}" for one in solved.unused]

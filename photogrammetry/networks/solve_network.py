@@ -39,18 +39,11 @@ _LEAST_REDUNDANCY = 20
 class Knowledge:
     """What is known besides image points.
 
-    Parameters
-    ----------
-    constraints : tuple of Constraint
-        Scale bars, distances, coordinates, planes, weighted control points.
-    fixed_m : dict of str to ndarray, shape (3,)
-        Control points without error [m].
-    datum : Datum
-        The datum.
-    start : StartValues, optional
-        Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
-    one_target_size : bool, optional
-        Whether all targets are equally large, whatever their size: helps the correction of eccentricity.
+    constraints: Scale bars, distances, coordinates, planes, weighted control points.
+    fixed_m (3,): Control points without error [m].
+    start: Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
+    one_target_size: Whether all targets are equally large, whatever their size: helps the correction of
+        eccentricity.
     """
 
     constraints: tuple[Constraint, ...]
@@ -64,19 +57,10 @@ class Knowledge:
 class NetworkCameras:
     """The cameras of a network.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        To start from.
-    models : tuple of CameraModel
-        What of each is free.
-    camera_of : mapping of str to int
-        Which camera took each photo.
-
-    Raises
-    ------
-    InputError
-        Not as many models as cameras.
+    cameras: To start from.
+    models: What of each is free.
+    camera_of: Which camera took each photo.
+    InputError: Not as many models as cameras.
     """
 
     cameras: tuple[Camera, ...]
@@ -107,14 +91,9 @@ class NetworkCameras:
 class SolveOptions:
     """How to solve.
 
-    Parameters
-    ----------
-    reject : bool
-        Leave out image points that contradict the others.
-    family_significance : float
-        Probability of leaving out any good one of all.
-    rescale : bool
-        Take the size of the image points' sigmas from their residuals; their ratios stay.
+    reject: Leave out image points that contradict the others.
+    family_significance: Probability of leaving out any good one of all.
+    rescale: Take the size of the image points' sigmas from their residuals; their ratios stay.
     """
 
     reject: bool = True
@@ -126,20 +105,12 @@ class SolveOptions:
 class Solved:
     """An adjusted network and how it came about.
 
-    Parameters
-    ----------
-    network : Network
-        Start values, and what is not in it.
-    bundle : BundleResult
-        The adjustment.
-    rejected : tuple of Rejected
-        Image points left out by the adjustment.
-    largest_eccentricity_px : float
-        Largest correction of a centre [px].
-    image_sigma_factor : float
-        By what the stated sigmas of the image points were multiplied.
-    unused : tuple of LeftOut
-        Constraints whose targets are not in the network.
+    network: Start values, and what is not in it.
+    bundle: The adjustment.
+    rejected: Image points left out by the adjustment.
+    largest_eccentricity_px: Largest correction of a centre [px].
+    image_sigma_factor: By what the stated sigmas of the image points were multiplied.
+    unused: Constraints whose targets are not in the network.
     """
 
     network: Network
@@ -159,28 +130,10 @@ def solve_network(
 ) -> Solved:
     """Solve a photo network without any start values.
 
-    Parameters
-    ----------
-    points : ImagePoints
-        All image points, false ones among them.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Ellipses of the targets; NaN where there is none [px^2].
-    cameras : NetworkCameras
-        The cameras to start from and what of them is free.
-    knowledge : Knowledge
-        Scale bars, control points, constraints and datum.
-    options : SolveOptions
-        How to solve.
-
-    Returns
-    -------
-    Solved
-        The adjusted network.
-
-    Raises
-    ------
-    EstimationError
-        The photos do not hang together, or something is not determined; it is named.
+    points: All image points, false ones among them.
+    ellipses_px2 (m, 2, 2): Ellipses of the targets; NaN where there is none [px^2].
+    knowledge: Scale bars, control points, constraints and datum.
+    EstimationError: The photos do not hang together, or something is not determined; it is named.
     """
     network = build_network(
         points,
@@ -202,30 +155,13 @@ def solve_from(
 ) -> Solved:
     """Solve a photo network from start values.
 
-    Parameters
-    ----------
-    network : Network
-        Start values; its rows are those of the image points.
-    points : ImagePoints
-        All image points, false ones among them.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Ellipses of the targets; NaN where there is none [px^2].
-    cameras : NetworkCameras
-        What of the cameras is free, and whose the photos are.
-    knowledge : Knowledge
-        Scale bars, control points, constraints and datum.
-    options : SolveOptions
-        How to solve.
-
-    Returns
-    -------
-    Solved
-        The adjusted network.
-
-    Raises
-    ------
-    EstimationError
-        Something is not determined, or known lengths contradict each other by more than a fifth; it is named.
+    network: Start values; its rows are those of the image points.
+    points: All image points, false ones among them.
+    ellipses_px2 (m, 2, 2): Ellipses of the targets; NaN where there is none [px^2].
+    cameras: What of the cameras is free, and whose the photos are.
+    knowledge: Scale bars, control points, constraints and datum.
+    EstimationError: Something is not determined, or known lengths contradict each other by more than a fifth; it is
+        named.
     """
     rows = _with_suspicious(points, network)
     table = points.subset(rows).compacted()

@@ -29,14 +29,9 @@ _RING_RADII = 3.3
 class LooseDots:
     """Dots without a code in photos, and what is known of them.
 
-    Parameters
-    ----------
-    photos : tuple of str
-        Names of the photos.
-    dots : Dots
-        The dots; their places are those of ``photos``.
-    listed : ListedTargets or None, optional
-        Approximate coordinates of some, whose names they get.
+    photos: Names of the photos.
+    dots: The dots; their places are those of ``photos``.
+    listed: Approximate coordinates of some, whose names they get.
     """
 
     photos: tuple[str, ...]
@@ -44,18 +39,7 @@ class LooseDots:
     listed: ListedTargets | None = None
 
     def with_sigmas_times(self, factor: float) -> "LooseDots":
-        """Return the dots with other sigmas.
-
-        Parameters
-        ----------
-        factor : float
-            By what the sigmas are multiplied.
-
-        Returns
-        -------
-        LooseDots
-            The dots.
-        """
+        """Return the dots with other sigmas."""
         return replace(self, dots=replace(self.dots, covariance_px2=factor**2 * self.dots.covariance_px2))
 
 
@@ -63,20 +47,12 @@ class LooseDots:
 class Extended:
     """A network with its dots.
 
-    Parameters
-    ----------
-    solved : Solved
-        The network, adjusted with all.
-    points : ImagePoints
-        All image points, matched dots at the end.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Their ellipses [px^2].
-    names : tuple of str
-        Names of the points without a code.
-    left : tuple of LeftOut
-        Listed targets and doubtful points that were not taken.
-    warnings : tuple of str
-        What makes the naming doubtful.
+    solved: The network, adjusted with all.
+    points: All image points, matched dots at the end.
+    ellipses_px2 (m, 2, 2): Their ellipses [px^2].
+    names: Names of the points without a code.
+    left: Listed targets and doubtful points that were not taken.
+    warnings: What makes the naming doubtful.
     """
 
     solved: Solved
@@ -108,31 +84,13 @@ def add_dots(
 ) -> Extended:
     """Match dots without a code through a solved network and adjust them with it.
 
-    Parameters
-    ----------
-    first : Solved
-        The network of the coded targets.
-    measured : (ImagePoints, ndarray of shape (m, 2, 2))
-        All image points of coded targets, and their ellipses [px^2].
-    loose : LooseDots
-        The dots.
-    cameras : NetworkCameras
-        What of the cameras is free, and whose the photos are.
-    knowledge : Knowledge
-        Scale bars, control points, constraints and datum.
-    options : SolveOptions
-        How to solve.
-
-    Returns
-    -------
-    Extended
-        The network with its points "u1", "u2"... (in the order of photos and of the dots in them) or, of listed ones,
-        their names.
-
-    Raises
-    ------
-    EstimationError
-        The network with its points is not determined; it is named.
+    first: The network of the coded targets.
+    measured (m, 2, 2): All image points of coded targets, and their ellipses [px^2].
+    cameras: What of the cameras is free, and whose the photos are.
+    knowledge: Scale bars, control points, constraints and datum.
+    Returns: The network with its points "u1", "u2"... (in the order of photos and of the dots in them) or, of
+        listed ones, their names.
+    EstimationError: The network with its points is not determined; it is named.
     """
     points, ellipses = measured
     solved, before, now = first, None, None

@@ -15,17 +15,9 @@ _DOUBTFUL = 0.05
 def measured_diameters_m(solved: Solved, measured: tuple[ImagePoints, FloatArray]) -> FloatArray:
     """Return the diameters of the targets as the photos show them.
 
-    Parameters
-    ----------
-    solved : Solved
-        The adjusted network.
-    measured : (ImagePoints, ndarray of shape (m, 2, 2))
-        All image points, and their ellipses [px^2].
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Diameters of those seen in three photos and more, in the order of the network [m].
+    solved: The adjusted network.
+    measured (m, 2, 2): All image points, and their ellipses [px^2].
+    Returns (k,): Diameters of those seen in three photos and more, in the order of the network [m].
     """
     points, ellipses = measured
     bundle = solved.bundle
@@ -48,19 +40,10 @@ def _places(names: tuple[str, ...], known: tuple[str, ...]) -> np.ndarray:
 def size_doubts(solved: Solved, measured: tuple[ImagePoints, FloatArray], diameter_mm: float | None) -> tuple[str, ...]:
     """Compare the stated diameter with what the photos show.
 
-    Parameters
-    ----------
-    solved : Solved
-        The adjusted network.
-    measured : (ImagePoints, ndarray of shape (m, 2, 2))
-        All image points, and their ellipses [px^2].
-    diameter_mm : float or None
-        What was stated of all targets [mm].
-
-    Returns
-    -------
-    tuple of str
-        What contradicts it; nothing without a scale.
+    solved: The adjusted network.
+    measured (m, 2, 2): All image points, and their ellipses [px^2].
+    diameter_mm: What was stated of all targets [mm].
+    Returns: What contradicts it; nothing without a scale.
     """
     if diameter_mm is None or not _has_scale(solved):
         return ()

@@ -33,25 +33,11 @@ def build_cameras(
 ) -> NetworkCameras:
     """Build the cameras to start from.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The checked measurement.
-    photos : sequence of str
-        Names of the photos.
-    sizes_px : mapping of str to (int, int) or None
-        Width and height of each photo; None with image points [px].
-
-    Returns
-    -------
-    NetworkCameras
-        Cameras from their files, from measurement.toml, from EXIF or guessed; those without photos are left out.
-
-    Raises
-    ------
-    InputError
-        A camera file that cannot be read, photos of another size than their camera or of no camera, or a camera named
-        by patterns that fit no photo.
+    sizes_px: Width and height of each photo; None with image points [px].
+    Returns: Cameras from their files, from measurement.toml, from EXIF or guessed; those without photos are left
+        out.
+    InputError: A camera file that cannot be read, photos of another size than their camera or of no camera, or a
+        camera named by patterns that fit no photo.
     """
     sections = measurement.model.camera
     try:
@@ -76,22 +62,7 @@ def build_cameras(
 def sizes_of_cameras(measurement: PhotogrammetryMeasurement, photos: Sequence[str]) -> Sizes:
     """Return the size of each photo as its camera has it, for image points without photos.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The checked measurement.
-    photos : sequence of str
-        Names of the photos.
-
-    Returns
-    -------
-    mapping of str to (int, int)
-        Width and height [px].
-
-    Raises
-    ------
-    InputError
-        As `build_cameras`.
+    InputError: As `build_cameras`.
     """
     cameras = build_cameras(measurement, photos, None)
     sizes = [_size(one) for one in cameras.cameras]
@@ -196,22 +167,8 @@ def _started(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: f
 def sensors_of(measurement: PhotogrammetryMeasurement, cameras: NetworkCameras) -> dict[str, Sensor]:
     """Return the sensors of the cameras that are given in millimetres, to give the results in the same form.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The checked measurement.
-    cameras : NetworkCameras
-        The cameras that `build_cameras` made of it.
-
-    Returns
-    -------
-    dict of str to Sensor
-        By the camera's name.
-
-    Raises
-    ------
-    InputError
-        Impossible sizes.
+    cameras: The cameras that `build_cameras` made of it.
+    InputError: Impossible sizes.
     """
     own = {model.name: camera for model, camera in zip(cameras.models, cameras.cameras, strict=True)}
     return {
@@ -250,22 +207,10 @@ def _from_millimetres(section: MillimetreSection, size_px: tuple[int, int], dire
 def build_model(section: NetworkCameraSection, camera: Camera) -> CameraModel:
     """Say what of a camera is estimated.
 
-    Parameters
-    ----------
-    section : NetworkCameraSection
-        What measurement.toml says.
-    camera : Camera
-        The start, whose values are the centres of priors.
-
-    Returns
-    -------
-    CameraModel
-        Free intrinsics and priors.
-
-    Raises
-    ------
-    InputError
-        A prior from a file that states no covariance.
+    section: What measurement.toml says.
+    camera: The start, whose values are the centres of priors.
+    Returns: Free intrinsics and priors.
+    InputError: A prior from a file that states no covariance.
     """
     if section.prior and not camera.covariance.any():
         raise InputError(

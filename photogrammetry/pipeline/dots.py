@@ -32,28 +32,11 @@ def measure_targets_of(
 ) -> MeasuredPhotos:
     """Measure the targets of all photos.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The measurement.
-    section : TargetsSection
-        What targets the photos show, and what tells them.
-    jobs : int or None
-        Photos measured side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    MeasuredPhotos
-        Image points with covariances, dots without a name, and what was refused.
-
-    Raises
-    ------
-    InputError
-        Photos, dictionary, marks or list that cannot be used; a list alone without a known camera.
-    EstimationError
-        No photo shows a target that can be told.
+    section: What targets the photos show, and what tells them.
+    jobs: Photos measured side by side.
+    Returns: Image points with covariances, dots without a name, and what was refused.
+    InputError: Photos, dictionary, marks or list that cannot be used; a list alone without a known camera.
+    EstimationError: No photo shows a target that can be told.
     """
     files = measurement.photo_files
     search = build_search(section, measurement.folder)

@@ -5,18 +5,7 @@ from heliogauge.results.folder import Summary
 
 
 def headline_text(summary: Summary) -> str:
-    """Say the most important numbers in a few lines for the terminal.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        Lines with values and what they refer to.
-    """
+    """Say the most important numbers in a few lines for the terminal."""
     numbers = summary.numbers
 
     def said(key: str, factor: float, form: str, unit: str = "") -> str:

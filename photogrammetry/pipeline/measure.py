@@ -47,10 +47,7 @@ from photogrammetry.start_values.network import StartValues
 class Options:
     """Choices of the evaluation.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Photos that are measured side by side; None for all processors.
+    jobs: Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -60,28 +57,16 @@ class Options:
 class Result:
     """Everything a measurement gave, ready to be written.
 
-    Parameters
-    ----------
-    name : str
-        Name of what was measured.
-    measured : MeasuredPhotos
-        All image points, and what in the photos was refused.
-    solved : Solved
-        The adjusted network.
-    checks : tuple of Distance
-        Scale bars that were not used, to check against.
-    lengths : LengthStatement
-        Known lengths against a network that did not use them.
-    warnings : tuple of str
-        What makes the result doubtful.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
-    sensors : dict of str to Sensor
-        Of the cameras that were given in millimetres.
-    surface : SurfaceResult or None
-        The surface under the targets, where ``[surface]`` asks for it.
+    name: Name of what was measured.
+    measured: All image points, and what in the photos was refused.
+    solved: The adjusted network.
+    checks: Scale bars that were not used, to check against.
+    lengths: Known lengths against a network that did not use them.
+    warnings: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
+    sensors: Of the cameras that were given in millimetres.
+    surface: The surface under the targets, where ``[surface]`` asks for it.
     """
 
     name: str
@@ -143,30 +128,11 @@ def run(
 ) -> Result:
     """Evaluate a measurement.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        From `heliogauge.measurement.load.load_photogrammetry`.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-    measured : MeasuredPhotos, optional
-        Image points, where the photos were measured already; files are then neither read nor hashed.
-    start : StartValues, optional
-        Poses and targets to start from instead of those that measurement.toml names.
-
-    Returns
-    -------
-    Result
-        Points, poses and camera with their covariances, and what is doubtful.
-
-    Raises
-    ------
-    InputError
-        Photos, image points or camera that cannot be used.
-    EstimationError
-        The photos do not hang together, or something is not determined.
+    measured: Image points, where the photos were measured already; files are then neither read nor hashed.
+    start: Poses and targets to start from instead of those that measurement.toml names.
+    Returns: Points, poses and camera with their covariances, and what is doubtful.
+    InputError: Photos, image points or camera that cannot be used.
+    EstimationError: The photos do not hang together, or something is not determined.
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model
@@ -215,17 +181,8 @@ def run(
 def refuse_copies(measurement: PhotogrammetryMeasurement, hashes: dict[str, str]) -> None:
     """Refuse a photo that is there twice: counted as two measurements, its image points make sigmas too small.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The measurement.
-    hashes : dict of str to str
-        Name and SHA-256 of each of its files.
-
-    Raises
-    ------
-    InputError
-        Two photos have the same content.
+    hashes: Name and SHA-256 of each of its files.
+    InputError: Two photos have the same content.
     """
     photos = {file.name for file in measurement.photo_files}
     first: dict[str, str] = {}
@@ -254,26 +211,9 @@ def _read_kinds(
 def read_points(measurement: PhotogrammetryMeasurement, options: Options, progress: Progress) -> MeasuredPhotos:
     """Measure the photos, or read the image points.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The measurement.
-    options : Options
-        How many photos side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    MeasuredPhotos
-        The image points.
-
-    Raises
-    ------
-    InputError
-        Files that cannot be used.
-    EstimationError
-        No targets in the photos.
+    options: How many photos side by side.
+    InputError: Files that cannot be used.
+    EstimationError: No targets in the photos.
     """
     model = measurement.model
     if model.targets is not None and measurement.photo_files:
@@ -293,17 +233,7 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
 def write(result: Result, folder: Path) -> None:
     """Write the files of a result into an existing folder.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     write_points_csv(folder / "points.csv", result.points)
     write_cameras_json(folder / "cameras.json", result.cameras, photo_poses(result))
@@ -326,15 +256,7 @@ def write(result: Result, folder: Path) -> None:
 def photo_poses(result: Result) -> dict[str, PhotoPose]:
     """Collect the poses of all photos in the network.
 
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    dict of str to PhotoPose
-        Camera, pose with covariance and size of the residuals, by the photo's name.
+    Returns: Camera, pose with covariance and size of the residuals, by the photo's name.
     """
     bundle = result.solved.bundle
     table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
@@ -413,18 +335,7 @@ def _millimetre_columns(result: Result) -> dict[str, Any]:
 
 
 def summarise(result: Result) -> Summary:
-    """Collect the headline numbers of a result with their sigmas, warnings and provenance.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
     bundle = result.solved.bundle
     numbers, missing = headline(result.solved, result.lengths)
     described = [

@@ -31,30 +31,12 @@ def add_features(
 ) -> tuple[MeasuredPhotos, IntArray]:
     """Find the natural features of all photos and follow them from photo to photo.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The measurement.
-    coded : MeasuredPhotos or None
-        Coded targets of the same photos, where there are any.
-    jobs : int or None
-        Photos and pairs side by side.
-    progress : Progress
-        Told of each photo and pair.
-
-    Returns
-    -------
-    measured : MeasuredPhotos
-        Image points of targets and features.
-    kinds : ndarray of int, shape (m,)
-        Kind of each: coded targets, and features by size, for sigmas of their own.
-
-    Raises
-    ------
-    InputError
-        pycolmap is not installed, or a photo cannot be read.
-    EstimationError
-        No feature can be followed.
+    coded: Coded targets of the same photos, where there are any.
+    jobs: Photos and pairs side by side.
+    measured: Image points of targets and features.
+    kinds (m,): Kind of each: coded targets, and features by size, for sigmas of their own.
+    InputError: pycolmap is not installed, or a photo cannot be read.
+    EstimationError: No feature can be followed.
     """
     require_pycolmap()
     section = measurement.model.natural or NaturalSection()

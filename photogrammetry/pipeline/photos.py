@@ -32,12 +32,8 @@ _NO_TARGET = "shows no target that can be used"
 class Refused:
     """Something in the photos that was not used.
 
-    Parameters
-    ----------
-    name : str
-        Marker, target or photo, and where it is.
-    reason : str
-        Why.
+    name: Marker, target or photo, and where it is.
+    reason: Why.
     """
 
     name: str
@@ -48,22 +44,12 @@ class Refused:
 class MeasuredPhotos:
     """Image points of all photos.
 
-    Parameters
-    ----------
-    points : ImagePoints
-        The image points.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Shape of each target's ellipse; NaN for corners [px^2].
-    sizes_px : dict of str to (int, int) or None
-        Width and height of each photo; None where image points were given [px].
-    refused : tuple of Refused
-        False codes, doubled names, photos without targets.
-    warnings : tuple of str
-        What makes the result doubtful.
-    sigma_assumed : bool
-        Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
-    loose : LooseDots or None, optional
-        Dots without a code, to be matched when the photos' poses are known.
+    ellipses_px2 (m, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].
+    sizes_px: Width and height of each photo; None where image points were given [px].
+    refused: False codes, doubled names, photos without targets.
+    warnings: What makes the result doubtful.
+    sigma_assumed: Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
+    loose: Dots without a code, to be matched when the photos' poses are known.
     """
 
     points: ImagePoints
@@ -79,20 +65,12 @@ class MeasuredPhotos:
 class OnePhoto:
     """What one photo shows.
 
-    Parameters
-    ----------
-    detections : Detections
-        Targets with a name.
-    ellipses_px2 : ndarray, shape (n, 2, 2)
-        Shape of each target's ellipse; NaN for corners [px^2].
-    size_px : (int, int)
-        Width and height [px].
-    refused : tuple of Refused
-        What was not used.
-    dots : Detections
-        Dots without a code.
-    dot_ellipses_px2 : ndarray, shape (k, 2, 2)
-        Their ellipses [px^2].
+    detections: Targets with a name.
+    ellipses_px2 (n, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].
+    size_px: Width and height [px].
+    refused: What was not used.
+    dots: Dots without a code.
+    dot_ellipses_px2 (k, 2, 2): Their ellipses [px^2].
     """
 
     detections: Detections
@@ -108,14 +86,9 @@ class OnePhoto:
 class UnreadRings:
     """Code rings of a photo that are not in the dictionary as they are seen.
 
-    Parameters
-    ----------
-    mirrored : int
-        Rings whose mirror image is in it.
-    unknown : tuple of str
-        Bits of the others, clockwise.
-    other_sense : str
-        Sense in which the dictionary does not count.
+    mirrored: Rings whose mirror image is in it.
+    unknown: Bits of the others, clockwise.
+    other_sense: Sense in which the dictionary does not count.
     """
 
     mirrored: int
@@ -128,28 +101,9 @@ def measure_each(
 ) -> list[OnePhoto]:
     """Find and measure the targets of all photos.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos.
-    section : TargetsSection
-        What targets they show.
-    search : TargetSearch
-        How circular ones are searched for.
-    jobs : int or None
-        Photos measured side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    list of OnePhoto
-        Each photo's targets and dots, in the order of the files.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read, or two have the same name.
+    jobs: Photos measured side by side.
+    Returns: Each photo's targets and dots, in the order of the files.
+    InputError: A photo cannot be read, or two have the same name.
     """
     twice = [name for name, count in Counter(file.name for file in files).items() if count > 1]
     if twice:
@@ -176,21 +130,7 @@ def measure_each(
 def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
     """Find and measure the targets of one photo.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    name : str
-        Its name.
-    section : TargetsSection
-        What targets it shows.
-    search : TargetSearch
-        How circular ones are searched for.
-
-    Returns
-    -------
-    OnePhoto
-        Its targets and dots.
+    Shapes: image (height, width).
     """
     found = _with_markers(image, name, section) if section.has_markers else None
     if found is not None and not search.with_uncoded:
@@ -270,20 +210,8 @@ def _loose(found: Sequence[OnePhoto]) -> LooseDots:
 def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """Put the targets of all photos together; those that are twice in a photo are not used there.
 
-    Parameters
-    ----------
-    found : sequence of OnePhoto
-        What each photo shows.
-
-    Returns
-    -------
-    MeasuredPhotos
-        Image points with covariances, and what was refused.
-
-    Raises
-    ------
-    EstimationError
-        No photo shows a target.
+    Returns: Image points with covariances, and what was refused.
+    EstimationError: No photo shows a target.
     """
     photos, names, parts, shapes = [], [], [], []
     refused = [bad for one in found for bad in one.refused]

@@ -38,28 +38,16 @@ _NEAR = 0.02
 class SurfaceResult:
     """What was found of a surface; parts that were not asked for, or not possible, are None.
 
-    Parameters
-    ----------
-    fit : SurfaceFit or None
-        Points against the design or the mesh.
-    how : str
-        Where the fit started, for the summary.
-    facet_of : tuple of str
-        The facet of each point of the fit; empty for none.
-    slopes : SurfaceSlopes or None
-        Slope maps.
-    cantings : tuple of FacetCanting
-        Each facet against its design.
-    moved : Displacements or None
-        Against the other date.
-    compared_with : str
-        The other date's folder.
-    mesh : MeshSurface or None
-        The mesh that the points were compared with.
-    ply : bool
-        Whether PLY files are wanted.
-    warnings : tuple of str
-        What makes the result doubtful.
+    fit: Points against the design or the mesh.
+    how: Where the fit started, for the summary.
+    facet_of: The facet of each point of the fit; empty for none.
+    slopes: Slope maps.
+    cantings: Each facet against its design.
+    moved: Against the other date.
+    compared_with: The other date's folder.
+    mesh: The mesh that the points were compared with.
+    ply: Whether PLY files are wanted.
+    warnings: What makes the result doubtful.
     """
 
     fit: SurfaceFit | None
@@ -77,26 +65,11 @@ class SurfaceResult:
 def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult) -> SurfaceResult:
     """Do what ``[surface]`` asks for.
 
-    Parameters
-    ----------
-    section : SurfaceSection
-        The section.
-    folder : Path
-        The measurement's folder, to which files are relative.
-    bundle : BundleResult
-        The adjusted network.
-
-    Returns
-    -------
-    SurfaceResult
-        Fit, maps, canting, comparison.
-
-    Raises
-    ------
-    InputError
-        Targets that are not in the network, files that cannot be read, open3d missing for a mesh.
-    EstimationError
-        Points that do not determine what is asked for.
+    folder: The measurement's folder, to which files are relative.
+    bundle: The adjusted network.
+    Returns: Fit, maps, canting, comparison.
+    InputError: Targets that are not in the network, files that cannot be read, open3d missing for a mesh.
+    EstimationError: Points that do not determine what is asked for.
     """
     points, said = surface_points(bundle)
     warnings = list(said)
@@ -140,17 +113,7 @@ def _against_surface(
 def surface_points(bundle: BundleResult) -> tuple[SurfacePoints, tuple[str, ...]]:
     """Return the determined points of a network with their joint covariance, and what is to be said of it.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        The adjusted network.
-
-    Returns
-    -------
-    points : SurfacePoints
-        Points that are seen and determined; targets held at given coordinates have no variance.
-    warnings : tuple of str
-        Sentences.
+    points: Points that are seen and determined; targets held at given coordinates have no variance.
     """
     table = bundle.problem.observations
     points = bundle.points_m

@@ -18,19 +18,7 @@ from photogrammetry.surface.store_mesh import write_mesh_ply, write_points_ply
 def write_surface(result: SurfaceResult, folder: Path, attributes: Mapping[str, Any]) -> None:
     """Write ``surface.csv``, ``slope_map.nc``, ``canting.csv``, ``comparison.csv`` and PLY files, as far as there are.
 
-    Parameters
-    ----------
-    result : SurfaceResult
-        What was found.
-    folder : Path
-        Where to.
-    attributes : mapping
-        Global attributes of the slope map.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    result: What was found.
     """
     fit = result.fit
     if fit is not None:
@@ -123,15 +111,8 @@ def _comparison_columns(moved: Displacements) -> dict[str, Any]:
 def surface_numbers(result: SurfaceResult) -> tuple[Numbers, dict[str, str], dict[str, str]]:
     """Return headline numbers, texts, and why numbers are not determined.
 
-    Parameters
-    ----------
-    result : SurfaceResult
-        What was found.
-
-    Returns
-    -------
-    tuple of dict
-        Numbers with units in their names; texts; reasons.
+    result: What was found.
+    Returns: Numbers with units in their names; texts; reasons.
     """
     numbers: Numbers = {}
     texts: dict[str, str] = {}

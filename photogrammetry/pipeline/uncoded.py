@@ -27,31 +27,12 @@ def with_uncoded(
 ) -> tuple[MeasuredPhotos, Solved]:
     """Extend a network by the targets without a code.
 
-    Parameters
-    ----------
-    measured : MeasuredPhotos
-        All image points, and the dots.
-    solved : Solved
-        The network of the coded targets.
-    listed : ListedTargets or None
-        Names and rough places.
-    cameras : NetworkCameras
-        The cameras.
-    knowledge : Knowledge
-        Scale bars, control points, constraints and datum.
-    options : SolveOptions
-        How to solve.
-
-    Returns
-    -------
-    tuple of MeasuredPhotos and Solved
-        The image points with those of matched dots, and the network adjusted with them; what could not be matched or
-        named is among the refused.
-
-    Raises
-    ------
-    EstimationError
-        The network with its points is not determined.
+    measured: All image points, and the dots.
+    listed: Names and rough places.
+    knowledge: Scale bars, control points, constraints and datum.
+    Returns: The image points with those of matched dots, and the network adjusted with them; what could not be
+        matched or named is among the refused.
+    EstimationError: The network with its points is not determined.
     """
     if measured.loose is None or not len(measured.loose.dots):
         missing = () if listed is None else (f"{len(listed)} targets without a code are listed, but no dot was found",)
@@ -72,19 +53,8 @@ def with_uncoded(
 def start_with_list(start: StartValues, section: TargetsSection | None, listed: ListedTargets | None) -> StartValues:
     """Take listed places as start values where the list alone tells the targets: its frame and scale become those.
 
-    Parameters
-    ----------
-    start : StartValues
-        What measurement.toml gives to start from.
-    section : TargetsSection or None
-        What it says of the targets.
-    listed : ListedTargets or None
-        Names and rough places.
-
-    Returns
-    -------
-    StartValues
-        With the listed places; those that were given win.
+    start: What measurement.toml gives to start from.
+    listed: Names and rough places.
     """
     if listed is None or section is None or section.dictionary is not None:
         return start
@@ -95,22 +65,8 @@ def start_with_list(start: StartValues, section: TargetsSection | None, listed: 
 def listed_targets(section: TargetsSection | None, folder: Path) -> ListedTargets | None:
     """Collect the targets without a code that measurement.toml and its table list.
 
-    Parameters
-    ----------
-    section : TargetsSection or None
-        What measurement.toml says.
-    folder : Path
-        Its folder.
-
-    Returns
-    -------
-    ListedTargets or None
-        The list; None where there is none.
-
-    Raises
-    ------
-    InputError
-        A table with missing columns or cells that are no numbers (with the line), a name twice, or a sigma of 0.
+    InputError: A table with missing columns or cells that are no numbers (with the line), a name twice, or a sigma
+        of 0.
     """
     if section is None or not (section.uncoded or section.uncoded_file):
         return None

@@ -110,12 +110,8 @@ class PhotogrammetryPlanModel(Section):
 class PhotogrammetryPlanMeasurement:
     """A checked plan of a photo network: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The plan's folder.
-    model : PhotogrammetryPlanModel
-        What measurement.toml says.
+    folder: The plan's folder.
+    model: What measurement.toml says.
     """
 
     folder: Path

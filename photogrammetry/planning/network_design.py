@@ -29,19 +29,9 @@ Q_RANGE = (0.4, 0.8)
 class Goal:
     """What is wanted.
 
-    Parameters
-    ----------
-    sigma_m : float
-        Wanted standard deviation of the coordinates [m].
-    of_largest : bool, optional
-        Whether the largest of all sigmas must keep it, or their RMS.
-    most_photos : int, optional
-        Photos at most.
-
-    Raises
-    ------
-    InputError
-        A sigma that is not positive.
+    sigma_m: Wanted standard deviation of the coordinates [m].
+    of_largest: Whether the largest of all sigmas must keep it, or their RMS.
+    InputError: A sigma that is not positive.
     """
 
     sigma_m: float
@@ -65,18 +55,10 @@ class Goal:
 class Task:
     """What is to be planned.
 
-    Parameters
-    ----------
-    target_object : PlannedObject
-        The targets.
-    planned : PlannedCamera
-        The camera.
-    reach : Reach
-        Where a camera can be.
-    goal : Goal
-        What is wanted.
-    bars : tuple of Distance, optional
-        Scale bars between targets of the object.
+    planned: The camera.
+    reach: Where a camera can be.
+    goal: What is wanted.
+    bars: Scale bars between targets of the object.
     """
 
     target_object: PlannedObject
@@ -90,14 +72,8 @@ class Task:
 class Trial:
     """One layout with one number of photos.
 
-    Parameters
-    ----------
-    rings_rad : tuple of float
-        Angles of its rings from the object's normal [rad].
-    count : int
-        Number of photos.
-    prediction : Prediction
-        What it gives.
+    rings_rad: Angles of its rings from the object's normal [rad].
+    prediction: What it gives.
     """
 
     rings_rad: tuple[float, ...]
@@ -114,18 +90,10 @@ class Trial:
 class Plan:
     """The chosen network and all that were tried.
 
-    Parameters
-    ----------
-    best : Trial
-        The network with the fewest photos that reaches the goal, or the best one of all where none does.
-    reached : bool
-        Whether it reaches the goal.
-    trials : tuple of Trial
-        All trials.
-    q : float
-        Its factor of the planning rule, see `photogrammetry.planning.planned_network.q_factor`.
-    warnings : tuple of str
-        What is weak in it.
+    best: The network with the fewest photos that reaches the goal, or the best one of all where none does.
+    reached: Whether it reaches the goal.
+    q: Its factor of the planning rule, see `photogrammetry.planning.planned_network.q_factor`.
+    warnings: What is weak in it.
     """
 
     best: Trial
@@ -140,24 +108,11 @@ def plan_network(
 ) -> Plan:
     """Find the smallest number of photos that gives a wanted sigma.
 
-    Parameters
-    ----------
-    task : Task
-        Object, camera, goal.
-    layouts : sequence of tuple of float
-        Rings that are tried together: angles from the object's normal [rad].
-    tell : callable, optional
-        Told of each number of photos before it is tried.
-
-    Returns
-    -------
-    Plan
-        The network; `reached` is False where even the most photos are not enough.
-
-    Raises
-    ------
-    EstimationError
-        No layout sees enough to determine anything.
+    task: Object, camera, goal.
+    layouts: Rings that are tried together: angles from the object's normal [rad].
+    tell: Told of each number of photos before it is tried.
+    Returns: The network; `reached` is False where even the most photos are not enough.
+    EstimationError: No layout sees enough to determine anything.
     """
     goal = task.goal
     aims = aims_m(task.target_object, task.planned.camera, task.reach.distance_m)

@@ -39,18 +39,11 @@ _MOST_TARGETS = 3000
 class PlanResult:
     """A plan, ready to be written.
 
-    Parameters
-    ----------
-    name : str
-        Name of what is planned.
-    task : Task
-        What was asked.
-    plan : Plan
-        The answer.
-    durations_s : dict of str to float
-        Wall time of each stage [s].
-    input_sha256 : dict of str to str
-        Hash of each file read.
+    name: Name of what is planned.
+    task: What was asked.
+    plan: The answer.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
     """
 
     name: str
@@ -63,24 +56,8 @@ class PlanResult:
 def run(measurement: PhotogrammetryPlanMeasurement, progress: Progress | None = None) -> PlanResult:
     """Plan a network.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryPlanMeasurement
-        From `heliogauge.measurement.load.load_photogrammetry_plan`.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    PlanResult
-        The plan.
-
-    Raises
-    ------
-    InputError
-        Targets or camera that cannot be used.
-    EstimationError
-        No network determines the targets.
+    InputError: Targets or camera that cannot be used.
+    EstimationError: No network determines the targets.
     """
     progress = progress or SilentProgress()
     with progress.stage("hash inputs"):
@@ -96,20 +73,9 @@ def run(measurement: PhotogrammetryPlanMeasurement, progress: Progress | None = 
 def build_task(measurement: PhotogrammetryPlanMeasurement) -> Task:
     """Turn what measurement.toml says into what is planned.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryPlanMeasurement
-        The checked file.
-
-    Returns
-    -------
-    Task
-        Object, camera, reach, goal, scale bars.
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read, too many or too few targets, an impossible direction.
+    measurement: The checked file.
+    Returns: Object, camera, reach, goal, scale bars.
+    InputError: A file that cannot be read, too many or too few targets, an impossible direction.
     """
     model = measurement.model
     names, points, normals = _targets(model.object, measurement.folder)
@@ -193,20 +159,7 @@ def _camera(measurement: PhotogrammetryPlanMeasurement) -> Camera:
 
 
 def write(result: PlanResult, folder: Path) -> None:
-    """Write the files of a plan into an existing folder.
-
-    Parameters
-    ----------
-    result : PlanResult
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write the files of a plan into an existing folder."""
     prediction, target_object = result.plan.best.prediction, result.task.target_object
     flags = np.where(prediction.rays > 0, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
     write_points_csv(
@@ -267,18 +220,7 @@ def _trial_columns(result: PlanResult) -> dict[str, Any]:
 
 
 def summarise(result: PlanResult) -> Summary:
-    """Collect the headline numbers of a plan.
-
-    Parameters
-    ----------
-    result : PlanResult
-        The plan.
-
-    Returns
-    -------
-    Summary
-        What ``summary.json`` holds.
-    """
+    """Collect the headline numbers of a plan."""
     plan, task = result.plan, result.task
     prediction = plan.best.prediction
     sigma = np.sqrt((prediction.sigma_m**2).mean(axis=0))
@@ -332,18 +274,7 @@ def summarise(result: PlanResult) -> Summary:
 
 
 def headline_text(summary: Summary) -> str:
-    """Say the plan in a few lines for the terminal.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        The lines.
-    """
+    """Say the plan in a few lines for the terminal."""
     numbers = summary.numbers
 
     def mm(key: str) -> str:

@@ -24,21 +24,11 @@ _CELLS = 8
 class PlannedCamera:
     """The camera of a plan.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera as far as it is known.
-    free : tuple of str
-        Intrinsics that the measurement will estimate.
-    sigma_px : float
-        Standard deviation of an image coordinate [px].
-    smallest_px : float, optional
-        Smallest diameter of a target's image that can be measured [px].
-
-    Raises
-    ------
-    InputError
-        A sigma that is not positive.
+    camera: The camera as far as it is known.
+    free: Intrinsics that the measurement will estimate.
+    sigma_px: Standard deviation of an image coordinate [px].
+    smallest_px: Smallest diameter of a target's image that can be measured [px].
+    InputError: A sigma that is not positive.
     """
 
     camera: Camera
@@ -54,26 +44,15 @@ class PlannedCamera:
 class Prediction:
     """What a network will give.
 
-    Parameters
-    ----------
-    stations : tuple of Station
-        The photos that see enough to be used.
-    rays : ndarray of int, shape (n,)
-        Photos that see each target.
-    sigma_m : ndarray, shape (n, 3)
-        Predicted standard deviations; NaN for targets that are not determined [m].
-    covariance_m2 : ndarray, shape (n, 3, 3)
-        Predicted covariances [m^2].
-    alone_m : ndarray, shape (n, 3)
-        The same if poses, camera and scale were known without error: what the rays alone give [m].
-    convergence_rad : ndarray, shape (n,)
-        Largest angle between two rays of each target [rad].
-    coverage_share : float
-        Share of the image's cells in which any photo has a target.
-    bundle : BundleResult or None
-        The adjustment; None where the photos do not hang together.
-    reason : str
-        Why there is no prediction; empty where there is one.
+    stations: The photos that see enough to be used.
+    rays (n,): Photos that see each target.
+    sigma_m (n, 3): Predicted standard deviations; NaN for targets that are not determined [m].
+    covariance_m2 (n, 3, 3): Predicted covariances [m^2].
+    alone_m (n, 3): The same if poses, camera and scale were known without error: what the rays alone give [m].
+    convergence_rad (n,): Largest angle between two rays of each target [rad].
+    coverage_share: Share of the image's cells in which any photo has a target.
+    bundle: The adjustment; None where the photos do not hang together.
+    reason: Why there is no prediction; empty where there is one.
     """
 
     stations: tuple[Station, ...]
@@ -108,26 +87,10 @@ def predict(
 ) -> Prediction:
     """Predict what photos from stations will give.
 
-    Parameters
-    ----------
-    target_object : PlannedObject
-        The targets.
-    planned : PlannedCamera
-        The camera.
-    stations : sequence of Station
-        The photos.
-    reach : Reach
-        Gives the largest incidence.
-    bars : sequence of Distance, optional
-        Scale bars between targets of the object.
+    reach: Gives the largest incidence.
+    bars: Scale bars between targets of the object.
+    Returns: Sigmas under inner constraints over all targets, as the evaluation of such a measurement reports them.
 
-    Returns
-    -------
-    Prediction
-        Sigmas under inner constraints over all targets, as the evaluation of such a measurement reports them.
-
-    Notes
-    -----
     First-order covariance: the normal equations at the planned places do not depend on the noise, so none is drawn.
     """
     used, points = _image_points(target_object, planned, stations, reach)
@@ -222,22 +185,10 @@ def _coverage(camera: Camera, pixels_px: FloatArray) -> float:
 def q_factor(prediction: Prediction, planned: PlannedCamera, target_object: PlannedObject) -> float:
     """Return q of the planning rule ``sigma = q S sigma_image / sqrt(k)``.
 
-    Parameters
-    ----------
-    prediction : Prediction
-        What the network gives.
-    planned : PlannedCamera
-        The camera.
-    target_object : PlannedObject
-        The targets.
+    prediction: What the network gives.
+    Returns: q, with S the mean distance over the focal length, sigma_image in pixels, and k the mean number of rays
+        over 4.
 
-    Returns
-    -------
-    float
-        q, with S the mean distance over the focal length, sigma_image in pixels, and k the mean number of rays over 4.
-
-    Notes
-    -----
     Fraser 1984 (Network design considerations for non-topographic photogrammetry): q is 0.4 to 0.8 for convergent
     networks of four stations with k photos at each, 1.5 and more for stereo pairs. Four rays at 45 degrees from the
     normal give 0.62: 1 / sqrt(4 x 3/4) across, 1 / sqrt(4 x 1/2) along the normal.

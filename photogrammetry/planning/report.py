@@ -69,20 +69,7 @@ class PlanResults:
 def open_plan(folder: str | Path = ".") -> PlanResults:
     """Read a folder with a plan.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    PlanResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     cameras, poses = read_cameras_json(folder / "cameras.json")

@@ -22,21 +22,11 @@ _EDGE_SHARE = 0.02
 class PlannedObject:
     """Targets to be measured.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Their names.
-    points_m : array_like, shape (n, 3)
-        Where they will be, to a few per cent of the distance [m].
-    normals : array_like, shape (n, 3)
-        Unit vectors out of their faces; NaN for targets that are seen from everywhere.
-    diameter_m : float, optional
-        Diameter of the targets; 0 where their size in the image does not matter [m].
-
-    Raises
-    ------
-    InputError
-        Fewer than four targets, a name twice, or lengths that differ.
+    names length n: Their names.
+    points_m (n, 3): Where they will be, to a few per cent of the distance [m].
+    normals (n, 3): Unit vectors out of their faces; NaN for targets that are seen from everywhere.
+    diameter_m: Diameter of the targets; 0 where their size in the image does not matter [m].
+    InputError: Fewer than four targets, a name twice, or lengths that differ.
     """
 
     names: tuple[str, ...]
@@ -78,23 +68,12 @@ class PlannedObject:
 class Reach:
     """Where a camera can be.
 
-    Parameters
-    ----------
-    distance_m : float
-        Distance from the camera to what it looks at [m].
-    up : tuple of float
-        The vertical direction.
-    lowest_m, highest_m : float, optional
-        Heights along it between which a camera can be [m].
-    turned : bool, optional
-        Whether every other photo is taken with the camera turned by 90 degrees about its axis.
-    incidence_rad : float, optional
-        Largest angle between a target's normal and the ray to the camera [rad].
-
-    Raises
-    ------
-    InputError
-        A distance or an angle that cannot be.
+    distance_m: Distance from the camera to what it looks at [m].
+    up: The vertical direction.
+    lowest_m, highest_m: Heights along it between which a camera can be [m].
+    turned: Whether every other photo is taken with the camera turned by 90 degrees about its axis.
+    incidence_rad: Largest angle between a target's normal and the ray to the camera [rad].
+    InputError: A distance or an angle that cannot be.
     """
 
     distance_m: float
@@ -117,16 +96,10 @@ class Reach:
 class Station:
     """One photo to take.
 
-    Parameters
-    ----------
-    center_m, aim_m : ndarray, shape (3,)
-        Where the camera is, and the point in the middle of its image [m].
-    ring_rad, azimuth_rad : float
-        Angle from the object's normal, and direction round it [rad].
-    roll_rad : float
-        Turn about the viewing axis from the upright camera, clockwise seen from behind it [rad].
-    cam_from_world : RigidTransform
-        The pose.
+    center_m, aim_m (3,): Where the camera is, and the point in the middle of its image [m].
+    ring_rad, azimuth_rad: Angle from the object's normal, and direction round it [rad].
+    roll_rad: Turn about the viewing axis from the upright camera, clockwise seen from behind it [rad].
+    cam_from_world: The pose.
     """
 
     center_m: FloatArray
@@ -140,27 +113,11 @@ class Station:
 def looking_at(center_m: FloatArray, aim_m: FloatArray, up: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
     """Return the pose of a camera that looks at a point.
 
-    Parameters
-    ----------
-    center_m, aim_m : ndarray, shape (3,)
-        Projection centre, and the point in the middle of the image [m].
-    up : ndarray, shape (3,)
-        Direction that is up in the image of an upright camera.
-    roll_rad : float, optional
-        Turn of the camera about its axis, clockwise seen from behind it [rad].
+    center_m, aim_m (3,): Projection centre, and the point in the middle of the image [m].
+    up (3,): Direction that is up in the image of an upright camera.
+    roll_rad: Turn of the camera about its axis, clockwise seen from behind it [rad].
+    InputError: Centre and aim are the same point.
 
-    Returns
-    -------
-    RigidTransform
-        ``cam_from_world``.
-
-    Raises
-    ------
-    InputError
-        Centre and aim are the same point.
-
-    Examples
-    --------
     >>> looking_at(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([0.0, 1.0, 0.0])).apply(np.array([[1.0, 0.5, 0.0]]))
     array([[ 1. , -0.5,  2. ]])
     """
@@ -223,24 +180,10 @@ def ring_stations(
 ) -> tuple[Station, ...]:
     """Place cameras on rings round the object's normal.
 
-    Parameters
-    ----------
-    target_object : PlannedObject
-        The object.
-    aims : ndarray, shape (k, 3)
-        What the cameras look at in turn [m].
-    reach : Reach
-        Where a camera can be.
-    rings_rad : sequence of float
-        Angle of each ring from the object's normal [rad].
-    count : int
-        Number of photos.
-
-    Returns
-    -------
-    tuple of Station
-        Evenly shared among the rings, and on each among the directions that can be reached; fewer where a ring cannot
-        be reached at all.
+    aims (k, 3): What the cameras look at in turn [m].
+    rings_rad: Angle of each ring from the object's normal [rad].
+    Returns: Evenly shared among the rings, and on each among the directions that can be reached; fewer where a ring
+        cannot be reached at all.
     """
     facing, up = target_object.facing, np.asarray(reach.up, dtype=np.float64)
     up = up / np.linalg.norm(up)
@@ -272,23 +215,10 @@ def seen_targets(
 ) -> tuple[BoolArray, FloatArray]:
     """Say which targets a camera sees, and where.
 
-    Parameters
-    ----------
-    target_object : PlannedObject
-        The object; what hides targets from each other is not known.
-    camera : Camera
-        The camera.
-    cam_from_world : RigidTransform
-        Its pose.
-    reach : Reach
-        Gives the largest incidence.
-    smallest_px : float, optional
-        Smallest diameter in the image across the shorter axis [px].
-
-    Returns
-    -------
-    tuple of ndarray of bool, shape (n,), and ndarray, shape (n, 2)
-        Whether a target is in the image, faces the camera and is large enough; its image point [px].
+    target_object: The object; what hides targets from each other is not known.
+    reach: Gives the largest incidence.
+    smallest_px: Smallest diameter in the image across the shorter axis [px].
+    Returns (n,): Whether a target is in the image, faces the camera and is large enough; its image point [px].
     """
     points = cam_from_world.apply(target_object.points_m)
     pixels = camera.project(points)

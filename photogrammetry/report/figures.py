@@ -40,17 +40,7 @@ _CELLS = 12
 def network_figure(results: NetworkResults, first: int, second: int) -> "Figure":
     """Draw points with error ellipses, and cameras, seen along one axis.
 
-    Parameters
-    ----------
-    results : NetworkResults
-        The results.
-    first, second : int
-        Axes to the right and up: 0 x, 1 y, 2 z.
-
-    Returns
-    -------
-    Figure
-        The figure.
+    first, second: Axes to the right and up: 0 x, 1 y, 2 z.
     """
     from matplotlib.collections import LineCollection
 

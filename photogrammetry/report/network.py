@@ -99,20 +99,7 @@ class NetworkResults:
 def open_network(folder: str | Path = ".") -> NetworkResults:
     """Read a folder of results.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    NetworkResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     cameras, poses = read_cameras_json(folder / "cameras.json")
@@ -129,17 +116,8 @@ def open_network(folder: str | Path = ".") -> NetworkResults:
 def headline_table(summary: Summary, labels: dict[str, str] = LABELS) -> Html:
     """Return the headline numbers, the less important ones folded away.
 
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-    labels : dict of str to str, optional
-        Keys that are shown, with their names.
-
-    Returns
-    -------
-    Html
-        A table in the order of the labels, and one to unfold.
+    labels: Keys that are shown, with their names.
+    Returns: A table in the order of the labels, and one to unfold.
     """
 
     def shown(key: str) -> str:
@@ -265,19 +243,7 @@ def length_table(results: NetworkResults) -> Html:
 def csv_table(results: NetworkResults, file: str, what: str) -> Html:
     """Return one of the result tables as it is in its file; a sentence where it is empty.
 
-    Parameters
-    ----------
-    results : NetworkResults
-        The results.
-    file : str
-        "rejected", "constraints" or "lengths".
-    what : str
-        What its lines are.
-
-    Returns
-    -------
-    Html
-        The table.
+    file: "rejected", "constraints" or "lengths".
     """
     columns = {name: cells for name, cells in results.tables[file].items() if any(cells)}
     rows = [tuple(map(_short, row)) for row in zip(*columns.values(), strict=True)]
@@ -287,21 +253,8 @@ def csv_table(results: NetworkResults, file: str, what: str) -> Html:
 def folded_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int], what: str) -> Html:
     """Return a table whose first lines are shown and the others unfold.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Names of the columns.
-    rows : sequence of sequence of str
-        Cells.
-    numbers : sequence of int
-        Columns that are aligned to the right.
-    what : str
-        What the lines are.
-
-    Returns
-    -------
-    Html
-        The table.
+    head: Names of the columns.
+    numbers: Columns that are aligned to the right.
     """
     first = 12
     shown = table(head, rows[:first], numbers=numbers)

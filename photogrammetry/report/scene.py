@@ -20,17 +20,8 @@ _CAMERA_SHARE = 0.03
 def magnification(covariances_m2: FloatArray, extent_m: float) -> float:
     """Return the round number that makes the largest error ellipsoid visible.
 
-    Parameters
-    ----------
-    covariances_m2 : ndarray, shape (n, 3, 3)
-        Covariances of the points [m^2].
-    extent_m : float
-        Size of the network [m].
-
-    Returns
-    -------
-    float
-        By what the ellipsoids are enlarged.
+    Shapes: covariances_m2 (n, 3, 3).
+    extent_m: Size of the network [m].
     """
     largest = float(np.sqrt(np.nanmax(np.linalg.eigvalsh(covariances_m2), initial=0.0)))
     return nice_ceiling(_ELLIPSOID_SHARE * extent_m / largest) if largest > 0 else 1.0
@@ -41,19 +32,9 @@ def ellipsoid_lines(
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Return the principal sections of error ellipsoids as closed lines.
 
-    Parameters
-    ----------
-    centers_m : ndarray, shape (n, 3)
-        Their centres [m].
-    covariances_m2 : ndarray, shape (n, 3, 3)
-        Covariances; one standard deviation along each axis [m^2].
-    factor : float
-        By what they are enlarged.
-
-    Returns
-    -------
-    tuple of ndarray, shape (v, 3), and tuple of int
-        Vertices [m] and the number of each line; only the axes where there are more than 400 points.
+    Shapes: centers_m (n, 3).
+    covariances_m2 (n, 3, 3): Covariances; one standard deviation along each axis [m^2].
+    Returns (v, 3): Vertices [m] and the number of each line; only the axes where there are more than 400 points.
     """
     values, vectors = np.linalg.eigh(covariances_m2)
     axes = factor * np.sqrt(np.maximum(values, 0.0))[:, None, :] * vectors
@@ -72,19 +53,8 @@ def ellipsoid_lines(
 def pyramid_lines(camera: Camera, cam_from_world: RigidTransform, depth_m: float) -> tuple[FloatArray, tuple[int, ...]]:
     """Return a camera as a pyramid over its image, with a roof over the image's top edge.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    cam_from_world : RigidTransform
-        Its pose.
-    depth_m : float
-        How far before the projection centre the image is drawn [m].
-
-    Returns
-    -------
-    tuple of ndarray, shape (v, 3), and tuple of int
-        Vertices in the world [m] and the number of each line.
+    depth_m: How far before the projection centre the image is drawn [m].
+    Returns (v, 3): Vertices in the world [m] and the number of each line.
     """
     x, y = depth_m * camera.width_px / camera.focal_x_px / 2, depth_m * camera.height_px / camera.focal_y_px / 2
     corners = np.array([[-x, -y, depth_m], [x, -y, depth_m], [x, y, depth_m], [-x, y, depth_m]])
@@ -97,15 +67,7 @@ def pyramid_lines(camera: Camera, cam_from_world: RigidTransform, depth_m: float
 def network_scene(results: NetworkResults) -> Html:
     """Return the network as a scene that the reader can turn.
 
-    Parameters
-    ----------
-    results : NetworkResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Points coloured by sigma, ellipsoids, cameras.
+    Returns: Points coloured by sigma, ellipsoids, cameras.
     """
     points, covariances = results.points.xyz_m[results.known], results.covariances_m2
     extent = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 1.0

@@ -31,18 +31,7 @@ Columns = dict[str, list[str]]
 
 
 def surface(results: NetworkResults) -> Html:
-    """Return the section of the surface with its heading; nothing without one.
-
-    Parameters
-    ----------
-    results : NetworkResults
-        The results.
-
-    Returns
-    -------
-    Html
-        Heading, figures and tables.
-    """
+    """Return the section of the surface with its heading; nothing without one."""
     pieces = [section(results) for section in (_deviations, _slopes, _canting, _comparison)]
     found = [one for one in pieces if one.text]
     return join(Html("<h2>Surface</h2>"), *found) if found else Html("")
@@ -79,18 +68,7 @@ def _deviations(results: NetworkResults) -> Html:
 
 
 def deviation_figure(columns: Columns) -> "Figure":
-    """Draw the deviation of each point from the surface, seen from the front.
-
-    Parameters
-    ----------
-    columns : dict of str to list of str
-        ``surface.csv``.
-
-    Returns
-    -------
-    Figure
-        The figure.
-    """
+    """Draw the deviation of each point from the surface, seen from the front."""
     xy, deviation = _numbers(columns, "x_m", "y_m"), 1e3 * _numbers(columns, "deviation_m")[:, 0]
     used = _numbers(columns, "used")[:, 0] > 0
     limit = robust_limit(deviation[used])
@@ -152,15 +130,8 @@ def _canting(results: NetworkResults) -> Html:
 def canting_figure(columns: Columns, points: Columns) -> "Figure":
     """Draw the canting of each facet as an arrow where the facet is.
 
-    Parameters
-    ----------
-    columns, points : dict of str to list of str
-        ``canting.csv`` and ``surface.csv``.
-
-    Returns
-    -------
-    Figure
-        The figure; an arrow to the right is a surface that rises to the right.
+    columns, points: ``canting.csv`` and ``surface.csv``.
+    Returns: The figure; an arrow to the right is a surface that rises to the right.
     """
     xy, owner = _numbers(points, "x_m", "y_m"), np.array(points["facet"])
     centers = np.array([xy[owner == name].mean(axis=0) for name in columns["facet"]])
@@ -198,19 +169,9 @@ def _comparison(results: NetworkResults) -> Html:
 def displacement_figure(results: NetworkResults, columns: Columns, first: int, second: int) -> "Figure":
     """Draw how targets moved, seen along one axis.
 
-    Parameters
-    ----------
-    results : NetworkResults
-        The results; its points are where the arrows end.
-    columns : dict of str to list of str
-        ``comparison.csv``.
-    first, second : int
-        Axes to the right and up: 0 x, 1 y, 2 z.
-
-    Returns
-    -------
-    Figure
-        The figure.
+    results: The results; its points are where the arrows end.
+    columns: ``comparison.csv``.
+    first, second: Axes to the right and up: 0 x, 1 y, 2 z.
     """
     place = {name: i for i, name in enumerate(results.points.ids)}
     points = results.points.xyz_m[[place[name] for name in columns["id"]]][:, [first, second]]

@@ -33,28 +33,15 @@ _FOCAL_FACTORS = 1.15 ** np.arange(-5, 11)
 class Growth:
     """The network while it grows; changed in place.
 
-    Parameters
-    ----------
-    table : ImagePoints
-        All image points.
-    camera_of_photo : ndarray of int
-        Camera of each photo.
-    cameras : list of Camera
-        The cameras as known so far.
-    models : tuple of CameraModel
-        What of them is free once the network bears it.
-    noise : ndarray, shape (c,)
-        Size of the errors of each camera in units of the stated sigmas, lens included.
-    poses : dict of int to RigidTransform
-        ``cam_from_world`` of the oriented photos.
-    points : ndarray, shape (n, 3)
-        Targets, NaN where not known.
-    failures : dict of int to str
-        Why photos are not in the network yet.
-    tried : set of int
-        Guessed cameras whose focal length a photo of known targets has told.
-    misses : ndarray, shape (m,)
-        Residual of each image point in sigma, infinite where it took no part.
+    table: All image points.
+    cameras: The cameras as known so far.
+    models: What of them is free once the network bears it.
+    noise (c,): Size of the errors of each camera in units of the stated sigmas, lens included.
+    poses: ``cam_from_world`` of the oriented photos.
+    points (n, 3): Targets, NaN where not known.
+    failures: Why photos are not in the network yet.
+    tried: Guessed cameras whose focal length a photo of known targets has told.
+    misses (m,): Residual of each image point in sigma, infinite where it took no part.
     """
 
     table: ImagePoints
@@ -251,10 +238,7 @@ def intersect_new(grown: Growth, *, least_rad: float = 2 * LEAST_ANGLE_RAD) -> N
 def adjust_growth(grown: Growth) -> None:
     """Adjust what is in the network with a robust loss; renew the noise, the misses and the cameras.
 
-    Parameters
-    ----------
-    grown : Growth
-        The network, changed in place.
+    grown: The network, changed in place.
     """
     for _ in range(2):
         rows = rows_inside(grown)

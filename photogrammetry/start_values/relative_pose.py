@@ -21,14 +21,9 @@ LEAST_COMMON = 6
 class SharedTargets:
     """Image points of the same targets in two photos.
 
-    Parameters
-    ----------
-    cameras : tuple of two Camera
-        Cameras of the first and the second photo.
-    pixels_px : ndarray, shape (2, n, 2)
-        Image points [px].
-    covariance_px2 : ndarray, shape (2, n, 2, 2)
-        Their covariances [px^2].
+    cameras: Cameras of the first and the second photo.
+    pixels_px (2, n, 2): Image points [px].
+    covariance_px2 (2, n, 2, 2): Their covariances [px^2].
     """
 
     cameras: tuple[Camera, Camera]
@@ -51,18 +46,11 @@ class SharedTargets:
 class RelativePose:
     """One way in which two photos may stand to each other; the distance between them is 1.
 
-    Parameters
-    ----------
-    second_from_first : RigidTransform
-        First camera's frame to the second's.
-    points_m : ndarray, shape (n, 3)
-        Targets in the first camera's frame, in units of the distance; NaN where not found.
-    inliers : ndarray of bool, shape (n,)
-        Targets whose four image coordinates agree with it.
-    misfit : float
-        Sum of squared residuals, each cut off at the tolerance, over what is expected of good image points.
-    angle_rad : float
-        Median angle between the two lines of sight [rad].
+    second_from_first: First camera's frame to the second's.
+    points_m (n, 3): Targets in the first camera's frame, in units of the distance; NaN where not found.
+    inliers (n,): Targets whose four image coordinates agree with it.
+    misfit: Sum of squared residuals, each cut off at the tolerance, over what is expected of good image points.
+    angle_rad: Median angle between the two lines of sight [rad].
     """
 
     second_from_first: RigidTransform
@@ -75,15 +63,8 @@ class RelativePose:
 def parallax_rad(rays: FloatArray) -> float:
     """Return what is left of the angle between lines of sight after the best rotation, shape (2, n, 3) [rad].
 
-    Parameters
-    ----------
-    rays : ndarray, shape (2, n, 3)
-        Unit lines of sight of the same targets in two camera frames.
-
-    Returns
-    -------
-    float
-        Median angle [rad]; near the noise for two photos from one place.
+    rays (2, n, 3): Unit lines of sight of the same targets in two camera frames.
+    Returns: Median angle [rad]; near the noise for two photos from one place.
     """
     left, _, right = np.linalg.svd(rays[1].T @ rays[0])
     rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
@@ -93,28 +74,14 @@ def parallax_rad(rays: FloatArray) -> float:
 def relate(shared: SharedTargets, *, tolerance: float = 5.0) -> tuple[RelativePose, ...]:
     """Find how two photos stand to each other.
 
-    Parameters
-    ----------
-    shared : SharedTargets
-        What both photos show.
-    tolerance : float, optional
-        Residuals up to so many sigma are good.
-
-    Returns
-    -------
-    tuple of RelativePose
-        Different solutions, the best first. Targets in one plane have two that fit equally well; a third photo
+    shared: What both photos show.
+    tolerance: Residuals up to so many sigma are good.
+    Returns: Different solutions, the best first. Targets in one plane have two that fit equally well; a third photo
         decides.
+    EstimationError: Fewer than six common targets, or no solution with the targets in front of both cameras.
 
-    Raises
-    ------
-    EstimationError
-        Fewer than six common targets, or no solution with the targets in front of both cameras.
-
-    Notes
-    -----
-    Candidates come from the essential matrix (five points, RANSAC) and from the decomposition of a homography; each is
-    refined by an adjustment of both photos with Cauchy's loss and judged by its residuals.
+    Candidates come from the essential matrix (five points, RANSAC) and from the decomposition of a homography; each
+    is refined by an adjustment of both photos with Cauchy's loss and judged by its residuals.
     """
     count = shared.pixels_px.shape[1]
     if count < LEAST_COMMON:

@@ -23,19 +23,11 @@ _QUICK = Options(tolerance=1e-2)
 class Resection:
     """Pose of a photo.
 
-    Parameters
-    ----------
-    cam_from_world : RigidTransform
-        The pose.
-    covariance : ndarray, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved` for exact targets [rad, m].
-    inliers : ndarray of bool, shape (n,)
-        Image points that agree with the pose.
-    misses : ndarray, shape (n,)
-        Length of each residual in sigma; infinite behind the camera.
-    rival : float
-        Misfit of the next best different pose over that of this one; near 1 the pose is ambiguous (a small or distant
-        plane can be turned either way).
+    covariance (6, 6): Covariance of the steps of `RigidTransform.moved` for exact targets [rad, m].
+    inliers (n,): Image points that agree with the pose.
+    misses (n,): Length of each residual in sigma; infinite behind the camera.
+    rival: Misfit of the next best different pose over that of this one; near 1 the pose is ambiguous (a small or
+        distant plane can be turned either way).
     """
 
     cam_from_world: RigidTransform
@@ -55,33 +47,15 @@ def resect(
 ) -> Resection:
     """Find the pose of a photo.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    points_m : array_like, shape (n, 3)
-        Targets in the world frame [m].
-    pixels_px : array_like, shape (n, 2)
-        Their image points [px].
-    covariance_px2 : array_like, shape (n, 2, 2)
-        Covariance of each residual; add that of the target's coordinates where it matters [px^2].
-    tolerance : float, optional
-        Residuals up to so many sigma agree with a pose.
+    points_m (n, 3): Targets in the world frame [m].
+    pixels_px (n, 2): Their image points [px].
+    covariance_px2 (n, 2, 2): Covariance of each residual; add that of the target's coordinates where it matters
+        [px^2].
+    tolerance: Residuals up to so many sigma agree with a pose.
+    Returns: The pose that most image points agree with, refined.
+    InputError: Lengths differ.
+    EstimationError: Fewer than four targets, or no pose that four of them agree with.
 
-    Returns
-    -------
-    Resection
-        The pose that most image points agree with, refined.
-
-    Raises
-    ------
-    InputError
-        Lengths differ.
-    EstimationError
-        Fewer than four targets, or no pose that four of them agree with.
-
-    Notes
-    -----
     Up to 60 triples of targets, spread first, by the three-point solution of OpenCV; every pose is judged by the sum
     of squared residuals cut off at the tolerance; the best different ones are refined with Tukey's loss.
     """

@@ -17,16 +17,10 @@ _ROUNDS = 6
 class Triangulation:
     """Intersections of lines of sight.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        The points [m]; NaN with fewer than two lines or without an angle between them.
-    covariance_m2 : ndarray, shape (n, 3, 3)
-        Their covariance for exact poses [m^2].
-    angle_rad : ndarray, shape (n,)
-        Largest angle of a line with the mean direction, doubled; 0 with one line [rad].
-    misses : ndarray, shape (m,)
-        How far each line passes the point, in sigma.
+    points_m (n, 3): The points [m]; NaN with fewer than two lines or without an angle between them.
+    covariance_m2 (n, 3, 3): Their covariance for exact poses [m^2].
+    angle_rad (n,): Largest angle of a line with the mean direction, doubled; 0 with one line [rad].
+    misses (m,): How far each line passes the point, in sigma.
     """
 
     points_m: FloatArray
@@ -43,17 +37,8 @@ class Triangulation:
 def ray_sigma_rad(camera: Camera, covariance_px2: FloatArray) -> FloatArray:
     """Return the angular uncertainty of lines of sight from that of their image points, shape (m,) [rad].
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    covariance_px2 : ndarray, shape (m, 2, 2)
-        Covariances of the image points [px^2].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Mean sigma over the focal length: within 1 / cos^2 of the angle to the axis, enough for weights.
+    Shapes: covariance_px2 (m, 2, 2).
+    Returns (m,): Mean sigma over the focal length: within 1 / cos^2 of the angle to the axis, enough for weights.
     """
     mean = np.sqrt(0.5 * np.einsum("mii->m", covariance_px2))
     return np.asarray(mean / np.sqrt(camera.focal_x_px * camera.focal_y_px))
@@ -64,26 +49,12 @@ def intersect_lines(
 ) -> Triangulation:
     """Intersect lines of sight.
 
-    Parameters
-    ----------
-    origins_m : ndarray, shape (m, 3)
-        Projection centres [m].
-    directions : ndarray, shape (m, 3)
-        Unit vectors towards the points.
-    sigma_rad : ndarray, shape (m,)
-        Angular uncertainty of each line [rad].
-    point : ndarray of int, shape (m,)
-        The point each line belongs to.
-    count : int
-        Number of points.
+    origins_m (m, 3): Projection centres [m].
+    directions (m, 3): Unit vectors towards the points.
+    sigma_rad (m,): Angular uncertainty of each line [rad].
+    point (m,): The point each line belongs to.
+    Returns: Points that no two lines fix, or that lie behind a camera that votes for them, are NaN.
 
-    Returns
-    -------
-    Triangulation
-        Points that no two lines fix, or that lie behind a camera that votes for them, are NaN.
-
-    Notes
-    -----
     Minimises ``sum w |(I - d d^T) (X - C)|^2 / (sigma t)^2`` with t the distance, by iterated weights; w is Cauchy's
     weight of the miss in sigma, so that one false line among four does no harm.
     """

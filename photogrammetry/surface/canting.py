@@ -16,14 +16,9 @@ from photogrammetry.surface.fitted import SurfaceFit
 class FacetPoints:
     """A facet to examine.
 
-    Parameters
-    ----------
-    facet : Facet
-        Outline and reference point; design and outline in the frame of the fit.
-    design : DesignSurface
-        Its design in the frame of the fit.
-    members : ndarray of bool, shape (n,)
-        Its points.
+    facet: Outline and reference point; design and outline in the frame of the fit.
+    design: Its design in the frame of the fit.
+    members (n,): Its points.
     """
 
     facet: Facet
@@ -35,27 +30,15 @@ class FacetPoints:
 class FacetCanting:
     """How a facet stands against its design.
 
-    Parameters
-    ----------
-    name : str
-        The facet.
-    n_points : int
-        Points used.
-    canting : ndarray, shape (2,)
-        Slope of the facet's normal beyond the design's at its reference point, in x and y: +x means that the surface
-        rises more towards +x, so that the normal leans to -x [rad].
-    covariance_canting : ndarray, shape (2, 2)
-        From errors of measurement and the facet's roughness [rad^2].
-    sigma_canting_measurement : ndarray, shape (2,)
-        From errors of measurement alone [rad].
-    piston_m, sigma_piston_m : float
-        Height over the design along its normal [m].
-    rms_m : float
-        RMS deviation after canting, piston and focal length [m].
-    length_m, sigma_length_m : float
-        Focal length or radius, NaN where the design has none, has two, or the points are too few [m].
-    length_name : str
-        Its name; empty without it.
+    canting (2,): Slope of the facet's normal beyond the design's at its reference point, in x and y: +x means that
+        the surface rises more towards +x, so that the normal leans to -x [rad].
+    covariance_canting (2, 2): From errors of measurement and the facet's roughness [rad^2].
+    sigma_canting_measurement (2,): From errors of measurement alone [rad].
+    piston_m, sigma_piston_m: Height over the design along its normal [m].
+    rms_m: RMS deviation after canting, piston and focal length [m].
+    length_m, sigma_length_m: Focal length or radius, NaN where the design has none, has two, or the points are too
+        few [m].
+    length_name: Its name; empty without it.
     """
 
     name: str
@@ -79,25 +62,10 @@ class FacetCanting:
 def facet_canting(fit: SurfaceFit, facet: FacetPoints) -> FacetCanting:
     """Determine how one facet stands against its design.
 
-    Parameters
-    ----------
-    fit : SurfaceFit
-        All points in the frame of the design, aligned as a whole.
-    facet : FacetPoints
-        The facet.
+    fit: All points in the frame of the design, aligned as a whole.
+    Returns: Tip, tilt and piston, with the focal length free where six points or more allow it.
+    EstimationError: Fewer than three points that are not outliers, or all on one line.
 
-    Returns
-    -------
-    FacetCanting
-        Tip, tilt and piston, with the focal length free where six points or more allow it.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three points that are not outliers, or all on one line.
-
-    Notes
-    -----
     The facet turns about two tangents at its reference point and shifts along its normal: its motion in its own plane
     is not seen by distances. The estimator is linear in the deviations, whose joint covariance contains the alignment
     of all facets; roughness as in `photogrammetry.surface.fit.fit_surface`.

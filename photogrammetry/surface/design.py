@@ -23,14 +23,9 @@ _FOOT_STEPS = 30
 class Feet:
     """Where points stand over a surface.
 
-    Parameters
-    ----------
-    distance_m : ndarray, shape (n,)
-        Orthogonal distance, positive on the +z side; NaN where the surface has no foot [m].
-    normals : ndarray, shape (n, 3)
-        Unit normal at the foot, on the +z side.
-    d_distance_d_curvature : ndarray, shape (n, k)
-        Change of the distance with each free curvature [m^2].
+    distance_m (n,): Orthogonal distance, positive on the +z side; NaN where the surface has no foot [m].
+    normals (n, 3): Unit normal at the foot, on the +z side.
+    d_distance_d_curvature (n, k): Change of the distance with each free curvature [m^2].
     """
 
     distance_m: FloatArray
@@ -72,20 +67,12 @@ class Reference(Protocol):
 class DesignSurface:
     """A design surface whose focal lengths or radius can be estimated.
 
-    Parameters
-    ----------
-    make : callable
-        Lengths [m] to the optic's surface; the matrix must be linear in 1 / length, as those of all constructors of
-        `heliogauge.geometry.surfaces` are.
-    curvatures_per_m : ndarray, shape (k,)
-        1 / length [1/m].
-    curvature_names : tuple of str, length k
-        Names of the lengths ("focal_length_m", "radius_m").
-    design_from_optic : RigidTransform
-        From the optic's frame to the frame of the result.
+    make: Lengths [m] to the optic's surface; the matrix must be linear in 1 / length, as those of all constructors
+        of `heliogauge.geometry.surfaces` are.
+    curvatures_per_m (k,): 1 / length [1/m].
+    curvature_names length k: Names of the lengths ("focal_length_m", "radius_m").
+    design_from_optic: From the optic's frame to the frame of the result.
 
-    Notes
-    -----
     Curvature, not length, is estimated: distances are linear in it, and a flat panel is an ordinary value.
     """
 
@@ -121,18 +108,8 @@ class DesignSurface:
     def feet(self, points_m: FloatArray) -> Feet:
         """Return orthogonal distances of points.
 
-        Parameters
-        ----------
-        points_m : ndarray, shape (n, 3)
-            Points [m].
+        Shapes: points_m (n, 3).
 
-        Returns
-        -------
-        Feet
-            Distances, normals and derivatives.
-
-        Notes
-        -----
         With ``F = p^T Q p`` and half gradient g the foot s of x obeys ``x = s + l g(s)``: in the eigenvectors of Q's
         upper block ``s = (x - l b) / (1 + l a)``, and F(s(l)) = 0 is one equation for l, solved by Newton's method.
         """
@@ -162,12 +139,7 @@ class DesignSurface:
 class CompositeDesign:
     """Several design surfaces in one frame, each with its own points: facets that are no part of one surface.
 
-    Parameters
-    ----------
-    designs : tuple of DesignSurface
-        The surfaces.
-    which : ndarray of int, shape (n,)
-        The surface of each point, in the order in which points are given.
+    which (n,): The surface of each point, in the order in which points are given.
     """
 
     designs: tuple[DesignSurface, ...]
@@ -221,17 +193,9 @@ def motion_changes(matrix: FloatArray) -> FloatArray:
 def null_motions(changes: FloatArray, tolerance: float = _INVARIANT) -> FloatArray:
     """Return a readable basis of the motions that change nothing, shape (6, s).
 
-    Parameters
-    ----------
-    changes : ndarray, shape (m, 6)
-        What each motion (rotations about x, y, z, then shifts) changes.
-    tolerance : float, optional
-        Singular values below this share of the largest count as none.
-
-    Returns
-    -------
-    ndarray, shape (6, s)
-        Columns in reduced echelon form: single rotations and shifts as far as possible.
+    changes (m, 6): What each motion (rotations about x, y, z, then shifts) changes.
+    tolerance: Singular values below this share of the largest count as none.
+    Returns (6, s): Columns in reduced echelon form: single rotations and shifts as far as possible.
     """
     _, singular, rows = np.linalg.svd(changes)
     full = np.zeros(6)
@@ -256,18 +220,9 @@ def null_motions(changes: FloatArray, tolerance: float = _INVARIANT) -> FloatArr
 def motion_words(motions: FloatArray) -> tuple[str, ...]:
     """Say in words what motions are.
 
-    Parameters
-    ----------
-    motions : ndarray, shape (6, s)
-        Rotation vectors, then shifts.
+    motions (6, s): Rotation vectors, then shifts.
+    Returns: "rotation about z", "shift along y", ...
 
-    Returns
-    -------
-    tuple of str
-        "rotation about z", "shift along y", ...
-
-    Examples
-    --------
     >>> motion_words(np.eye(6)[:, [2, 4]])
     ('rotation about z', 'shift along y')
     """
@@ -320,22 +275,7 @@ def _feet(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArra
 def require_feet(ids: Sequence[str], feet: Feet) -> Feet:
     """Return the feet if all points have one.
 
-    Parameters
-    ----------
-    ids : sequence of str
-        Names of the points.
-    feet : Feet
-        Their feet.
-
-    Returns
-    -------
-    Feet
-        The same.
-
-    Raises
-    ------
-    InputError
-        A point is so far from the surface that its foot is not defined.
+    InputError: A point is so far from the surface that its foot is not defined.
     """
     lost = np.nonzero(~np.isfinite(feet.distance_m))[0]
     if lost.size:

@@ -17,18 +17,11 @@ _ROUNDS = 20
 class RigidFit:
     """Points of one frame fitted rigidly to the same points in another.
 
-    Parameters
-    ----------
-    b_from_a : RigidTransform
-        The fit.
-    difference_m : ndarray, shape (n, 3)
-        b minus fitted a, of all points [m].
-    covariance_m2 : ndarray, shape (3 n, 3 n)
-        Joint covariance of the differences, the fit's share included [m^2].
-    variance_factor : float
-        Weighted squares of the fitted points over the redundancy; NaN without redundancy.
-    redundancy : int
-        Three for each fitted point, less six.
+    b_from_a: The fit.
+    difference_m (n, 3): b minus fitted a, of all points [m].
+    covariance_m2 (3 n, 3 n): Joint covariance of the differences, the fit's share included [m^2].
+    variance_factor: Weighted squares of the fitted points over the redundancy; NaN without redundancy.
+    redundancy: Three for each fitted point, less six.
     """
 
     b_from_a: RigidTransform
@@ -42,26 +35,15 @@ class RigidFit:
 class Displacements:
     """How targets moved between two dates.
 
-    Parameters
-    ----------
-    ids : tuple of str, length n
-        Targets of both dates.
-    now_from_before : RigidTransform
-        The fit on the stable targets.
-    displacement_m : ndarray, shape (n, 3)
-        Now minus before, in the frame of now [m].
-    covariance_m2 : ndarray, shape (n, 3, 3)
-        Covariance of each displacement [m^2].
-    stable : ndarray of bool, shape (n,)
-        Targets that the fit used.
-    probability : ndarray, shape (n,)
-        That a target at rest shows this much or more by chance.
-    moved : ndarray of bool, shape (n,)
-        Targets that moved, at the family significance.
-    variance_factor : float
-        Of the stable targets: 1 if they are at rest and the sigmas are right.
-    stable_probability : float
-        That stable targets at rest disagree this much or more; NaN without redundancy.
+    ids length n: Targets of both dates.
+    now_from_before: The fit on the stable targets.
+    displacement_m (n, 3): Now minus before, in the frame of now [m].
+    covariance_m2 (n, 3, 3): Covariance of each displacement [m^2].
+    stable (n,): Targets that the fit used.
+    probability (n,): That a target at rest shows this much or more by chance.
+    moved (n,): Targets that moved, at the family significance.
+    variance_factor: Of the stable targets: 1 if they are at rest and the sigmas are right.
+    stable_probability: That stable targets at rest disagree this much or more; NaN without redundancy.
     """
 
     ids: tuple[str, ...]
@@ -83,25 +65,11 @@ class Displacements:
 def rigid_fit(points_a: SurfacePoints, points_b: SurfacePoints, fitted: BoolArray) -> RigidFit:
     """Fit points to the same points in another frame, weighted by the covariances of both.
 
-    Parameters
-    ----------
-    points_a, points_b : SurfacePoints
-        The same targets in the same order.
-    fitted : ndarray of bool, shape (n,)
-        Which of them determine the fit.
+    Shapes: fitted (n,).
+    points_a, points_b: The same targets in the same order.
+    Returns: The fit and the differences with their joint covariance.
+    EstimationError: Fewer than three fitted points, or all on one line.
 
-    Returns
-    -------
-    RigidFit
-        The fit and the differences with their joint covariance.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three fitted points, or all on one line.
-
-    Notes
-    -----
     The start is Kabsch's; then generalised least squares with ``R C_a R^T + C_b``. What a rigid motion does to the
     points may have no variance under an inner datum: it is given some, which does not change the estimate.
     """
@@ -170,30 +138,15 @@ def displacements(
 ) -> Displacements:
     """Find how targets moved between two dates.
 
-    Parameters
-    ----------
-    before, now : SurfacePoints
-        Targets of each date in its own frame; those of both dates count.
-    stable : tuple of str, optional
-        Targets known to be at rest; found by the test itself if not given.
-    family_significance : float, optional
-        Probability that any target at rest is said to have moved.
+    before, now: Targets of each date in its own frame; those of both dates count.
+    stable: Targets known to be at rest; found by the test itself if not given.
+    family_significance: Probability that any target at rest is said to have moved.
+    Returns: Vectors, covariances and tests.
+    EstimationError: Too few targets in common, or fewer than half of them agree on a common motion.
 
-    Returns
-    -------
-    Displacements
-        Vectors, covariances and tests.
-
-    Raises
-    ------
-    EstimationError
-        Too few targets in common, or fewer than half of them agree on a common motion.
-
-    Notes
-    -----
-    A displacement d with covariance C is tested by ``d^T C^-1 d`` against chi-square of three degrees of freedom at the
-    family significance over n (Bonferroni). Without named stable targets a robust fit comes first, then targets that
-    moved leave the fit and come back until the choice stands (Caspary 1987, ch. 5).
+    A displacement d with covariance C is tested by ``d^T C^-1 d`` against chi-square of three degrees of freedom at
+    the family significance over n (Bonferroni). Without named stable targets a robust fit comes first, then targets
+    that moved leave the fit and come back until the choice stands (Caspary 1987, ch. 5).
     """
     common = [name for name in now.ids if name in set(before.ids)]
     before, now = _ordered(before, common), _ordered(now, common)

@@ -47,31 +47,13 @@ def fit_surface(
 ) -> SurfaceFit:
     """Fit a surface to points by weighted orthogonal distances.
 
-    Parameters
-    ----------
-    points : SurfacePoints
-        The points in their own frame.
-    reference : Reference
-        The surface in its frame; its curvatures are the start.
-    start : RigidTransform
-        ``design_from_world`` to start from; the surface's symmetries stay there.
-    choices : FitChoices, optional
-        What is free.
+    points: The points in their own frame.
+    reference: The surface in its frame; its curvatures are the start.
+    start: ``design_from_world`` to start from; the surface's symmetries stay there.
+    Returns: Pose, curvature, deviations and outliers with covariances.
+    InputError: The surface has no length to estimate, or points are beyond its centre of curvature.
+    EstimationError: Too few points, or points that do not determine the pose.
 
-    Returns
-    -------
-    SurfaceFit
-        Pose, curvature, deviations and outliers with covariances.
-
-    Raises
-    ------
-    InputError
-        The surface has no length to estimate, or points are beyond its centre of curvature.
-    EstimationError
-        Too few points, or points that do not determine the pose.
-
-    Notes
-    -----
     Distances d along the unit normals N at the feet have the covariance ``N C N^T``, so that least squares with its
     inverse is the Gauss-Helmert adjustment of the points onto the surface (Mikhail and Ackermann 1976, ch. 9). To it
     ``s^2 I`` is added: s is the surface's own roughness, estimated from the same distances by restricted maximum
@@ -121,19 +103,9 @@ class QuickFit:
 def quick_fit(points_m: FloatArray, reference: Reference, start: RigidTransform) -> QuickFit:
     """Fit the pose of a surface with equal weights and Tukey's loss, to compare starts.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Points [m].
-    reference : Reference
-        The surface.
-    start : RigidTransform
-        ``design_from_world``.
-
-    Returns
-    -------
-    QuickFit
-        Pose, and 1.48 times the median distance as the RMS that no outlier moves.
+    Shapes: points_m (n, 3).
+    start: ``design_from_world``.
+    Returns: Pose, and 1.48 times the median distance as the RMS that no outlier moves.
     """
     state = _started(points_m, reference, start)
     try:
@@ -355,21 +327,10 @@ def _refuse_undetermined(reduced: FloatArray, basis: FloatArray, ids: tuple[str,
 def roughness(distance: FloatArray, reduced: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """Estimate how much of the distances errors of measurement do not explain.
 
-    Parameters
-    ----------
-    distance : ndarray, shape (n,)
-        Distances from the surface [m].
-    reduced : ndarray, shape (n, r)
-        Their derivatives by the parameters that are estimated.
-    covariance : ndarray, shape (n, n)
-        Covariance of the distances from errors of measurement [m^2].
-
-    Returns
-    -------
-    roughness_m : float
-        The surface's own RMS, 0 where errors of measurement explain everything [m].
-    variance_factor : float
-        Weighted squares over redundancy with errors of measurement alone; NaN without redundancy.
+    Shapes: distance (n,), covariance (n, n).
+    reduced (n, r): Their derivatives by the parameters that are estimated.
+    roughness_m: The surface's own RMS, 0 where errors of measurement explain everything [m].
+    variance_factor: Weighted squares over redundancy with errors of measurement alone; NaN without redundancy.
     """
     count, unknowns = reduced.shape
     freedom = count - unknowns

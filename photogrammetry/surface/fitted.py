@@ -13,19 +13,10 @@ from photogrammetry.surface.design import Reference
 class SurfacePoints:
     """Points of a surface with their joint covariance.
 
-    Parameters
-    ----------
-    ids : tuple of str, length n
-        Names.
-    points_m : array_like, shape (n, 3)
-        Coordinates [m].
-    covariance_m2 : array_like, shape (3 n, 3 n)
-        Joint covariance; singular under an inner datum, which is fine [m^2].
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or values that are not finite.
+    ids length n: Names.
+    points_m (n, 3): Coordinates [m].
+    covariance_m2 (3 n, 3 n): Joint covariance; singular under an inner datum, which is fine [m^2].
+    InputError: Shapes that do not fit, or values that are not finite.
     """
 
     ids: tuple[str, ...]
@@ -54,16 +45,10 @@ class SurfacePoints:
 class FitChoices:
     """What is fitted.
 
-    Parameters
-    ----------
-    pose : bool, optional
-        Whether the surface may move; otherwise the start's frame is the design's.
-    curvature : bool, optional
-        Whether the lengths of the design (focal lengths, radius) are free.
-    robust : bool, optional
-        Whether points far from the rest are left out, with their reason.
-    family_significance : float, optional
-        Probability that any good point is left out.
+    pose: Whether the surface may move; otherwise the start's frame is the design's.
+    curvature: Whether the lengths of the design (focal lengths, radius) are free.
+    robust: Whether points far from the rest are left out, with their reason.
+    family_significance: Probability that any good point is left out.
     """
 
     pose: bool = True
@@ -76,37 +61,23 @@ class FitChoices:
 class SurfaceFit:
     """A surface fitted to points.
 
-    Parameters
-    ----------
-    reference : Reference
-        The surface, with the curvature that was found.
-    design_from_world : RigidTransform
-        From the frame of the points to that of the surface.
-    points : SurfacePoints
-        All points in the surface's frame; the covariance includes that of the fit.
-    deviation_m : ndarray, shape (n,)
-        Orthogonal distance from the surface, positive on its +z side [m].
-    normals : ndarray, shape (n, 3)
-        Unit normals at the feet.
-    covariance_deviation_m2 : ndarray, shape (n, n)
-        Joint covariance of the deviations from errors of measurement, the fit's own share included [m^2].
-    outliers : ndarray of bool, shape (n,)
-        Points that the fit did not use.
-    tests : ndarray, shape (n,)
-        Deviation over its sigma with the shape's roughness included: what decided about outliers.
-    shape_sigma_m : float
-        RMS of what the surface itself deviates from the fit, beyond errors of measurement; 0 where these explain
-        everything [m].
-    variance_factor : float
-        Squared deviations, weighted with the covariance of measurement alone, over the redundancy: 1 if the surface
-        is the design and the sigmas are right.
-    redundancy : int
-        Points used less determined parameters.
-    held : tuple of str
-        Motions that change nothing, or so little that points would slide along the surface by a hundredth of their
-        extent; they stay as at the start.
-    parameters : FitParameters
-        The estimated numbers.
+    reference: The surface, with the curvature that was found.
+    design_from_world: From the frame of the points to that of the surface.
+    points: All points in the surface's frame; the covariance includes that of the fit.
+    deviation_m (n,): Orthogonal distance from the surface, positive on its +z side [m].
+    normals (n, 3): Unit normals at the feet.
+    covariance_deviation_m2 (n, n): Joint covariance of the deviations from errors of measurement, the fit's own
+        share included [m^2].
+    outliers (n,): Points that the fit did not use.
+    tests (n,): Deviation over its sigma with the shape's roughness included: what decided about outliers.
+    shape_sigma_m: RMS of what the surface itself deviates from the fit, beyond errors of measurement; 0 where these
+        explain everything [m].
+    variance_factor: Squared deviations, weighted with the covariance of measurement alone, over the redundancy: 1
+        if the surface is the design and the sigmas are right.
+    redundancy: Points used less determined parameters.
+    held: Motions that change nothing, or so little that points would slide along the surface by a hundredth of
+        their extent; they stay as at the start.
+    parameters: The estimated numbers.
     """
 
     reference: Reference
@@ -161,16 +132,12 @@ class SurfaceFit:
 class FitParameters:
     """Pose step and curvatures with their covariances; steps of `RigidTransform.moved` of ``design_from_world``.
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (6 + k, 6 + k)
-        From errors of measurement and from the roughness of the surface, of which the points are a sample.
-    covariance_measurement : ndarray, shape (6 + k, 6 + k)
-        From errors of measurement alone: how well the fit to these very points is known.
-    curvature_names : tuple of str, length k
-        Lengths that were estimated.
-    curvatures_per_m : ndarray, shape (k,)
-        1 / length [1/m].
+    covariance (6 + k, 6 + k): From errors of measurement and from the roughness of the surface, of which the points
+        are a sample.
+    covariance_measurement (6 + k, 6 + k): From errors of measurement alone: how well the fit to these very points
+        is known.
+    curvature_names length k: Lengths that were estimated.
+    curvatures_per_m (k,): 1 / length [1/m].
     """
 
     covariance: FloatArray
@@ -179,13 +146,7 @@ class FitParameters:
     curvatures_per_m: FloatArray
 
     def lengths(self) -> dict[str, tuple[float, float, float]]:
-        """Return each length with its sigma and the share of measurement alone [m]; infinite where flat.
-
-        Returns
-        -------
-        dict of str to tuple of float
-            Length, sigma, sigma from measurement.
-        """
+        """Return each length with its sigma and the share of measurement alone [m]; infinite where flat."""
         found = {}
         for k, name in enumerate(self.curvature_names):
             curvature = float(self.curvatures_per_m[k])

@@ -24,15 +24,7 @@ _EQUAL = 1.05
 def load_open3d() -> Any:
     """Import open3d.
 
-    Returns
-    -------
-    module
-        The library.
-
-    Raises
-    ------
-    InputError
-        It is not installed, or a system library of it is missing.
+    InputError: It is not installed, or a system library of it is missing.
     """
     try:
         import open3d
@@ -48,24 +40,12 @@ def load_open3d() -> Any:
 class MeshSurface:
     """A triangle mesh, its outer side towards the cameras.
 
-    Parameters
-    ----------
-    vertices_m : array_like, shape (v, 3)
-        Corners [m].
-    triangles : array_like of int, shape (t, 3)
-        Corners of each triangle, counter-clockwise seen from outside.
-    name : str
-        What it is, for messages.
-    scene : object
-        What open3d searches in; built with the first search.
+    vertices_m (v, 3): Corners [m].
+    triangles (t, 3): Corners of each triangle, counter-clockwise seen from outside.
+    name: What it is, for messages.
+    scene: What open3d searches in; built with the first search.
+    InputError: No triangle with an area, or corners that do not exist.
 
-    Raises
-    ------
-    InputError
-        No triangle with an area, or corners that do not exist.
-
-    Notes
-    -----
     Distances are measured from the plane of the closest triangle: a point beyond the mesh's border is measured from
     its continuation. A curved part is no better than its tessellation.
     """
@@ -114,20 +94,8 @@ class MeshSurface:
     def feet(self, points_m: FloatArray) -> Feet:
         """Return distances from the planes of the closest triangles, shape (n, 3) of points [m].
 
-        Parameters
-        ----------
-        points_m : ndarray, shape (n, 3)
-            Points [m].
-
-        Returns
-        -------
-        Feet
-            Signed distances and normals.
-
-        Raises
-        ------
-        InputError
-            The library open3d cannot be imported.
+        Shapes: points_m (n, 3).
+        InputError: The library open3d cannot be imported.
         """
         if not np.isfinite(points_m).all():
             gap = np.full(len(points_m), np.nan)
@@ -169,28 +137,12 @@ def _closest_triangles(mesh: MeshSurface, points_m: FloatArray) -> npt.NDArray[n
 def mesh_start(points_m: FloatArray, mesh: MeshSurface, viewer_m: FloatArray) -> tuple[RigidTransform, str]:
     """Find where a mesh lies among points: iterative closest points from several attitudes.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Points [m].
-    mesh : MeshSurface
-        The mesh, in its own frame.
-    viewer_m : ndarray, shape (3,)
-        Where the cameras were, on the outer side [m].
-
-    Returns
-    -------
-    design_from_world : RigidTransform
-        Start for `photogrammetry.surface.fit.fit_surface`.
-    how : str
-        Where it is from.
-
-    Raises
-    ------
-    InputError
-        The library open3d cannot be imported.
-    EstimationError
-        No attitude fits.
+    Shapes: points_m (n, 3).
+    mesh: The mesh, in its own frame.
+    viewer_m (3,): Where the cameras were, on the outer side [m].
+    design_from_world: Start for `photogrammetry.surface.fit.fit_surface`.
+    InputError: The library open3d cannot be imported.
+    EstimationError: No attitude fits.
     """
     open3d = load_open3d()
     model = open3d.geometry.TriangleMesh(

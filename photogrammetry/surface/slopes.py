@@ -1,7 +1,7 @@
 """Deviations at scattered points to a SlopeMap: local quadratics, with the sigma of points, gaps and their own scatter.
 
-The design carries the curvature; what is smoothed is the deviation from it. At every node a quadratic is fitted to the
-deviations of the nearest points, weighted by distance: a linear estimator, so the covariance of the points goes
+The design carries the curvature; what is smoothed is the deviation from it. At every node a quadratic is fitted to
+the deviations of the nearest points, weighted by distance: a linear estimator, so the covariance of the points goes
 through it exactly.
 """
 
@@ -31,12 +31,8 @@ _SAMPLED_NODES = 400
 class Patch:
     """A mirror without steps: its outline and design in the frame of the fit, and the points on it.
 
-    Parameters
-    ----------
-    facet : Facet
-        Outline and design; ``ensemble_from_facet`` is not used, both are in the frame of the fit.
-    members : ndarray of bool, shape (n,)
-        Its points.
+    facet: Outline and design; ``ensemble_from_facet`` is not used, both are in the frame of the fit.
+    members (n,): Its points.
     """
 
     facet: Facet
@@ -47,19 +43,13 @@ class Patch:
 class SurfaceSlopes:
     """Slope maps of a measured surface.
 
-    Parameters
-    ----------
-    whole : SlopeMap
-        All patches in one map.
-    patches : dict of str to SlopeMap
-        Each patch on the same nodes, in the same frame.
-    spacing_m : float
-        Mean distance of neighbouring points [m].
-    scatter_m : float
-        RMS of deviations at scales that the points do not resolve, from the residuals of the local fits beyond errors
-        of measurement [m].
-    bending_rad : tuple of float
-        RMS error of slope_x and slope_y from what a local quadratic cannot follow; part of the random sigmas [rad].
+    whole: All patches in one map.
+    patches: Each patch on the same nodes, in the same frame.
+    spacing_m: Mean distance of neighbouring points [m].
+    scatter_m: RMS of deviations at scales that the points do not resolve, from the residuals of the local fits
+        beyond errors of measurement [m].
+    bending_rad: RMS error of slope_x and slope_y from what a local quadratic cannot follow; part of the random
+        sigmas [rad].
     """
 
     whole: SlopeMap
@@ -82,27 +72,12 @@ class _Smoother:
 def surface_slopes(fit: SurfaceFit, patches: Sequence[Patch], step_m: float | None = None) -> SurfaceSlopes:
     """Make slope maps of a fitted surface.
 
-    Parameters
-    ----------
-    fit : SurfaceFit
-        Points in the design's frame; outliers are not used.
-    patches : sequence of Patch
-        Mirrors; slopes are never smoothed from one to another.
-    step_m : float, optional
-        Distance of the nodes; half the spacing of the points if not given [m].
+    fit: Points in the design's frame; outliers are not used.
+    patches: Mirrors; slopes are never smoothed from one to another.
+    step_m: Distance of the nodes; half the spacing of the points if not given [m].
+    Returns: Maps; nodes too far from points, or beyond them, are flagged as not measured.
+    EstimationError: Too few points.
 
-    Returns
-    -------
-    SurfaceSlopes
-        Maps; nodes too far from points, or beyond them, are flagged as not measured.
-
-    Raises
-    ------
-    EstimationError
-        Too few points.
-
-    Notes
-    -----
     Local regression (Cleveland 1979) of second order with the tricube kernel, its width the distance to the 12th
     neighbour. With the rows H of this estimator at the points and the joint covariance C of the deviations, the
     residuals ``r = (I - H) e`` of the fits have the expectation ``tr((I - H)(C + s^2 I)(I - H)^T)``: from it comes
@@ -354,15 +329,8 @@ def _part(whole: SlopeMap, own: BoolArray, patch: Patch) -> SlopeMap:
 def hull_outline(xy_m: FloatArray) -> FloatArray:
     """Return the convex hull of points, counter-clockwise, shape (m, 2) [m].
 
-    Parameters
-    ----------
-    xy_m : ndarray, shape (n, 2)
-        Points, not all on one line [m].
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        Its corners.
+    Shapes: result (m, 2).
+    xy_m (n, 2): Points, not all on one line [m].
     """
     from scipy.spatial import ConvexHull
 

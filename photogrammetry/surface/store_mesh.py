@@ -14,22 +14,8 @@ _KINDS = (".stl", ".ply", ".obj")
 def read_mesh(path: Path, unit_m: float = 1.0) -> MeshSurface:
     """Read a triangle mesh.
 
-    Parameters
-    ----------
-    path : Path
-        An STL, PLY or OBJ file.
-    unit_m : float, optional
-        Length of its unit; 0.001 for millimetres [m].
-
-    Returns
-    -------
-    MeshSurface
-        The mesh in metres; corners that STL repeats are one.
-
-    Raises
-    ------
-    InputError
-        No such file, another kind, no triangles, or open3d cannot be imported.
+    unit_m: Length of its unit; 0.001 for millimetres [m].
+    Returns: The mesh in metres; corners that STL repeats are one.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such mesh")
@@ -47,19 +33,9 @@ def read_mesh(path: Path, unit_m: float = 1.0) -> MeshSurface:
 def write_points_ply(path: Path, points_m: FloatArray, deviation_m: FloatArray) -> None:
     """Write points as PLY, coloured by their deviation: blue below, red above the surface.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    points_m : ndarray, shape (n, 3)
-        Points [m].
-    deviation_m : ndarray, shape (n,)
-        Deviations; the colours end at the largest of 99 % of them [m].
-
-    Raises
-    ------
-    InputError
-        The file cannot be written, or open3d cannot be imported.
+    Shapes: points_m (n, 3).
+    deviation_m (n,): Deviations; the colours end at the largest of 99 % of them [m].
+    InputError: The file cannot be written, or open3d cannot be imported.
     """
     open3d = load_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(points_m)))
@@ -71,21 +47,9 @@ def write_points_ply(path: Path, points_m: FloatArray, deviation_m: FloatArray) 
 def write_mesh_ply(path: Path, mesh: MeshSurface, points_m: FloatArray, deviation_m: FloatArray) -> None:
     """Write a mesh as PLY, each corner coloured by the deviation of the nearest point.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mesh : MeshSurface
-        The mesh.
-    points_m : ndarray, shape (n, 3)
-        Measured points in the frame of the mesh [m].
-    deviation_m : ndarray, shape (n,)
-        Their deviations [m].
-
-    Raises
-    ------
-    InputError
-        The file cannot be written, or open3d cannot be imported.
+    Shapes: deviation_m (n,).
+    points_m (n, 3): Measured points in the frame of the mesh [m].
+    InputError: The file cannot be written, or open3d cannot be imported.
     """
     from scipy.spatial import cKDTree
 

@@ -53,15 +53,12 @@ __all__ = [
 class CodeReading:
     """What a dictionary makes of a cyclic word that was read off an image.
 
-    Parameters
-    ----------
-    code : RingCode or None
-        The code if the target is seen as printed.
-    mirrored : RingCode or None
-        The code if the image (or the print) is mirrored. Both are there for most words: the vendors' rules do not
-        tell a code from its mirror image, so whether a whole photo is mirrored is decided by all its targets together.
-    turn_sectors : int
-        How many sectors clockwise the print's first sector lies from the first sector read, if seen as printed.
+    code: The code if the target is seen as printed.
+    mirrored: The code if the image (or the print) is mirrored. Both are there for most words: the vendors' rules do
+        not tell a code from its mirror image, so whether a whole photo is mirrored is decided by all its targets
+        together.
+    turn_sectors: How many sectors clockwise the print's first sector lies from the first sector read, if seen as
+        printed.
     """
 
     code: RingCode | None
@@ -73,33 +70,18 @@ class CodeReading:
 class RingDictionary:
     """The codes that may occur, with a fast look-up of words read in any rotation and sense.
 
-    Parameters
-    ----------
-    name : str
-        Name of the dictionary: ``aicon-12``, ``metashape-14`` or a user's.
-    n_bits : int
-        Number of sectors, 8 to 20.
-    words : sequence of int
-        The words; any rotation is taken for the smallest one.
-    names : sequence of str
-        The codes' names, as many as words.
-    sense : Sense, optional
-        Sense in which the bits follow each other on the target, highest bit first.
-    radii : RingRadii, optional
-        Where the code rings lie.
+    name: Name of the dictionary: ``aicon-12``, ``metashape-14`` or a user's.
+    n_bits: Number of sectors, 8 to 20.
+    words: The words; any rotation is taken for the smallest one.
+    sense: Sense in which the bits follow each other on the target, highest bit first.
+    radii: Where the code rings lie.
+    InputError: A number of bits that no target has, no or repeated words or names, or a word too long.
 
-    Raises
-    ------
-    InputError
-        A number of bits that no target has, no or repeated words or names, or a word too long.
-
-    Notes
-    -----
-    With 12 bit, Schneider's rule (patent DE 197 33 466 A1; AICON, Scanreference) admits 147 codes, with 14 bit 516. The
-    vendor numbers them 1, 2, 3... by increasing word, the highest bit first and clockwise, ink being 1. Metashape's
-    (161, 561, 2001 and 26,013 with 12, 14, 16 and 20 bit) are numbered likewise. Of the 12-bit codes 146 are common,
-    and only one of them has the same number in both: the dictionary must be told. Programs that count the *lowest* bit
-    first, clockwise, name a target by the word of its mirror image: `Sense.COUNTERCLOCKWISE` here.
+    With 12 bit, Schneider's rule (patent DE 197 33 466 A1; AICON, Scanreference) admits 147 codes, with 14 bit 516.
+    The vendor numbers them 1, 2, 3... by increasing word, the highest bit first and clockwise, ink being 1.
+    Metashape's (161, 561, 2001 and 26,013 with 12, 14, 16 and 20 bit) are numbered likewise. Of the 12-bit codes 146
+    are common, and only one of them has the same number in both: the dictionary must be told. Programs that count the
+    *lowest* bit first, clockwise, name a target by the word of its mirror image: `Sense.COUNTERCLOCKWISE` here.
     """
 
     name: str
@@ -142,20 +124,8 @@ class RingDictionary:
     def code(self, name: str | int) -> RingCode:
         """Return a code by its name.
 
-        Parameters
-        ----------
-        name : str or int
-            The vendor's number or the user's name.
-
-        Returns
-        -------
-        RingCode
-            The code.
-
-        Raises
-        ------
-        InputError
-            The dictionary has no such code.
+        name: The vendor's number or the user's name.
+        InputError: The dictionary has no such code.
         """
         try:
             return self._code(self._by_name[str(name)])
@@ -167,20 +137,7 @@ class RingDictionary:
     def subset(self, names: Iterable[str | int]) -> "RingDictionary":
         """Return the dictionary of the codes that were really used; fewer codes admit fewer false ones.
 
-        Parameters
-        ----------
-        names : iterable of str or int
-            The names.
-
-        Returns
-        -------
-        RingDictionary
-            Those codes, with their names.
-
-        Raises
-        ------
-        InputError
-            The dictionary has no such code, or none is named.
+        InputError: The dictionary has no such code, or none is named.
         """
         chosen = [self.code(name) for name in names]
         words, texts = tuple(code.word for code in chosen), tuple(code.name for code in chosen)
@@ -189,17 +146,9 @@ class RingDictionary:
     def as_printed(self, sense: Sense | None = None, radii: RingRadii | None = None) -> "RingDictionary":
         """Return the dictionary of prints that count the bits in another sense or have other radii.
 
-        Parameters
-        ----------
-        sense : Sense or None, optional
-            Sense in which the bits follow each other; the dictionary's own if absent.
-        radii : RingRadii or None, optional
-            Where the code rings lie; the dictionary's own if absent.
-
-        Returns
-        -------
-        RingDictionary
-            The same words under the same names.
+        sense: Sense in which the bits follow each other; the dictionary's own if absent.
+        radii: Where the code rings lie; the dictionary's own if absent.
+        Returns: The same words under the same names.
         """
         kept = self.sense if sense is None else sense
         return RingDictionary(self.name, self.n_bits, self.words, self.names, kept, radii or self.radii)
@@ -212,38 +161,18 @@ class RingDictionary:
     def lookup(self, words: npt.ArrayLike) -> IntArray:
         """Look up many words at once.
 
-        Parameters
-        ----------
-        words : array_like of int, shape (...)
-            Words read in the dictionary's own sense, highest bit first, in any rotation.
-
-        Returns
-        -------
-        ndarray of int32, shape (...)
-            Index into `codes`, -1 for a word that is none.
+        words (...): Words read in the dictionary's own sense, highest bit first, in any rotation.
+        Returns (...): Index into `codes`, -1 for a word that is none.
         """
         return np.asarray(self._index[np.asarray(words, dtype=np.int64)])
 
     def read(self, sectors: Sequence[bool]) -> CodeReading:
         """Read the sectors of a target.
 
-        Parameters
-        ----------
-        sectors : sequence of bool, length n_bits
-            Ink of the sectors, clockwise in the image, from anywhere.
+        sectors length n_bits: Ink of the sectors, clockwise in the image, from anywhere.
+        Returns: The code, and the code of the mirror image.
+        InputError: Another number of sectors.
 
-        Returns
-        -------
-        CodeReading
-            The code, and the code of the mirror image.
-
-        Raises
-        ------
-        InputError
-            Another number of sectors.
-
-        Examples
-        --------
         >>> reading = aicon_dictionary(12).read([b == "1" for b in "110100100000"])
         >>> reading.code.word, reading.mirrored.word
         (105, 75)
@@ -282,28 +211,13 @@ def _refuse_repeated(what: str, values: Sequence[int | str]) -> None:
 def aicon_dictionary(n_bits: int) -> RingDictionary:
     """Return Schneider's codes as AICON and Scanreference number them.
 
-    Parameters
-    ----------
-    n_bits : int
-        Number of sectors: even, 8 to 20.
+    n_bits: Number of sectors: even, 8 to 20.
+    Returns: Names "1", "2"... by increasing word.
+    InputError: Another number of sectors.
 
-    Returns
-    -------
-    RingDictionary
-        Names "1", "2"... by increasing word.
-
-    Raises
-    ------
-    InputError
-        Another number of sectors.
-
-    Notes
-    -----
     An even number of bits is 1, at least one pair of opposite bits is 1, not all are 1 (C.-T. Schneider 1991; patent
     DE 197 33 466 A1, expired).
 
-    Examples
-    --------
     >>> codes = aicon_dictionary(12)
     >>> len(codes), codes.words[:4]
     (147, (65, 71, 75, 77))
@@ -318,28 +232,13 @@ def aicon_dictionary(n_bits: int) -> RingDictionary:
 def metashape_dictionary(n_bits: int) -> RingDictionary:
     """Return Metashape's codes as it numbers them ("target 1"...).
 
-    Parameters
-    ----------
-    n_bits : int
-        Number of sectors: even, 8 to 20.
+    n_bits: Number of sectors: even, 8 to 20.
+    Returns: Names "1", "2"... by increasing word.
+    InputError: Another number of sectors.
 
-    Returns
-    -------
-    RingDictionary
-        Names "1", "2"... by increasing word.
-
-    Raises
-    ------
-    InputError
-        Another number of sectors.
-
-    Notes
-    -----
     An even number of bits is 1, fewer than half of the sectors in a row are 0, and neither the word with two opposite
     bits nor the one with all bits belongs to it.
 
-    Examples
-    --------
     >>> codes = metashape_dictionary(14)
     >>> len(codes), metashape_dictionary(12).words[:4]
     (561, (71, 75, 77, 83))
@@ -354,20 +253,8 @@ def metashape_dictionary(n_bits: int) -> RingDictionary:
 def ring_dictionary(name: str) -> RingDictionary:
     """Return a vendor's dictionary by its name.
 
-    Parameters
-    ----------
-    name : str
-        ``aicon-N``, ``schneider-N`` (the same) or ``metashape-N``, N the number of bits: even, 8 to 20.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary.
-
-    Raises
-    ------
-    InputError
-        No such dictionary.
+    name: ``aicon-N``, ``schneider-N`` (the same) or ``metashape-N``, N the number of bits: even, 8 to 20.
+    InputError: No such dictionary.
     """
     makers = {"aicon": aicon_dictionary, "schneider": aicon_dictionary, "metashape": metashape_dictionary}
     vendor, _, bits = name.lower().partition("-")
@@ -379,26 +266,10 @@ def ring_dictionary(name: str) -> RingDictionary:
 def user_dictionary(name: str, n_bits: int, words: Sequence[int], names: Sequence[str] | None = None) -> RingDictionary:
     """Make a dictionary of a user's own words.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    n_bits : int
-        Number of sectors, 8 to 20.
-    words : sequence of int
-        The words, highest bit first, clockwise, in any rotation.
-    names : sequence of str, optional
-        The codes' names; the words as they are given, if absent.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary.
-
-    Raises
-    ------
-    InputError
-        Words that are equal but for rotation, too long, or none.
+    n_bits: Number of sectors, 8 to 20.
+    words: The words, highest bit first, clockwise, in any rotation.
+    names: The codes' names; the words as they are given, if absent.
+    InputError: Words that are equal but for rotation, too long, or none.
     """
     given = tuple(int(word) for word in words)
     return RingDictionary(name, n_bits, given, tuple(names) if names is not None else tuple(map(str, given)))

@@ -37,17 +37,9 @@ class Sense(StrEnum):
 class RingRadii:
     """Where the code ring lies, in radii of the dot.
 
-    Parameters
-    ----------
-    inner : float, optional
-        Radius at which the gap ends and the ring begins.
-    outer : float, optional
-        Radius at which the ring ends.
-
-    Raises
-    ------
-    InputError
-        The gap or the ring is too narrow to be seen, or the ring lies far out.
+    inner: Radius at which the gap ends and the ring begins.
+    outer: Radius at which the ring ends.
+    InputError: The gap or the ring is too narrow to be seen, or the ring lies far out.
     """
 
     inner: float = CODE_INNER_RADIUS
@@ -106,18 +98,11 @@ def mirrored_word(word: int, n_bits: int) -> int:
 class RingCode:
     """One ring code.
 
-    Parameters
-    ----------
-    name : str
-        What is printed beside the target and names the point: the vendor's number, or a user's own text.
-    word : int
-        The bits as a number, smallest of all rotations.
-    n_bits : int
-        Number of sectors.
-    sense : Sense, optional
-        Sense in which the bits follow each other on the target.
-    radii : RingRadii, optional
-        Where the ring lies.
+    name: What is printed beside the target and names the point: the vendor's number, or a user's own text.
+    word: The bits as a number, smallest of all rotations.
+    n_bits: Number of sectors.
+    sense: Sense in which the bits follow each other on the target.
+    radii: Where the ring lies.
     """
 
     name: str
@@ -140,11 +125,8 @@ class RingCode:
     def arcs_rad(self) -> tuple[tuple[float, float], ...]:
         """Return start and end of each inked arc of the code ring, neighbouring sectors joined.
 
-        Returns
-        -------
-        tuple of tuple of float
-            Angles clockwise from 3 o'clock as seen from the front; the end is larger than the start and may exceed
-            2 pi; one full turn if all sectors are inked [rad].
+        Returns: Angles clockwise from 3 o'clock as seen from the front; the end is larger than the start and may
+            exceed 2 pi; one full turn if all sectors are inked [rad].
         """
         ink, n = self.sectors, self.n_bits
         step = 2 * np.pi / n
@@ -160,17 +142,8 @@ class RingCode:
 def ink_at(code: RingCode, x: npt.ArrayLike, y: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Tell where a target is inked.
 
-    Parameters
-    ----------
-    code : RingCode
-        The code.
-    x, y : array_like, shape (...)
-        Points of the target's plane as seen from the front, x right and y up, in units of the dot's radius.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-        True in the dot and in the inked sectors.
+    x, y (...): Points of the target's plane as seen from the front, x right and y up, in units of the dot's radius.
+    Returns (...): True in the dot and in the inked sectors.
     """
     across, up = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     radius = np.hypot(across, up)

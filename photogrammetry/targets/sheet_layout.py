@@ -28,17 +28,9 @@ _LABEL_MM = 5.0
 class Paper:
     """A sheet of paper.
 
-    Parameters
-    ----------
-    name : str, optional
-        ``A4``, ``A3`` or ``letter``.
-    landscape : bool, optional
-        Turned on its side.
-
-    Raises
-    ------
-    InputError
-        No such paper.
+    name: ``A4``, ``A3`` or ``letter``.
+    landscape: Turned on its side.
+    InputError: No such paper.
     """
 
     name: str = "A4"
@@ -76,28 +68,10 @@ def ring_pages(
 ) -> list[Page]:
     """Lay out ring-coded targets, each with its name and its word.
 
-    Parameters
-    ----------
-    codes : sequence of RingCode
-        The codes.
-    dot_mm : float
-        Diameter of the dot; the ring's is three times, the quiet zone's four times as large [mm].
-    paper : Paper
-        The paper.
-    title : str
-        What stands at the top, the dictionary's name for instance.
-    polarity : Polarity, optional
-        Black on white, or white on black.
-
-    Returns
-    -------
-    list of Page
-        As many pages as are needed.
-
-    Raises
-    ------
-    InputError
-        Not one target fits on the paper.
+    dot_mm: Diameter of the dot; the ring's is three times, the quiet zone's four times as large [mm].
+    title: What stands at the top, the dictionary's name for instance.
+    polarity: Black on white, or white on black.
+    InputError: Not one target fits on the paper.
     """
     side = codes[0].radii.quiet * positive("dot_mm", dot_mm, "mm") if codes else 0.0
     dark = polarity is Polarity.WHITE_ON_BLACK
@@ -120,19 +94,8 @@ def ring_pages(
 def ring_paths(code: RingCode, center_mm: tuple[float, float], radius_mm: float) -> tuple[Path, ...]:
     """Return the outlines of a target's ink.
 
-    Parameters
-    ----------
-    code : RingCode
-        The code.
-    center_mm : tuple of float
-        Its centre on the page [mm].
-    radius_mm : float
-        Radius of the dot [mm].
-
-    Returns
-    -------
-    tuple of Path
-        The dot and the arcs of the code ring.
+    center_mm: Its centre on the page [mm].
+    Returns: The dot and the arcs of the code ring.
     """
     radii = (code.radii.inner * radius_mm, code.radii.outer * radius_mm)
     arcs = code.arcs_rad()
@@ -144,26 +107,9 @@ def ring_paths(code: RingCode, center_mm: tuple[float, float], radius_mm: float)
 def marker_pages(dictionary: str, numbers: Sequence[int], side_mm: float, paper: Paper) -> list[Page]:
     """Lay out ArUco or AprilTag markers, each with its number.
 
-    Parameters
-    ----------
-    dictionary : str
-        OpenCV's name: ``DICT_4X4_100``, ``DICT_APRILTAG_36h11``...
-    numbers : sequence of int
-        The markers.
-    side_mm : float
-        Side of the black square [mm].
-    paper : Paper
-        The paper.
-
-    Returns
-    -------
-    list of Page
-        As many pages as are needed.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or marker, or not one fits on the paper.
+    dictionary: OpenCV's name: ``DICT_4X4_100``, ``DICT_APRILTAG_36h11``...
+    side_mm: Side of the black square [mm].
+    InputError: No such dictionary or marker, or not one fits on the paper.
     """
     positive("marker side_mm", side_mm, "mm")
     cells = [marker_cells(dictionary, number) for number in numbers]
@@ -182,29 +128,12 @@ def board_page(
 ) -> Page:
     """Lay out a calibration board in the middle of the paper.
 
-    Parameters
-    ----------
-    kind : str
-        ``chessboard`` and ``charuco`` (columns and rows of squares, pitch = square, markers 0.7 of it), ``circles`` and
-        ``circles-asymmetric`` (circles a row, rows, pitch within a row; diameter half and a third of it).
-    columns, rows : int
-        Size of the board.
-    pitch_mm : float
-        Side of a square, or distance of the circles in a row [mm].
-    paper : Paper
-        The paper.
-    dictionary : str, optional
-        Markers of a ChArUco board, OpenCV's name.
-
-    Returns
-    -------
-    Page
-        The page.
-
-    Raises
-    ------
-    InputError
-        No such board, or it does not fit on the paper.
+    kind: ``chessboard`` and ``charuco`` (columns and rows of squares, pitch = square, markers 0.7 of it),
+        ``circles`` and ``circles-asymmetric`` (circles a row, rows, pitch within a row; diameter half and a third
+        of it).
+    pitch_mm: Side of a square, or distance of the circles in a row [mm].
+    dictionary: Markers of a ChArUco board, OpenCV's name.
+    InputError: No such board, or it does not fit on the paper.
     """
     if kind not in BOARDS:
         raise InputError(f"board {kind!r}: one of {', '.join(BOARDS)} is needed")
@@ -235,22 +164,9 @@ def board_page(
 def marker_cells(dictionary: str, number: int) -> npt.NDArray[np.bool_]:
     """Return the cells of a square marker, its black border included.
 
-    Parameters
-    ----------
-    dictionary : str
-        OpenCV's name of the dictionary.
-    number : int
-        The marker.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n)
-        True where it is black, rows from the top.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or marker.
+    dictionary: OpenCV's name of the dictionary.
+    Returns (n, n): True where it is black, rows from the top.
+    InputError: No such dictionary or marker.
     """
     if not dictionary.startswith("DICT_") or not hasattr(cv2.aruco, dictionary):
         raise InputError(f"marker dictionary {dictionary!r}: OpenCV's name is needed, e.g. DICT_4X4_100")

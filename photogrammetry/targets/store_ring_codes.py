@@ -22,12 +22,8 @@ _SUFFIXES = (".csv", ".toml")
 class CodePrint:
     """What is known of the print beside the dictionary; nothing given leaves what the dictionary says.
 
-    Parameters
-    ----------
-    sense : Sense or None, optional
-        Sense in which the bits follow each other, highest bit first.
-    inner_radius, outer_radius : float or None, optional
-        Where the code ring begins and ends, in radii of the dot.
+    sense: Sense in which the bits follow each other, highest bit first.
+    inner_radius, outer_radius: Where the code ring begins and ends, in radii of the dot.
     """
 
     sense: Sense | None = None
@@ -37,20 +33,7 @@ class CodePrint:
     def of(self, dictionary: RingDictionary) -> RingDictionary:
         """Return a dictionary as it is printed.
 
-        Parameters
-        ----------
-        dictionary : RingDictionary
-            The codes.
-
-        Returns
-        -------
-        RingDictionary
-            The same codes.
-
-        Raises
-        ------
-        InputError
-            Radii that no print has.
+        InputError: Radii that no print has.
         """
         inner, outer = self.inner_radius, self.outer_radius
         known = dictionary.radii
@@ -61,24 +44,9 @@ class CodePrint:
 def load_dictionary(named: str, folder: Path, printed: CodePrint | None = None) -> RingDictionary:
     """Return a vendor's dictionary, or that of a user's file.
 
-    Parameters
-    ----------
-    named : str
-        ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
-    folder : Path
-        Where the file is, if its path is relative.
-    printed : CodePrint, optional
-        What is known of the print beside it.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or file, or a file with faults.
+    named: ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
+    printed: What is known of the print beside it.
+    InputError: No such dictionary or file, or a file with faults.
     """
     is_file = Path(named).suffix.lower() in _SUFFIXES
     found = read_ring_codes(folder / named) if is_file else ring_dictionary(named)
@@ -88,24 +56,11 @@ def load_dictionary(named: str, folder: Path, printed: CodePrint | None = None) 
 def read_ring_codes(path: Path) -> RingDictionary:
     """Read a user's own ring codes.
 
-    Parameters
-    ----------
-    path : Path
-        CSV: comment lines ``# bits = 12`` (needed), ``# sense = counterclockwise``, ``# inner_radius = 2.0``,
-        ``# outer_radius = 3.0``, then a table with the column ``word`` and, if the words are not the names, ``name``.
-        TOML: the same keys, and ``words = [...]`` or a table ``[codes]`` of names and words. A word is a number, or a
-        text of its bits, highest first.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary, under the file's name.
-
-    Raises
-    ------
-    InputError
-        No such file, not CSV or TOML, unknown or missing keys, words that are no words of so many bits or that occur
-        twice: file, place, value and remedy.
+    path: CSV: comment lines ``# bits = 12`` (needed), ``# sense = counterclockwise``, ``# inner_radius = 2.0``, ``#
+        outer_radius = 3.0``, then a table with the column ``word`` and, if the words are not the names, ``name``.
+        TOML: the same keys, and ``words = [...]`` or a table ``[codes]`` of names and words. A word is a number, or
+        a text of its bits, highest first.
+    Returns: The dictionary, under the file's name.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

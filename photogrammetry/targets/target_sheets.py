@@ -19,23 +19,11 @@ def write_sheets(
 ) -> None:
     """Write pages into a folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    pages : sequence of Page
-        The pages.
-    codes : sequence of RingCode, optional
-        Codes to list in ``codes.csv``: number, word, bits.
-    svg : bool, optional
-        Write each page as SVG too.
-    force : bool, optional
-        Replace earlier sheets.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, or cannot be written to.
+    folder: Where to write; must be absent or empty.
+    codes: Codes to list in ``codes.csv``: number, word, bits.
+    svg: Write each page as SVG too.
+    force: Replace earlier sheets.
+    InputError: The folder holds something, or cannot be written to.
     """
     with WholeFolder(folder, SHEETS, force=force) as working:
         (working / PDF_FILE).write_bytes(to_pdf(pages))
@@ -49,15 +37,7 @@ def write_sheets(
 def code_table(codes: Sequence[RingCode]) -> Mapping[str, Sequence[Any]]:
     """Return the table that tells names, words and bits.
 
-    Parameters
-    ----------
-    codes : sequence of RingCode
-        The codes.
-
-    Returns
-    -------
-    mapping
-        Columns; the bits stand clockwise from 3 o'clock, 1 is ink.
+    Returns: Columns; the bits stand clockwise from 3 o'clock, 1 is ink.
     """
     return {
         "target": [code.name for code in codes],

@@ -15,12 +15,8 @@ _POINTS_PER_MM = 72 / 25.4
 class Path:
     """A closed outline: a start and pieces, each a line (2 numbers) or a Bezier curve (6 numbers).
 
-    Parameters
-    ----------
-    start : tuple of float
-        First point (x, y) [mm].
-    pieces : tuple of tuple of float
-        End point of a line, or two control points and the end point of a curve [mm].
+    start: First point (x, y) [mm].
+    pieces: End point of a line, or two control points and the end point of a curve [mm].
     """
 
     start: tuple[float, float]
@@ -31,12 +27,8 @@ class Path:
 class Area:
     """Outlines filled together with one grey.
 
-    Parameters
-    ----------
-    paths : tuple of Path
-        The outlines; they do not overlap.
-    grey : float, optional
-        0 black to 1 white.
+    paths: The outlines; they do not overlap.
+    grey: 0 black to 1 white.
     """
 
     paths: tuple[Path, ...]
@@ -47,14 +39,9 @@ class Area:
 class Label:
     """A line of text.
 
-    Parameters
-    ----------
-    x_mm, y_mm : float
-        Left end of its base line [mm].
-    text : str
-        Printable ASCII.
-    size_mm : float
-        Size of the type [mm].
+    x_mm, y_mm: Left end of its base line [mm].
+    text: Printable ASCII.
+    size_mm: Size of the type [mm].
     """
 
     x_mm: float
@@ -67,14 +54,9 @@ class Label:
 class Page:
     """A page: x to the right and y down from its top left corner.
 
-    Parameters
-    ----------
-    width_mm, height_mm : float
-        Size of the paper [mm].
-    areas : tuple of Area
-        What is filled, in this order.
-    labels : tuple of Label, optional
-        Text.
+    width_mm, height_mm: Size of the paper [mm].
+    areas: What is filled, in this order.
+    labels: Text.
     """
 
     width_mm: float
@@ -101,19 +83,8 @@ def disc(x_mm: float, y_mm: float, radius_mm: float) -> Path:
 def ring_sector(center_mm: tuple[float, float], radii_mm: tuple[float, float], arc_rad: tuple[float, float]) -> Path:
     """Return a piece of a ring.
 
-    Parameters
-    ----------
-    center_mm : tuple of float
-        Centre of the ring [mm].
-    radii_mm : tuple of float
-        Inner and outer radius [mm].
-    arc_rad : tuple of float
-        Start and end, clockwise from 3 o'clock [rad].
-
-    Returns
-    -------
-    Path
-        Its outline.
+    radii_mm: Inner and outer radius [mm].
+    arc_rad: Start and end, clockwise from 3 o'clock [rad].
     """
     x, y = center_mm
     (inner, outer), (start, end) = radii_mm, arc_rad
@@ -125,15 +96,7 @@ def ring_sector(center_mm: tuple[float, float], radii_mm: tuple[float, float], a
 def to_svg(page: Page) -> str:
     """Format a page as SVG in true scale.
 
-    Parameters
-    ----------
-    page : Page
-        The page.
-
-    Returns
-    -------
-    str
-        The file's content.
+    Returns: The file's content.
     """
     size = (
         f'width="{page.width_mm:g}mm" height="{page.height_mm:g}mm" viewBox="0 0 {page.width_mm:g} {page.height_mm:g}"'
@@ -153,15 +116,7 @@ def to_svg(page: Page) -> str:
 def to_pdf(pages: Sequence[Page]) -> bytes:
     """Format pages as a PDF in true scale (PDF 1.4, Helvetica, nothing embedded).
 
-    Parameters
-    ----------
-    pages : sequence of Page
-        The pages.
-
-    Returns
-    -------
-    bytes
-        The file's content.
+    Returns: The file's content.
     """
     objects = [b"", b"", b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>"]
     kids = []

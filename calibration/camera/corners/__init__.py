@@ -1,1 +1,1 @@
-"""Corners and circles of a calibration board in a photo: found, refused with a reason, placed to hundredths of a pixel."""
+"""Corners and circles of a board in a photo: found, refused with a reason, placed to hundredths of a pixel."""

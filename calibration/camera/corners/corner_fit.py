@@ -30,18 +30,11 @@ _BLOCK = 6
 class FittedCorners:
     """Corners of squares.
 
-    Parameters
-    ----------
-    pixels_px : ndarray, shape (n, 2)
-        Corners (x, y); NaN where the fit failed [px].
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Their covariances from the residuals of the pixels [px^2].
-    blur_px : ndarray, shape (n,)
-        Width of the edges as a standard deviation, without the pixel's own [px].
-    contrast_dn : ndarray, shape (n,)
-        Light minus dark; negative where the square left above is light [DN].
-    residual_dn : ndarray, shape (n,)
-        Rms of what the model leaves [DN].
+    pixels_px (n, 2): Corners (x, y); NaN where the fit failed [px].
+    covariance_px2 (n, 2, 2): Their covariances from the residuals of the pixels [px^2].
+    blur_px (n,): Width of the edges as a standard deviation, without the pixel's own [px].
+    contrast_dn (n,): Light minus dark; negative where the square left above is light [DN].
+    residual_dn (n,): Rms of what the model leaves [DN].
     """
 
     pixels_px: FloatArray
@@ -60,14 +53,9 @@ class FittedCorners:
 class CornerStart:
     """Where corners are roughly, and how the edges run there.
 
-    Parameters
-    ----------
-    pixels_px : ndarray, shape (n, 2)
-        Corners to about a pixel [px].
-    along_x, along_y : ndarray, shape (n, 2)
-        Side of a square along both edges, in the image [px].
-    curvature_per_px : ndarray, shape (n, 2)
-        Curvature of both edges, towards the normal that is a right angle from the side [1/px].
+    pixels_px (n, 2): Corners to about a pixel [px].
+    along_x, along_y (n, 2): Side of a square along both edges, in the image [px].
+    curvature_per_px (n, 2): Curvature of both edges, towards the normal that is a right angle from the side [1/px].
     """
 
     pixels_px: FloatArray
@@ -87,32 +75,20 @@ def fit_corners(
 ) -> FittedCorners:
     """Fit corners where four squares meet.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (height, width)
-        Grey values [DN].
-    start : CornerStart
-        Rough corners and sides.
-    reach : float, optional
-        Half size of the piece of the image used, as a share of the squares' sides, but 20 px at most.
-    clear : float, optional
-        Pixels farther than this share of a side from both edges are left out: a ChArUco board has markers there.
-    rough : bool, optional
-        Use 9 px of the edges and stop at a hundredth of a pixel: a quarter of the time, to start a second fit from.
+    image_dn (height, width): Grey values [DN].
+    start: Rough corners and sides.
+    reach: Half size of the piece of the image used, as a share of the squares' sides, but 20 px at most.
+    clear: Pixels farther than this share of a side from both edges are left out: a ChArUco board has markers there.
+    rough: Use 9 px of the edges and stop at a hundredth of a pixel: a quarter of the time, to start a second fit
+        from.
+    Returns: The corners; a fit that runs away, sees no contrast or touches the image's border gives NaN.
 
-    Returns
-    -------
-    FittedCorners
-        The corners; a fit that runs away, sees no contrast or touches the image's border gives NaN.
-
-    Notes
-    -----
-    Model ``g = level + gx u + gy v + contrast / 2 * E(d1 / s) E(d2 / s)`` with (u, v) measured from the corner, d1 and
-    d2 the signed distances from both edges and ``E(z) = erf(z / sqrt 2)``: what two edges, blurred by a Gaussian that
-    contains the pixel's square (s^2 = blur^2 + 1/12 px^2), leave in each pixel. It differs from the exact integral
-    within a blur of the corner itself only, where by symmetry it cannot shift the corner. Edges are parabolas of given
-    curvature: the lens bends them by 6e-5 1/px at the border of a usual image, which would shift a corner fitted with
-    straight edges over 25 px to both sides by 0.006 px.
+    Model ``g = level + gx u + gy v + contrast / 2 * E(d1 / s) E(d2 / s)`` with (u, v) measured from the corner, d1
+    and d2 the signed distances from both edges and ``E(z) = erf(z / sqrt 2)``: what two edges, blurred by a Gaussian
+    that contains the pixel's square (s^2 = blur^2 + 1/12 px^2), leave in each pixel. It differs from the exact
+    integral within a blur of the corner itself only, where by symmetry it cannot shift the corner. Edges are
+    parabolas of given curvature: the lens bends them by 6e-5 1/px at the border of a usual image, which would shift a
+    corner fitted with straight edges over 25 px to both sides by 0.006 px.
     """
     count = len(start.pixels_px)
     found = FittedCorners(

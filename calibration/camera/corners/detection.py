@@ -24,22 +24,14 @@ ByteImage = npt.NDArray[np.uint8]
 class BoardPoints:
     """Points of a board in one photo.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    index : ndarray of int, shape (n,)
-        Which points of the board these are.
-    pixels_px : ndarray, shape (n, 2)
-        Their places [px].
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Their covariances [px^2].
-    blur_px : float
-        Median blur of the edges [px].
-    saturated_share : float
-        Share of the board's pixels at the largest value of the image.
-    ellipses_px2 : ndarray, shape (n, 2, 2)
-        Shape of each target's ellipse, NaN where there is none; empty for boards without targets [px^2].
+    photo: Name of the photo.
+    index (n,): Which points of the board these are.
+    pixels_px (n, 2): Their places [px].
+    covariance_px2 (n, 2, 2): Their covariances [px^2].
+    blur_px: Median blur of the edges [px].
+    saturated_share: Share of the board's pixels at the largest value of the image.
+    ellipses_px2 (n, 2, 2): Shape of each target's ellipse, NaN where there is none; empty for boards without
+        targets [px^2].
     """
 
     photo: str
@@ -78,24 +70,9 @@ def as_bytes(image: npt.NDArray[np.generic]) -> ByteImage:
 def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboard) -> BoardPoints:
     """Find a chessboard.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    image : ndarray, shape (height, width)
-        Grey values [DN].
-    board : Chessboard
-        What to look for.
-
-    Returns
-    -------
-    BoardPoints
-        Its corners; those whose fit failed are left out.
-
-    Raises
-    ------
-    EstimationError
-        The board was not found.
+    image (height, width): Grey values [DN].
+    Returns: Its corners; those whose fit failed are left out.
+    EstimationError: The board was not found.
     """
     size = (board.columns, board.rows)
     small = as_bytes(image)
@@ -119,24 +96,8 @@ def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboar
 def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard) -> BoardPoints:
     """Find what is visible of a ChArUco board.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    image : ndarray, shape (height, width)
-        Grey values [DN].
-    board : CharucoBoard
-        What to look for.
-
-    Returns
-    -------
-    BoardPoints
-        Its visible corners.
-
-    Raises
-    ------
-    EstimationError
-        Too few corners were found.
+    image (height, width): Grey values [DN].
+    EstimationError: Too few corners were found.
     """
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     layout = cv2.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_share, dictionary)
@@ -159,24 +120,9 @@ def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard
 def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) -> BoardPoints:
     """Find the rough places of the dots of a grid; the pipeline measures their centres.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    image : ndarray, shape (height, width)
-        Grey values [DN].
-    board : CircleGrid
-        What to look for.
-
-    Returns
-    -------
-    BoardPoints
-        All dots, with a covariance of a tenth of a pixel.
-
-    Raises
-    ------
-    EstimationError
-        The grid was not found.
+    image (height, width): Grey values [DN].
+    Returns: All dots, with a covariance of a tenth of a pixel.
+    EstimationError: The grid was not found.
     """
     layout = cv2.CALIB_CB_ASYMMETRIC_GRID if board.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     parameters = cv2.SimpleBlobDetector.Params()
@@ -205,26 +151,9 @@ def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) 
 def fitted(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *, clear: float = np.inf) -> BoardPoints:
     """Fit all corners of a grid.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    image : ndarray, shape (height, width)
-        Grey values [DN].
-    grid_px : ndarray, shape (rows, columns, 2)
-        Rough corners, row by row as the board counts them, NaN where there is none [px].
-    clear : float, optional
-        See `fit_corners`.
-
-    Returns
-    -------
-    BoardPoints
-        The corners whose fit succeeded.
-
-    Raises
-    ------
-    EstimationError
-        Too few.
+    image (height, width): Grey values [DN].
+    grid_px (rows, columns, 2): Rough corners, row by row as the board counts them, NaN where there is none [px].
+    EstimationError: Too few.
     """
     along_x, along_y = (_sides(grid_px, axis).reshape(-1, 2) for axis in (1, 0))
     flat = grid_px.reshape(-1, 2)
@@ -257,19 +186,10 @@ def fitted(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *, c
 def edge_curvatures(grid_px: FloatArray) -> FloatArray:
     """Estimate how lens and board bend the edges, from corners.
 
-    Parameters
-    ----------
-    grid_px : ndarray, shape (rows, columns, 2)
-        Corners, NaN where there is none [px].
+    grid_px (rows, columns, 2): Corners, NaN where there is none [px].
+    Returns (rows, columns, 2): Curvature of the edges along rows and along columns, positive towards the direction
+        of the edge turned from x to y by a right angle [1/px].
 
-    Returns
-    -------
-    ndarray, shape (rows, columns, 2)
-        Curvature of the edges along rows and along columns, positive towards the direction of the edge turned from x
-        to y by a right angle [1/px].
-
-    Notes
-    -----
     A view of a straight line is straight whatever the perspective, so the second difference of three corners across
     the line is bending. What varies from corner to corner is the print (0.1 px on a real board): a quadratic over the
     board is fitted and only that is used.

@@ -16,17 +16,9 @@ ByteImage = npt.NDArray[np.uint8]
 def chessboard_seen(image: ByteImage, board: Chessboard) -> str:
     """Say which chessboard is in a photo instead.
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width)
-        The photo.
-    board : Chessboard
-        What was looked for.
-
-    Returns
-    -------
-    str
-        A sentence; empty where nothing was found.
+    Shapes: image (height, width).
+    board: What was looked for.
+    Returns: A sentence; empty where nothing was found.
     """
     small = _reduced(image)
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
@@ -43,19 +35,9 @@ def chessboard_seen(image: ByteImage, board: Chessboard) -> str:
 def circles_seen(image: ByteImage, board: CircleGrid, detector: cv2.SimpleBlobDetector) -> str:
     """Say which grid of dots is in a photo instead.
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width)
-        The photo.
-    board : CircleGrid
-        What was looked for.
-    detector : cv2.SimpleBlobDetector
-        What finds dots.
-
-    Returns
-    -------
-    str
-        A sentence with the size, or with the number of dots; empty where there are hardly any.
+    Shapes: image (height, width).
+    board: What was looked for.
+    Returns: A sentence with the size, or with the number of dots; empty where there are hardly any.
     """
     dots = len(detector.detect(image))
     if dots < _LEAST_MARKERS:
@@ -75,17 +57,9 @@ def circles_seen(image: ByteImage, board: CircleGrid, detector: cv2.SimpleBlobDe
 def markers_seen(image: ByteImage, board: CharucoBoard) -> str:
     """Say which markers are in a photo.
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width)
-        The photo.
-    board : CharucoBoard
-        What was looked for.
-
-    Returns
-    -------
-    str
-        A sentence: markers of this dictionary with their numbers, of another one, or of this one in a mirror.
+    Shapes: image (height, width).
+    board: What was looked for.
+    Returns: A sentence: markers of this dictionary with their numbers, of another one, or of this one in a mirror.
     """
     own = _marker_numbers(image, board.dictionary)
     if own.size >= _LEAST_MARKERS:

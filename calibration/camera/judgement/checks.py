@@ -22,14 +22,8 @@ from photogrammetry.start_values.resection import resect
 class Known:
     """Camera and board from some photos, to test another one with.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    index : ndarray of int, shape (k,)
-        Points of the board that were measured.
-    points_m : ndarray, shape (k, 3)
-        Their places [m].
+    index (k,): Points of the board that were measured.
+    points_m (k, 3): Their places [m].
     """
 
     camera: Camera
@@ -46,19 +40,7 @@ def known_from_all(network: BoardNetwork, adjusted: Adjusted) -> Known:
 def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> Known:
     """Adjust again without one photo.
 
-    Parameters
-    ----------
-    network : BoardNetwork
-        The photos.
-    adjusted : Adjusted
-        The adjustment of all.
-    photo : int
-        The one to leave out.
-
-    Returns
-    -------
-    Known
-        What the others gave.
+    photo: The one to leave out.
     """
     table, state = adjusted.bundle.problem.observations, adjusted.bundle.state
     others = table.subset(table.photo_index != photo).compacted()
@@ -75,26 +57,8 @@ def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> 
 def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = None) -> tuple[float, RigidTransform]:
     """Fit the pose of a photo alone, with camera and board as they are.
 
-    Parameters
-    ----------
-    known : Known
-        Camera and board.
-    points : BoardPoints
-        The board in the photo.
-    pose : RigidTransform, optional
-        Where to start; found without it.
-
-    Returns
-    -------
-    rms_px : float
-        RMS of all residuals [px].
-    pose : RigidTransform
-        ``cam_from_board``.
-
-    Raises
-    ------
-    EstimationError
-        No pose explains the photo.
+    pose: Where to start; found without it.
+    EstimationError: No pose explains the photo.
     """
     _, own, place = np.intersect1d(points.index, known.index, return_indices=True)
     places, pixels, covariance = known.points_m[place], points.pixels_px[own], points.covariance_px2[own]
@@ -112,28 +76,8 @@ def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = No
 def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> tuple[float, RigidTransform, BoardPoints]:
     """Fit the pose of a photo counted from whichever corner fits best.
 
-    Parameters
-    ----------
-    known : Known
-        Camera and board.
-    board : Board
-        What the board is.
-    points : BoardPoints
-        The board in the photo.
-
-    Returns
-    -------
-    rms_px : float
-        RMS of all residuals [px].
-    pose : RigidTransform
-        ``cam_from_board``.
-    points : BoardPoints
-        With the numbers that fit.
-
-    Raises
-    ------
-    EstimationError
-        No pose explains the photo.
+    known: Camera and board.
+    EstimationError: No pose explains the photo.
     """
     rms, pose = fit_pose(known, points)
     best = (rms, pose, points)
@@ -148,19 +92,9 @@ def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> tuple[float
 def mirrored_rms_px(known: Known, board: Board, points: BoardPoints) -> float:
     """Return how well a photo would fit if its file were mirrored; infinite where that cannot be asked.
 
-    Parameters
-    ----------
-    known : Known
-        Camera and board.
-    board : Board
-        What the board is; only prints that look alike in a mirror are found in mirrored photos.
-    points : BoardPoints
-        The board in the photo.
-
-    Returns
-    -------
-    float
-        RMS of the residuals with the photo's columns reversed [px].
+    known: Camera and board.
+    board: What the board is; only prints that look alike in a mirror are found in mirrored photos.
+    Returns: RMS of the residuals with the photo's columns reversed [px].
     """
     if not isinstance(board, Chessboard | CircleGrid):
         return float("inf")

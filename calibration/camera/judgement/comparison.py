@@ -20,22 +20,15 @@ _LEAST_SHARE = 1e-3
 class Comparison:
     """Two calibrations of one camera, ray by ray.
 
-    Parameters
-    ----------
-    x_px, y_px : ndarray, shape (nx,), (ny,)
-        Nodes [px].
-    angle_rad : ndarray, shape (ny, nx)
-        Angle between both lines of sight of a pixel after the best rotation [rad].
-    sigma_rad : ndarray, shape (ny, nx)
-        Standard deviation of that difference from both covariances, both components in squares [rad].
-    raw_angle_rad, raw_sigma_rad : ndarray, shape (ny, nx)
-        The same without taking out a rotation [rad].
-    rotation_rad : ndarray, shape (3,)
-        That rotation, other camera from this one, as a rotation vector [rad].
-    chi_square : float
-        Squared differences over their covariance, rotation taken out; NaN where neither camera has a covariance.
-    freedom : int
-        Its degrees of freedom.
+    x_px, y_px (nx,): Nodes [px].
+    angle_rad (ny, nx): Angle between both lines of sight of a pixel after the best rotation [rad].
+    sigma_rad (ny, nx): Standard deviation of that difference from both covariances, both components in squares
+        [rad].
+    raw_angle_rad, raw_sigma_rad (ny, nx): The same without taking out a rotation [rad].
+    rotation_rad (3,): That rotation, other camera from this one, as a rotation vector [rad].
+    chi_square: Squared differences over their covariance, rotation taken out; NaN where neither camera has a
+        covariance.
+    freedom: Its degrees of freedom.
     """
 
     x_px: FloatArray
@@ -89,23 +82,10 @@ class Comparison:
 def compare(camera: Camera, other: Camera) -> Comparison:
     """Compare two calibrations by the angle between their lines of sight, with and without the best rotation.
 
-    Parameters
-    ----------
-    camera, other : Camera
-        The calibrations; images of one size.
+    camera, other: The calibrations; images of one size.
+    Returns: The angle over the image with its sigma, and the test whether it is more than chance.
+    InputError: Images of different sizes.
 
-    Returns
-    -------
-    Comparison
-        The angle over the image with its sigma, and the test whether it is more than chance.
-
-    Raises
-    ------
-    InputError
-        Images of different sizes.
-
-    Notes
-    -----
     A rotation common to all rays only renames the camera's pose, so the first question is what is left without it.
     The test projects that remainder d (both components at all nodes) on the movements W that both covariances allow,
     ``W W^T`` being the covariance of d: ``chi^2 = |z|^2`` with the shortest z that solves ``W z = d`` best. The

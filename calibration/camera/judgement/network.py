@@ -30,14 +30,9 @@ _SATURATED_SHARE = 0.05
 class Coverage:
     """Where in the image the board was measured.
 
-    Parameters
-    ----------
-    counts : ndarray of int, shape (8, 10)
-        Points in each cell of the image.
-    share : float
-        Share of cells with points.
-    radius_share : float
-        Largest distance of a point from the middle, over that of the image's corners.
+    counts (8, 10): Points in each cell of the image.
+    share: Share of cells with points.
+    radius_share: Largest distance of a point from the middle, over that of the image's corners.
     """
 
     counts: FloatArray
@@ -48,17 +43,8 @@ class Coverage:
 def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
     """Count measured points over the image.
 
-    Parameters
-    ----------
-    camera : Camera
-        For the size of the image.
-    pixels_px : ndarray, shape (n, 2)
-        All measured points [px].
-
-    Returns
-    -------
-    Coverage
-        Counts in 10 x 8 cells.
+    Shapes: pixels_px (n, 2).
+    Returns: Counts in 10 x 8 cells.
     """
     size = np.array([camera.width_px, camera.height_px])
     edges = [np.linspace(-0.5, extent - 0.5, cells + 1) for extent, cells in zip(size, _CELLS, strict=True)]
@@ -71,17 +57,7 @@ def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
 def network_warnings(poses: Sequence[RigidTransform], covered: Coverage) -> tuple[str, ...]:
     """Say what makes a network weak, with the number that says so and the remedy.
 
-    Parameters
-    ----------
-    poses : sequence of RigidTransform
-        ``cam_from_board`` of each photo.
-    covered : Coverage
-        From `coverage`.
-
-    Returns
-    -------
-    tuple of str
-        Warnings, none for a good network.
+    poses: ``cam_from_board`` of each photo.
     """
     said = []
     angles = np.array([tilt_and_roll(pose) for pose in poses])
@@ -118,17 +94,7 @@ def network_warnings(poses: Sequence[RigidTransform], covered: Coverage) -> tupl
 def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[str, str, float]]:
     """Find photos that show the board from one place: each counts fully, but together they tell little more than one.
 
-    Parameters
-    ----------
-    photos : sequence of BoardPoints
-        The board in each photo.
-    diagonal_px : float
-        Diagonal of the image [px].
-
-    Returns
-    -------
-    list of (str, str, float)
-        A photo, the earlier one it repeats, and the RMS distance of the board's points between both [px].
+    Returns: A photo, the earlier one it repeats, and the RMS distance of the board's points between both [px].
     """
     found = []
     for later, one in enumerate(photos):
@@ -147,17 +113,7 @@ def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[
 def photo_warnings(photos: Sequence[BoardPoints], camera: Camera) -> tuple[str, ...]:
     """Say which photos are doubtful in themselves.
 
-    Parameters
-    ----------
-    photos : sequence of BoardPoints
-        The board in each photo.
-    camera : Camera
-        For the size of the image.
-
-    Returns
-    -------
-    tuple of str
-        Warnings.
+    camera: For the size of the image.
     """
     said = []
     same = same_views(photos, float(np.hypot(camera.width_px, camera.height_px)))

@@ -17,20 +17,14 @@ _MAP_NODES = 48
 class SigmaMap:
     """Uncertainty over the image.
 
-    Parameters
-    ----------
-    x_px, y_px : ndarray, shape (nx,), (ny,)
-        Nodes, from the first to the last pixel [px].
-    sigma_ray_rad : ndarray, shape (ny, nx)
-        Standard deviation of the direction of a line of sight, both components in squares, as the intrinsics say it;
-        the camera's pose is held [rad].
-    sigma_free_rad : ndarray, shape (ny, nx)
-        The same after the rotation that fits best was taken out: what is left when a pose is estimated with this
-        camera [rad].
-    sigma_projection_px : ndarray, shape (ny, nx)
-        Standard deviation of the image of a point at the stated distance, both components in squares [px].
-    distance_m : float
-        That distance from the projection centre; it does not matter as long as the pose is held [m].
+    x_px, y_px (nx,): Nodes, from the first to the last pixel [px].
+    sigma_ray_rad (ny, nx): Standard deviation of the direction of a line of sight, both components in squares, as
+        the intrinsics say it; the camera's pose is held [rad].
+    sigma_free_rad (ny, nx): The same after the rotation that fits best was taken out: what is left when a pose is
+        estimated with this camera [rad].
+    sigma_projection_px (ny, nx): Standard deviation of the image of a point at the stated distance, both components
+        in squares [px].
+    distance_m: That distance from the projection centre; it does not matter as long as the pose is held [m].
     """
 
     x_px: FloatArray
@@ -82,22 +76,8 @@ def without_rotation(rays: FloatArray, moves: FloatArray) -> tuple[FloatArray, F
 def sigma_map(camera: Camera, distance_m: float = 1.0) -> SigmaMap:
     """Map the uncertainty of rays and of projections over the image.
 
-    Parameters
-    ----------
-    camera : Camera
-        With its covariance.
-    distance_m : float, optional
-        Distance of the points that are projected [m].
-
-    Returns
-    -------
-    SigmaMap
-        The map.
-
-    Raises
-    ------
-    InputError
-        The camera has no covariance.
+    distance_m: Distance of the points that are projected [m].
+    InputError: The camera has no covariance.
     """
     if not np.any(camera.covariance):
         raise InputError("sigma map: the camera has no covariance (it is treated as exact)")
@@ -134,16 +114,10 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
 class RadialProfile:
     """Distortion against the distance from the principal point.
 
-    Parameters
-    ----------
-    radius_px : ndarray, shape (n,)
-        Distance in the image without distortion, out to the farthest corner [px].
-    shift_px : ndarray, shape (n,)
-        How far the lens moves points outwards [px].
-    sigma_px : ndarray, shape (n,)
-        Standard deviation of that, from the radial coefficients [px].
-    seen_px : float
-        Largest distance at which a point of the board was measured [px].
+    radius_px (n,): Distance in the image without distortion, out to the farthest corner [px].
+    shift_px (n,): How far the lens moves points outwards [px].
+    sigma_px (n,): Standard deviation of that, from the radial coefficients [px].
+    seen_px: Largest distance at which a point of the board was measured [px].
     """
 
     radius_px: FloatArray
@@ -155,19 +129,8 @@ class RadialProfile:
 def radial_profile(camera: Camera, pixels_px: FloatArray, count: int = 60) -> RadialProfile:
     """Compute the radial distortion with its band.
 
-    Parameters
-    ----------
-    camera : Camera
-        With its covariance.
-    pixels_px : ndarray, shape (n, 2)
-        All measured points, to see how far out the profile rests on measurements [px].
-    count : int, optional
-        Number of radii.
-
-    Returns
-    -------
-    RadialProfile
-        The profile. Columns and rows are averaged where their focal lengths differ.
+    pixels_px (n, 2): All measured points, to see how far out the profile rests on measurements [px].
+    Returns: The profile. Columns and rows are averaged where their focal lengths differ.
     """
     focal = 0.5 * (camera.focal_x_px + camera.focal_y_px)
     center = np.array([camera.center_x_px, camera.center_y_px])

@@ -39,20 +39,11 @@ _STEPS = (("focal_px",), ("focal_px", "center_x_px", "center_y_px", "k1", "k2"))
 class BoardNetwork:
     """Photos with the board found, and start values.
 
-    Parameters
-    ----------
-    board : Board
-        The board as drawn, or as it was first found where nothing was known of it.
-    points : tuple of BoardPoints, length p
-        Its points in each photo.
-    free : tuple of str
-        Intrinsics that are estimated.
-    camera : Camera
-        Start values.
-    poses : tuple of RigidTransform, length p
-        ``cam_from_board`` to start from.
-    places_known : bool
-        Whether the drawing says anything about the points' places.
+    board: The board as drawn, or as it was first found where nothing was known of it.
+    points length p: Its points in each photo.
+    free: Intrinsics that are estimated.
+    poses length p: ``cam_from_board`` to start from.
+    places_known: Whether the drawing says anything about the points' places.
     """
 
     board: Board
@@ -100,20 +91,12 @@ class BoardNetwork:
 class Adjusted:
     """The last adjustment.
 
-    Parameters
-    ----------
-    bundle : BundleResult
-        What was estimated.
-    kept : ndarray of bool, shape (m,)
-        Image points of the network that were used.
-    factor : float
-        Residuals over what the stated sigmas let expect; the covariance contains it.
-    prior_sigma_m : ndarray, shape (3,)
-        How far points may be from the drawing; 0: held, infinite: nothing is known [m].
-    rms_as_drawn_px : float
-        Residuals with the board as drawn; NaN where there is no drawing [px].
-    rejected : tuple of str
-        Image points left out.
+    bundle: What was estimated.
+    kept (m,): Image points of the network that were used.
+    factor: Residuals over what the stated sigmas let expect; the covariance contains it.
+    prior_sigma_m (3,): How far points may be from the drawing; 0: held, infinite: nothing is known [m].
+    rms_as_drawn_px: Residuals with the board as drawn; NaN where there is no drawing [px].
+    rejected: Image points left out.
     """
 
     bundle: BundleResult
@@ -127,24 +110,10 @@ class Adjusted:
 def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[BoardNetwork, float]:
     """Adjust with the board held as drawn, more intrinsics at each step; photos of something else are left out.
 
-    Parameters
-    ----------
-    network : BoardNetwork
-        Photos with start values.
-    left_out : dict of str to str
-        Takes photos that do not agree, with the reason.
-
-    Returns
-    -------
-    network : BoardNetwork
-        With the camera and the poses found.
-    rms_px : float
-        RMS of the residuals [px].
-
-    Raises
-    ------
-    EstimationError
-        The photos do not agree.
+    network: Photos with start values.
+    left_out: Takes photos that do not agree, with the reason.
+    network: With the camera and the poses found.
+    EstimationError: The photos do not agree.
     """
     for _ in range(len(network.points)):
         state, table = network.start(), network.observations()
@@ -171,17 +140,7 @@ def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[Bo
 def counted_alike(network: BoardNetwork) -> tuple[BoardNetwork, Orientations | None]:
     """Count the board from the same corner in all photos, where its print looks the same turned.
 
-    Parameters
-    ----------
-    network : BoardNetwork
-        Adjusted with the board as drawn.
-
-    Returns
-    -------
-    network : BoardNetwork
-        Numbers and poses of some photos turned.
-    orientations : Orientations or None
-        How; None where the print tells.
+    network: Adjusted with the board as drawn.
     """
     board = network.board
     if not isinstance(board, Chessboard | CircleGrid) or not board.looks_the_same_turned:
@@ -196,26 +155,7 @@ def counted_alike(network: BoardNetwork) -> tuple[BoardNetwork, Orientations | N
 def turned(
     board: Chessboard | CircleGrid, points: BoardPoints, pose: RigidTransform, quarter_turns: int
 ) -> tuple[BoardPoints, RigidTransform]:
-    """Count the board of a photo from another corner: the same image with other numbers and another pose.
-
-    Parameters
-    ----------
-    board : Chessboard or CircleGrid
-        The board.
-    points : BoardPoints
-        Its points in the photo.
-    pose : RigidTransform
-        ``cam_from_board``.
-    quarter_turns : int
-        One of the board's `same_turns`.
-
-    Returns
-    -------
-    points : BoardPoints
-        With other numbers.
-    pose : RigidTransform
-        The pose with these.
-    """
+    """Count the board of a photo from another corner: the same image with other numbers and another pose."""
     back = RigidTransform.from_rotation_vector([0.0, 0.0, -0.5 * np.pi * quarter_turns], np.zeros(3))
     return replace(points, index=renumbering(board, quarter_turns)[points.index]), pose @ back
 
@@ -223,19 +163,8 @@ def turned(
 def with_true_centers(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
     """Move centres of circles' images to the images of their centres, seen as the state says.
 
-    Parameters
-    ----------
-    network : BoardNetwork
-        The photos.
-    measured : sequence of BoardPoints
-        The centres of the images, as measured.
-    state : BundleState
-        Camera, poses and points.
-
-    Returns
-    -------
-    BoardNetwork
-        With corrected points; unchanged for boards without circles.
+    state: Camera, poses and points.
+    Returns: With corrected points; unchanged for boards without circles.
     """
     if isinstance(network.board, TargetField):
         return _with_true_targets(network, measured, state)
@@ -277,21 +206,10 @@ def _with_true_targets(network: BoardNetwork, measured: Sequence[BoardPoints], s
 def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_m: FloatArray) -> BundleProblem:
     """Pose the adjustment: the drawing is knowledge with a sigma, exact where that is 0, nothing where infinite.
 
-    Parameters
-    ----------
-    free : tuple of str
-        Intrinsics that are estimated.
-    table : ImagePoints
-        The image points.
-    drawn_m : ndarray, shape (k, 3)
-        Where its targets were drawn [m].
-    sigma_m : ndarray, shape (3,)
-        How far they may be from there [m].
-
-    Returns
-    -------
-    BundleProblem
-        The problem.
+    free: Intrinsics that are estimated.
+    table: The image points.
+    drawn_m (k, 3): Where its targets were drawn [m].
+    sigma_m (3,): How far they may be from there [m].
     """
     model = (CameraModel("camera", free),)
     if not sigma_m.any():
@@ -306,24 +224,9 @@ def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_
 def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_board: bool) -> Adjusted:
     """Adjust three times: see outliers, then the size of residuals and of the board's departure, then for good.
 
-    Parameters
-    ----------
-    network : BoardNetwork
-        Photos with start values.
-    rms_as_drawn_px : float
-        Residuals with the board as drawn, to be reported [px].
-    refine_board : bool
-        Estimate the board's shape; otherwise it is held as drawn.
-
-    Returns
-    -------
-    Adjusted
-        Camera, poses and board.
-
-    Raises
-    ------
-    EstimationError
-        The photos do not determine the camera.
+    network: Photos with start values.
+    refine_board: Estimate the board's shape; otherwise it is held as drawn.
+    EstimationError: The photos do not determine the camera.
     """
     table, drawn = network.observations(), network.board.points_m[network.seen]
     pitch = network.board.pitch_m

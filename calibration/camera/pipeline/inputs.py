@@ -18,20 +18,7 @@ from photogrammetry.targets.store_ring_codes import load_dictionary
 def described_board(measurement: CameraCalibrationMeasurement) -> Board | UnknownField:
     """Return the board that measurement.toml describes.
 
-    Parameters
-    ----------
-    measurement : CameraCalibrationMeasurement
-        The measurement.
-
-    Returns
-    -------
-    Board or UnknownField
-        The board.
-
-    Raises
-    ------
-    InputError
-        An impossible board, or a table of targets that cannot be read.
+    InputError: An impossible board, or a table of targets that cannot be read.
     """
     section = measurement.model.board
     if isinstance(section, ChessboardSection):
@@ -51,20 +38,8 @@ def described_board(measurement: CameraCalibrationMeasurement) -> Board | Unknow
 def known_codes(measurement: CameraCalibrationMeasurement) -> RingDictionary | None:
     """Return the codes of the board's targets: a vendor's, or those of a file beside measurement.toml.
 
-    Parameters
-    ----------
-    measurement : CameraCalibrationMeasurement
-        The measurement.
-
-    Returns
-    -------
-    RingDictionary or None
-        The dictionary; None for boards without ring codes.
-
-    Raises
-    ------
-    InputError
-        No such dictionary, or a file with faults.
+    Returns: The dictionary; None for boards without ring codes.
+    InputError: No such dictionary, or a file with faults.
     """
     section = measurement.model.board
     return load_dictionary(section.dictionary, measurement.folder) if isinstance(section, TargetFieldSection) else None
@@ -89,21 +64,8 @@ def different_photos(
 ) -> list[Path]:
     """Leave out files that are copies of earlier ones: they would count twice.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos.
-    folder : Path
-        The measurement's folder.
-    hashes : dict of str to str
-        From `heliogauge.results.folder.hash_files` with that folder.
-    left_out : dict of str to str
-        Takes the copies with the reason.
-
-    Returns
-    -------
-    list of Path
-        The others.
+    hashes: From `heliogauge.results.folder.hash_files` with that folder.
+    left_out: Takes the copies with the reason.
     """
     first: dict[str, Path] = {}
     for file in files:

@@ -34,16 +34,10 @@ class UnknownField:
 class FoundBoards:
     """What all photos show.
 
-    Parameters
-    ----------
-    points : tuple of BoardPoints
-        The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
-    failures : tuple of EstimationError
-        Why the others do not.
-    size_px : (int, int)
-        Width and height of all photos [px].
-    names : tuple of str
-        Names of an `UnknownField`'s targets; empty otherwise.
+    points: The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
+    failures: Why the others do not.
+    size_px: Width and height of all photos [px].
+    names: Names of an `UnknownField`'s targets; empty otherwise.
     """
 
     points: tuple[BoardPoints, ...]
@@ -63,30 +57,11 @@ def search_photos(
 ) -> FoundBoards:
     """Find the board in all photos.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos.
-    board : Board or UnknownField
-        What they show.
-    asked : CalibratedCameraSection
-        The size that photos should have.
-    known : RingDictionary or None
-        Codes of the board's targets; None for boards without.
-    jobs : int or None
-        Photos searched side by side.
-    progress : Progress
-        Told of each photo.
-
-    Returns
-    -------
-    FoundBoards
-        Points with covariances, and the reasons where there are none.
-
-    Raises
-    ------
-    InputError
-        A photo cannot be read, or its size is not that of the others or the one asked for.
+    asked: The size that photos should have.
+    known: Codes of the board's targets; None for boards without.
+    jobs: Photos searched side by side.
+    Returns: Points with covariances, and the reasons where there are none.
+    InputError: A photo cannot be read, or its size is not that of the others or the one asked for.
     """
     found: list[BoardPoints] = []
     failures: list[EstimationError] = []

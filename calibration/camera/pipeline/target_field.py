@@ -23,28 +23,13 @@ def started_from_targets(
 ) -> BoardNetwork:
     """Find camera, poses and places of the targets to start from.
 
-    Parameters
-    ----------
-    found : FoundBoards
-        Targets in all photos.
-    board : UnknownField or TargetField
-        The dictionary, or the targets with their rough places, which need not be near a plane.
-    free : tuple of str
-        Intrinsics that are estimated.
-    left_out : dict of str to str
-        Takes photos that could not be tied in, with the reason.
-
-    Returns
-    -------
-    BoardNetwork
-        In the frame of the rough places, or in one of its own: origin in the middle of the targets, z from the plane
-        that fits them best towards the cameras, x along the farthest spread; the unit of length is then the mean
-        distance to the nearest target.
-
-    Raises
-    ------
-    EstimationError
-        The photos do not hang together.
+    board: The dictionary, or the targets with their rough places, which need not be near a plane.
+    free: Intrinsics that are estimated.
+    left_out: Takes photos that could not be tied in, with the reason.
+    Returns: In the frame of the rough places, or in one of its own: origin in the middle of the targets, z from the
+        plane that fits them best towards the cameras, x along the farthest spread; the unit of length is then the
+        mean distance to the nearest target.
+    EstimationError: The photos do not hang together.
     """
     points = tuple(one for one in found.points if one.n)
     every = board.names if isinstance(board, TargetField) else found.names

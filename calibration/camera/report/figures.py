@@ -31,18 +31,7 @@ _ARROW_SHARE = 0.02
 
 
 def all_figures(result: Result) -> "dict[str, Figure]":
-    """Draw all figures.
-
-    Parameters
-    ----------
-    result : Result
-        A calibration.
-
-    Returns
-    -------
-    dict of str to Figure
-        By the name of the file.
-    """
+    """Draw all figures."""
     figures = {
         "sigma_ray": sigma_figure(result),
         "sigma_projection": projection_figure(result),

@@ -27,14 +27,8 @@ _UNITS = {"focal_px": "px", "center_x_px": "px", "center_y_px": "px", "skew": "p
 class CalibrationReport:
     """What a folder of a calibration's results holds.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    summary : Summary
-        Headline numbers, warnings, texts.
-    result : Result
-        Camera, photos, board, maps.
+    summary: Headline numbers, warnings, texts.
+    result: Camera, photos, board, maps.
     """
 
     folder: Path
@@ -45,20 +39,7 @@ class CalibrationReport:
 def open_report(folder: str | Path = ".") -> CalibrationReport:
     """Read a folder of results.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    CalibrationReport
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     return CalibrationReport(folder, read_summary(folder / "summary.json"), open_calibration(folder))

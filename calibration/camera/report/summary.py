@@ -14,18 +14,7 @@ _KEYS = {name: f"{name}_factor" for name in ("k1", "k2", "k3", "p1", "p2")} | {"
 
 
 def summarise(result: Result) -> Summary:
-    """Collect the headline numbers with their sigmas, warnings and provenance.
-
-    Parameters
-    ----------
-    result : Result
-        A calibration.
-
-    Returns
-    -------
-    Summary
-        For summary.json.
-    """
+    """Collect the headline numbers with their sigmas, warnings and provenance."""
     quality, sigma, camera = result.quality, result.sigma, result.camera
     numbers: dict[str, float | int | None] = {
         "residual_rms_px": quality.rms_px,
@@ -128,18 +117,7 @@ def _datum_text(result: Result) -> str:
 
 
 def headline_text(result: Result) -> str:
-    """Return the headline numbers as lines for the terminal.
-
-    Parameters
-    ----------
-    result : Result
-        A calibration.
-
-    Returns
-    -------
-    str
-        Lines.
-    """
+    """Return the headline numbers as lines for the terminal."""
     quality, camera, sigma = result.quality, result.camera, result.sigma
     s = camera.sigma_parameters
     apart = result.kept_apart_px
@@ -172,18 +150,7 @@ def _drawn_text(rms_px: float) -> str:
 
 
 def comparison_lines(one: Comparison) -> list[str]:
-    """Return how two calibrations differ, as lines for the terminal.
-
-    Parameters
-    ----------
-    one : Comparison
-        The comparison.
-
-    Returns
-    -------
-    list of str
-        Lines.
-    """
+    """Return how two calibrations differ, as lines for the terminal."""
     lines = [
         f"  compared         {1e3 * one.rms_rad:.2g} mrad rms, {1e3 * one.largest_rad:.2g} mrad at most "
         f"(expected {1e3 * one.expected_rad:.2g} rms), best rotation taken out",

@@ -21,22 +21,10 @@ _MISREAD_SHARE = 0.05
 def homography(points: BoardPoints, board_m: FloatArray) -> FloatArray:
     """Find the homography from the board's plane to a photo.
 
-    Parameters
-    ----------
-    points : BoardPoints
-        The board in the photo.
-    board_m : ndarray, shape (n, 3)
-        The board's nominal points, near the plane z = 0 [m].
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        ``pixel ~ H (x, y, 1)``, with the board in front of the camera: H (x, y, 1) has a positive last element.
-
-    Raises
-    ------
-    EstimationError
-        Too few points, points on a line, or many that no homography explains.
+    board_m (n, 3): The board's nominal points, near the plane z = 0 [m].
+    Returns (3, 3): ``pixel ~ H (x, y, 1)``, with the board in front of the camera: H (x, y, 1) has a positive last
+        element.
+    EstimationError: Too few points, points on a line, or many that no homography explains.
     """
     if points.n < LEAST_POINTS:
         raise EstimationError(f"{points.photo}: {points.n} points of the board, {LEAST_POINTS} are needed")
@@ -74,20 +62,9 @@ def _to_unit(points: FloatArray) -> FloatArray:
 def start_focal_px(homographies: Sequence[FloatArray], width_px: int, height_px: int) -> float:
     """Find the focal length of square pixels with the principal point in the middle of the image.
 
-    Parameters
-    ----------
-    homographies : sequence of ndarray, shape (3, 3)
-        From `homography`.
-    width_px, height_px : int
-        Size of the image [px].
+    Shapes: homographies (3, 3).
+    Returns: Focal length; NaN where the photos do not show it (none is tilted) [px].
 
-    Returns
-    -------
-    float
-        Focal length; NaN where the photos do not show it (none is tilted) [px].
-
-    Notes
-    -----
     Zhang (2000), eqs 3 and 4: with ``a, b`` the first two columns of H, moved to the principal point,
     ``a^T W b = 0`` and ``a^T W a = b^T W b`` with ``W = diag(1/f^2, 1/f^2, 1)``: two linear equations in 1/f^2.
     The median over the photos survives a few misread ones.
@@ -119,19 +96,10 @@ def start_focal_px(homographies: Sequence[FloatArray], width_px: int, height_px:
 def start_camera(homographies: Sequence[FloatArray], width_px: int, height_px: int) -> tuple[Camera, str]:
     """Build a camera to start from.
 
-    Parameters
-    ----------
-    homographies : sequence of ndarray, shape (3, 3)
-        From `homography`.
-    width_px, height_px : int
-        Size of the image [px].
-
-    Returns
-    -------
-    camera : Camera
-        Square pixels, principal point in the middle, no distortion.
-    doubt : str
-        Why the focal length is a guess; empty where it is not.
+    Shapes: homographies (3, 3).
+    width_px, height_px: Size of the image [px].
+    camera: Square pixels, principal point in the middle, no distortion.
+    doubt: Why the focal length is a guess; empty where it is not.
     """
     focal, doubt = start_focal_px(homographies, width_px, height_px), ""
     if not np.isfinite(focal):
@@ -144,17 +112,8 @@ def start_camera(homographies: Sequence[FloatArray], width_px: int, height_px: i
 def start_pose(matrix: FloatArray, camera: Camera) -> RigidTransform:
     """Find the pose of the board from its homography.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-        From `homography`.
-    camera : Camera
-        Without distortion.
-
-    Returns
-    -------
-    RigidTransform
-        ``cam_from_board``.
+    Shapes: matrix (3, 3).
+    camera: Without distortion.
     """
     columns = np.linalg.solve(camera.matrix, matrix)
     columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
@@ -167,16 +126,9 @@ def start_pose(matrix: FloatArray, camera: Camera) -> RigidTransform:
 def tilt_and_roll(pose: RigidTransform) -> tuple[float, float]:
     """Return how far a photo is from fronto-parallel, and its roll about the optical axis [rad].
 
-    Parameters
-    ----------
-    pose : RigidTransform
-        ``cam_from_board``.
-
-    Returns
-    -------
-    tuple of float
-        Angle between the board's normal and the optical axis, 0 to pi/2, and direction of the board's x axis in the
-        image, -pi to pi [rad].
+    pose: ``cam_from_board``.
+    Returns: Angle between the board's normal and the optical axis, 0 to pi/2, and direction of the board's x axis
+        in the image, -pi to pi [rad].
     """
     normal = pose.rotation[:, 2]
     return float(np.arccos(np.clip(abs(normal[2]), 0, 1))), float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))

@@ -28,12 +28,8 @@ _MOST_SWEEPS = 20
 class Orientations:
     """How each photo was counted.
 
-    Parameters
-    ----------
-    quarter_turns : tuple of int, length p
-        By how much each photo's numbering must be turned.
-    cost : ndarray, shape (p,)
-        What the cheapest other turn of each photo would cost, in variances of a residual.
+    quarter_turns length p: By how much each photo's numbering must be turned.
+    cost (p,): What the cheapest other turn of each photo would cost, in variances of a residual.
     """
 
     quarter_turns: tuple[int, ...]
@@ -58,28 +54,17 @@ def find_orientations(
 ) -> Orientations:
     """Choose the numbering of each photo so that one shape of the board explains all of them best.
 
-    Parameters
-    ----------
-    board : Chessboard or CircleGrid
-        The board, whose `same_turns` are the choices.
-    photos : sequence of BoardPoints, length p
-        The board in each photo, numbered somehow.
-    poses : sequence of RigidTransform, length p
-        ``cam_from_board`` with that numbering and the board as drawn.
-    camera : Camera
-        Adjusted with the board as drawn.
+    Shapes: photos length p.
+    board: The board, whose `same_turns` are the choices.
+    poses length p: ``cam_from_board`` with that numbering and the board as drawn.
+    camera: Adjusted with the board as drawn.
+    Returns: The turns. All of them together are open: the first photo keeps its numbering, unless more photos do
+        otherwise.
 
-    Returns
-    -------
-    Orientations
-        The turns. All of them together are open: the first photo keeps its numbering, unless more photos do otherwise.
-
-    Notes
-    -----
     One step of the adjustment, linear in poses, intrinsics and the board's departure (polynomials of degree 4 in the
-    plane for each coordinate). For a choice of turns its sum of squares is ``s - b^T N^-1 b`` with s, b and N sums over
-    the photos, so that trying a choice is the solution of 55 equations. Photos are added one by one, then turned one
-    by one as long as that helps, from several beginnings.
+    plane for each coordinate). For a choice of turns its sum of squares is ``s - b^T N^-1 b`` with s, b and N sums
+    over the photos, so that trying a choice is the solution of 55 equations. Photos are added one by one, then turned
+    one by one as long as that helps, from several beginnings.
     """
     parts = [_parts(board, *each, camera) for each in zip(photos, poses, strict=True)]
     totals = np.array([part.square for part in parts])

@@ -35,12 +35,7 @@ _ENOUGH_PIXELS = 900
 class TargetSurface:
     """Pattern of a target without a beam, averaged over frames.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Mean of the frames [DN].
-    n_frames : int
-        How many.
+    values_dn (h, w): Mean of the frames [DN].
     """
 
     values_dn: FloatArray
@@ -51,18 +46,12 @@ class TargetSurface:
 class Background:
     """Brightness of the target under and around a beam.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        The brightness without the beam [DN].
-    basis : ndarray, shape (h, w, k)
-        Functions of which its smooth part is made.
-    cofactor : ndarray, shape (k, k)
-        Covariance of their coefficients for pixels of variance 1.
-    scatter_dn : float
-        Robust scatter of the free pixels about the smooth part [DN].
-    residuals_dn : ndarray, shape (h, w)
-        Picture minus the smooth part where no beam is, limited to what is no mark; 0 elsewhere [DN].
+    values_dn (h, w): The brightness without the beam [DN].
+    basis (h, w, k): Functions of which its smooth part is made.
+    cofactor (k, k): Covariance of their coefficients for pixels of variance 1.
+    scatter_dn: Robust scatter of the free pixels about the smooth part [DN].
+    residuals_dn (h, w): Picture minus the smooth part where no beam is, limited to what is no mark; 0 elsewhere
+        [DN].
     """
 
     values_dn: FloatArray
@@ -75,21 +64,10 @@ class Background:
 def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
     """Average frames of the target without a beam.
 
-    Parameters
-    ----------
-    frames_dn : sequence of ndarray, each of shape (h, w)
-        Rectified pictures of one size; NaN where the target is not seen [DN].
-
-    Returns
-    -------
-    TargetSurface
-        Their mean after each was scaled to the brightness of the first: light changes between frames, the pattern
-        does not.
-
-    Raises
-    ------
-    InputError
-        No frame, sizes that differ, or a frame that is black.
+    frames_dn (h, w): Rectified pictures of one size; NaN where the target is not seen [DN].
+    Returns: Their mean after each was scaled to the brightness of the first: light changes between frames, the
+        pattern does not.
+    InputError: No frame, sizes that differ, or a frame that is black.
     """
     if not frames_dn:
         raise InputError("empty frames: at least one is needed")
@@ -107,17 +85,8 @@ def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
 def area_resized(values: npt.NDArray[np.floating], shape: tuple[int, int]) -> FloatArray:
     """Resample by averaging over areas (down) or linearly (up); the outlines of the two pictures coincide.
 
-    Parameters
-    ----------
-    values : ndarray, shape (h, w)
-        Finite values.
-    shape : tuple of int
-        Rows and columns wanted.
-
-    Returns
-    -------
-    ndarray, shape `shape`
-        The resampled values.
+    Shapes: values (h, w).
+    shape: Rows and columns wanted.
     """
     if values.shape == shape:
         return np.asarray(values, dtype=np.float64)
@@ -137,30 +106,13 @@ def background_around(
 ) -> Background:
     """Estimate the target's own brightness from the pixels that no beam lights.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Picture of the target [DN].
-    free : ndarray of bool, shape (h, w)
-        Pixels without a beam.
-    empty : ndarray, shape (h, w), optional
-        The target without a beam (`TargetSurface`) in the same pixels [DN].
-    full_scale_dn : float, optional
-        End of the grey scale [DN].
-    steps : sequence of ndarray, each of shape (h, w), optional
-        Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
-    carried_on : bool, optional
-        Whether what is left around the beam is carried on under it; needed for the last answer only.
-
-    Returns
-    -------
-    Background
-        Its value everywhere, and what its uncertainty follows from.
-
-    Raises
-    ------
-    EstimationError
-        Fewer free pixels than the model has coefficients, or they do not determine it.
+    Shapes: values_dn (h, w), free (h, w).
+    empty (h, w): The target without a beam (`TargetSurface`) in the same pixels [DN].
+    full_scale_dn: End of the grey scale [DN].
+    steps (h, w): Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
+    carried_on: Whether what is left around the beam is carried on under it; needed for the last answer only.
+    Returns: Its value everywhere, and what its uncertainty follows from.
+    EstimationError: Fewer free pixels than the model has coefficients, or they do not determine it.
     """
     degree = 2 if float(free.mean()) >= _FREE_FOR_QUADRATIC else 1
     basis = _basis(values_dn.shape, degree, empty)
@@ -178,21 +130,9 @@ def background_around(
 def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background, most: int) -> list[FloatArray]:
     """Look for straight edges that a background without steps does not follow.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Picture of the target [DN].
-    free : ndarray of bool, shape (h, w)
-        Pixels without a beam.
-    background : Background
-        Fit without steps.
-    most : int
-        How many edges at most.
-
-    Returns
-    -------
-    list of ndarray, each of shape (h, w)
-        Steps from 0 to 1.
+    values_dn (h, w): Picture of the target [DN].
+    free (h, w): Pixels without a beam.
+    Returns (h, w): Steps from 0 to 1.
     """
     basis, residuals, scatter = background.basis, background.residuals_dn, background.scatter_dn
     steps: list[FloatArray] = []

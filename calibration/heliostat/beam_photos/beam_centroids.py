@@ -40,22 +40,13 @@ _NOISE_KERNEL = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]
 class Spot:
     """A beam whose background was subtracted.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Brightness [DN].
-    smoothed_dn : ndarray, shape (h, w)
-        The same, smoothed: it chooses pixels, so that noise does not choose [DN].
-    inside : ndarray of bool, shape (h, w)
-        The beam.
-    usable : ndarray of bool, shape (h, w)
-        Pixels that show the target and no other beam.
-    peak_dn : float
-        Largest smoothed value [DN].
-    outline_dn : float
-        Smoothed value on the beam's outline [DN].
-    smoothing_px : float
-        Standard deviation of the Gaussian that smoothed [px].
+    values_dn (h, w): Brightness [DN].
+    smoothed_dn (h, w): The same, smoothed: it chooses pixels, so that noise does not choose [DN].
+    inside (h, w): The beam.
+    usable (h, w): Pixels that show the target and no other beam.
+    peak_dn: Largest smoothed value [DN].
+    outline_dn: Smoothed value on the beam's outline [DN].
+    smoothing_px: Standard deviation of the Gaussian that smoothed [px].
     """
 
     values_dn: FloatArray
@@ -71,14 +62,10 @@ class Spot:
 class Centroid:
     """A position and how it depends on every pixel.
 
-    Parameters
-    ----------
-    position_px : ndarray, shape (2,)
-        Column and row [px].
-    influence : ndarray, shape (2, h, w)
-        Derivative of the position by each pixel's value, on a grid that covers the same target [px/DN].
-    exponent : float
-        Exponent of the super-Gaussian; NaN for other methods.
+    position_px (2,): Column and row [px].
+    influence (2, h, w): Derivative of the position by each pixel's value, on a grid that covers the same target
+        [px/DN].
+    exponent: Exponent of the super-Gaussian; NaN for other methods.
     """
 
     position_px: FloatArray
@@ -90,16 +77,10 @@ class Centroid:
 class PixelNoise:
     """Errors of a picture minus its background.
 
-    Parameters
-    ----------
-    white_dn2 : ndarray, shape (h, w)
-        Variance of each pixel, independent of its neighbours [DN^2].
-    block_dn2 : tuple of float
-        Variance of the background's error, alike within a block, for each of several sizes of blocks [DN^2].
-    basis : ndarray, shape (hc, wc, k)
-        Functions of the smooth background, on a coarser grid that covers the same target.
-    coefficients : ndarray, shape (k, k)
-        Covariance of their coefficients.
+    white_dn2 (h, w): Variance of each pixel, independent of its neighbours [DN^2].
+    block_dn2: Variance of the background's error, alike within a block, for each of several sizes of blocks [DN^2].
+    basis (hc, wc, k): Functions of the smooth background, on a coarser grid that covers the same target.
+    coefficients (k, k): Covariance of their coefficients.
     """
 
     white_dn2: FloatArray
@@ -111,20 +92,8 @@ class PixelNoise:
 def intensity_centroid(spot: Spot) -> Centroid:
     """Return the centre of the light inside the beam's outline.
 
-    Parameters
-    ----------
-    spot : Spot
-        The beam.
-
-    Returns
-    -------
-    Centroid
-        ``sum(x B)/sum(B)`` over the pixels inside.
-
-    Raises
-    ------
-    EstimationError
-        The light inside does not add up to a positive sum.
+    Returns: ``sum(x B)/sum(B)`` over the pixels inside.
+    EstimationError: The light inside does not add up to a positive sum.
     """
     return _weighted(spot, spot.outline_dn, 0.5 * spot.outline_dn)
 
@@ -132,20 +101,9 @@ def intensity_centroid(spot: Spot) -> Centroid:
 def threshold_centroid(spot: Spot) -> Centroid:
     """Return the centre of the light of the pixels above half the peak (Malan 2014, eq. 5.3 and 5.4).
 
-    Parameters
-    ----------
-    spot : Spot
-        The beam.
-
-    Returns
-    -------
-    Centroid
-        ``sum(x B)/sum(B)`` over pixels whose smoothed brightness above the background is more than half the peak's.
-
-    Raises
-    ------
-    EstimationError
-        The light does not add up to a positive sum.
+    Returns: ``sum(x B)/sum(B)`` over pixels whose smoothed brightness above the background is more than half the
+        peak's.
+    EstimationError: The light does not add up to a positive sum.
     """
     return _weighted(spot, _THRESHOLD * spot.peak_dn, 0.1 * spot.peak_dn)
 
@@ -153,20 +111,8 @@ def threshold_centroid(spot: Spot) -> Centroid:
 def gaussian_centroid(spot: Spot) -> Centroid:
     """Return the centre of the elliptic Gaussian that fits best.
 
-    Parameters
-    ----------
-    spot : Spot
-        The beam.
-
-    Returns
-    -------
-    Centroid
-        Centre of ``A exp(-q/2)``, q a quadratic form about it.
-
-    Raises
-    ------
-    EstimationError
-        The fit does not converge on the target.
+    Returns: Centre of ``A exp(-q/2)``, q a quadratic form about it.
+    EstimationError: The fit does not converge on the target.
     """
     return _fitted(spot, free_exponent=False)
 
@@ -174,20 +120,8 @@ def gaussian_centroid(spot: Spot) -> Centroid:
 def super_gaussian_centroid(spot: Spot) -> Centroid:
     """Return the centre of the elliptic super-Gaussian that fits best.
 
-    Parameters
-    ----------
-    spot : Spot
-        The beam.
-
-    Returns
-    -------
-    Centroid
-        Centre of ``A exp(-q^n/2)``; n = 1 is a Gaussian, more is flat-topped, less is peaked with wide skirts.
-
-    Raises
-    ------
-    EstimationError
-        The fit does not converge on the target.
+    Returns: Centre of ``A exp(-q^n/2)``; n = 1 is a Gaussian, more is flat-topped, less is peaked with wide skirts.
+    EstimationError: The fit does not converge on the target.
     """
     return _fitted(spot, free_exponent=True)
 
@@ -347,24 +281,12 @@ def pixel_noise(
 ) -> PixelNoise:
     """Estimate the errors of a picture minus its background from the picture.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        The picture [DN].
-    inside : ndarray of bool, shape (h, w)
-        The beam.
-    free : ndarray of bool, shape (h, w)
-        Pixels without a beam.
-    background : tuple of ndarray
-        Basis (hc, wc, k), cofactor (k, k), and residuals (hc, wc) of the smooth background; 0 where not free [DN].
+    Shapes: values_dn (h, w), inside (h, w).
+    free (h, w): Pixels without a beam.
+    background: Basis (hc, wc, k), cofactor (k, k), and residuals (hc, wc) of the smooth background; 0 where not
+        free [DN].
+    Returns: White noise in the beam and beside it; what the background's residuals have beyond white noise.
 
-    Returns
-    -------
-    PixelNoise
-        White noise in the beam and beside it; what the background's residuals have beyond white noise.
-
-    Notes
-    -----
     White noise follows from second differences (Immerkaer 1996) through their median, so that seams do not count. The
     background's error is the scatter of the residuals' means in blocks of the target.
     """
@@ -411,17 +333,7 @@ def _block_variance(residuals: FloatArray, blocks: int) -> tuple[float, float, i
 def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:
     """Carry the errors of the pixels into the covariance of a centroid.
 
-    Parameters
-    ----------
-    centroid : Centroid
-        The centroid.
-    noise : PixelNoise
-        Errors of the pixels.
-
-    Returns
-    -------
-    ndarray, shape (2, 2)
-        Covariance of the position [px^2].
+    Shapes: result (2, 2).
     """
     shape = centroid.influence.shape[1:]
     finer = noise.white_dn2.size / (shape[0] * shape[1])

@@ -48,18 +48,9 @@ REJECTED_BEAM = (
 def beam_reason(flags: int) -> str:
     """Put flags into words.
 
-    Parameters
-    ----------
-    flags : int
-        Bits of `BeamFlag`.
+    flags: Bits of `BeamFlag`.
+    Returns: The texts, separated by semicolons; empty where no bit is set.
 
-    Returns
-    -------
-    str
-        The texts, separated by semicolons; empty where no bit is set.
-
-    Examples
-    --------
     >>> beam_reason(BeamFlag.NO_BEAM)
     "no beam stands out of the target's own brightness"
     """

@@ -51,25 +51,14 @@ _LIMITS = ("least_peak_to_scatter", "least_contrast", "most_edge_share", "most_s
 class BeamSettings:
     """What decides whether there is a beam, and which centroid is taken.
 
-    Parameters
-    ----------
-    method : str
-        One of `CENTROID_METHODS`: "intensity" (recommended), "threshold", "gaussian", "super_gaussian".
-    least_peak_to_scatter : float
-        Peak of a beam over the scatter of the target around it.
-    least_contrast : float
-        Peak of a beam over the target's own brightness.
-    most_edge_share : float
-        Brightness at the target's edge over the peak, above which the beam is called cut off.
-    most_saturated_share : float
-        Share of the beam's pixels at the end of the grey scale, above which it is called saturated.
-    sunlit_share : float
-        Peak over the target's own brightness, below which the target is called sunlit.
-
-    Raises
-    ------
-    InputError
-        An unknown method or a number that is not positive.
+    method: One of `CENTROID_METHODS`: "intensity" (recommended), "threshold", "gaussian", "super_gaussian".
+    least_peak_to_scatter: Peak of a beam over the scatter of the target around it.
+    least_contrast: Peak of a beam over the target's own brightness.
+    most_edge_share: Brightness at the target's edge over the peak, above which the beam is called cut off.
+    most_saturated_share: Share of the beam's pixels at the end of the grey scale, above which it is called
+        saturated.
+    sunlit_share: Peak over the target's own brightness, below which the target is called sunlit.
+    InputError: An unknown method or a number that is not positive.
     """
 
     method: str = "intensity"
@@ -91,14 +80,9 @@ class BeamSettings:
 class SpotEstimate:
     """Place of a beam by one method.
 
-    Parameters
-    ----------
-    position_m : ndarray, shape (2,)
-        x (right) and y (up) on the target [m].
-    covariance_m2 : ndarray, shape (2, 2)
-        Its covariance: noise, background, homography [m^2].
-    exponent : float
-        Exponent of a super-Gaussian; NaN for other methods.
+    position_m (2,): x (right) and y (up) on the target [m].
+    covariance_m2 (2, 2): Its covariance: noise, background, homography [m^2].
+    exponent: Exponent of a super-Gaussian; NaN for other methods.
     """
 
     position_m: FloatArray
@@ -115,26 +99,15 @@ class SpotEstimate:
 class Beam:
     """A beam on the target.
 
-    Parameters
-    ----------
-    spot : SpotEstimate
-        Place by the method that the settings choose; NaN where there is none.
-    estimates : dict of str to SpotEstimate
-        Place by every method that gave one.
-    moments : BeamMoments
-        Size and shape of the light inside the outline.
-    d50_m, d90_m : float
-        Diameters of the circles about the centroid that hold 50 and 90 % of the light [m].
-    area_m2 : float
-        Area brighter than half the peak [m^2].
-    peak_dn, background_dn : float
-        Largest brightness above the target's own; the target's own under the beam [DN].
-    saturated_share : float
-        Share of the beam's pixels at the end of the grey scale.
-    edge_share : float
-        Brightness at the target's edge over the peak.
-    flags : BeamFlag
-        Why it is doubtful or useless.
+    spot: Place by the method that the settings choose; NaN where there is none.
+    estimates: Place by every method that gave one.
+    moments: Size and shape of the light inside the outline.
+    d50_m, d90_m: Diameters of the circles about the centroid that hold 50 and 90 % of the light [m].
+    area_m2: Area brighter than half the peak [m^2].
+    peak_dn, background_dn: Largest brightness above the target's own; the target's own under the beam [DN].
+    saturated_share: Share of the beam's pixels at the end of the grey scale.
+    edge_share: Brightness at the target's edge over the peak.
+    flags: Why it is doubtful or useless.
     """
 
     spot: SpotEstimate
@@ -161,18 +134,7 @@ class Beam:
 
 
 def no_beam(flags: BeamFlag) -> Beam:
-    """Return the beam of a picture that shows none.
-
-    Parameters
-    ----------
-    flags : BeamFlag
-        Why.
-
-    Returns
-    -------
-    Beam
-        NaN throughout.
-    """
+    """Return the beam of a picture that shows none."""
     nan, nowhere, square = float("nan"), np.full(2, np.nan), np.full((2, 2), np.nan)
     empty = BeamMoments(nan, nowhere, square)
     return Beam(SpotEstimate(nowhere, square), {}, empty, nan, nan, nan, nan, nan, nan, nan, flags)
@@ -183,27 +145,12 @@ def measure_beam(
 ) -> Beam:
     """Measure the beam on a target.
 
-    Parameters
-    ----------
-    image : TargetImage
-        The rectified picture.
-    empty : TargetSurface, optional
-        The same target without a beam, rectified alike.
-    settings : BeamSettings, optional
-        Method and limits.
+    image: The rectified picture.
+    empty: The same target without a beam, rectified alike.
+    settings: Method and limits.
+    Returns: Place by all methods, size, shape, flags. A picture without a beam gives NaN and the flag that says so.
+    InputError: The frame without a beam is of another size.
 
-    Returns
-    -------
-    Beam
-        Place by all methods, size, shape, flags. A picture without a beam gives NaN and the flag that says so.
-
-    Raises
-    ------
-    InputError
-        The frame without a beam is of another size.
-
-    Notes
-    -----
     Beam and background are found in turn (`find_beam_region`). The intensity centroid is recommended: it makes no
     assumption about the shape, its outline at 10 % of the peak keeps errors of the background from the far target
     out, and on real beams the threshold at 50 % and the fits follow single bright streaks. Its sigma contains the

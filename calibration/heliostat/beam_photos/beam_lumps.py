@@ -20,19 +20,11 @@ _LEVELS = np.arange(0.95, 0.1, -0.05)
 def count_lumps(smoothed_dn: FloatArray, inside: BoolArray, others: BoolArray) -> int:
     """Count the beams in a picture without background.
 
-    Parameters
-    ----------
-    smoothed_dn : ndarray, shape (h, w)
-        Brightness above the background, smoothed [DN].
-    inside : ndarray of bool, shape (h, w)
-        The region with the most light.
-    others : ndarray of bool, shape (h, w)
-        Other bright regions.
-
-    Returns
-    -------
-    int
-        The beam inside, those apart from it, and those that overlap with it but leave a valley between the peaks.
+    smoothed_dn (h, w): Brightness above the background, smoothed [DN].
+    inside (h, w): The region with the most light.
+    others (h, w): Other bright regions.
+    Returns: The beam inside, those apart from it, and those that overlap with it but leave a valley between the
+        peaks.
     """
     apart = _apart(smoothed_dn, inside, others)
     blurred = cv2.GaussianBlur(

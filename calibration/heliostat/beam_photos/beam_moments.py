@@ -16,17 +16,11 @@ __all__ = ["BeamMoments", "beam_moments", "encircled_diameters_m"]
 class BeamMoments:
     """Moments of a brightness on a plane up to the second order.
 
-    Parameters
-    ----------
-    total : float
-        Sum of the brightness times the area of a pixel [DN m^2].
-    centroid_m : ndarray, shape (2,)
-        x and y of the centroid [m].
-    covariance_m2 : ndarray, shape (2, 2)
-        Central second moments over the total: the square of the beam's own width, not an uncertainty [m^2].
+    total: Sum of the brightness times the area of a pixel [DN m^2].
+    centroid_m (2,): x and y of the centroid [m].
+    covariance_m2 (2, 2): Central second moments over the total: the square of the beam's own width, not an
+        uncertainty [m^2].
 
-    Notes
-    -----
     Stage-STE 12.6, 1.2.4.1: ``sigma_x = sqrt(mu20/M00)``, ``cov = mu11/M00`` (the report prints the raw moment M11,
     with which the ellipse would depend on the origin), ``e = sqrt(lambda_u/lambda_v)``, ``alpha`` = direction of the
     eigenvector of the larger eigenvalue.
@@ -78,29 +72,13 @@ class BeamMoments:
 def beam_moments(values_dn: npt.ArrayLike, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> BeamMoments:
     """Compute the moments of a brightness on a regular grid.
 
-    Parameters
-    ----------
-    values_dn : array_like, shape (h, w)
-        Brightness without its background; 0 where it is not to count [DN].
-    x_m : array_like, shape (w,)
-        Position of each column, evenly spaced [m].
-    y_m : array_like, shape (h,)
-        Position of each row, evenly spaced [m].
+    values_dn (h, w): Brightness without its background; 0 where it is not to count [DN].
+    x_m (w,): Position of each column, evenly spaced [m].
+    y_m (h,): Position of each row, evenly spaced [m].
+    Returns: Total, centroid, central second moments.
+    InputError: Shapes do not fit, a value is not finite, fewer than two rows or columns.
+    EstimationError: The total is not positive.
 
-    Returns
-    -------
-    BeamMoments
-        Total, centroid, central second moments.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, a value is not finite, fewer than two rows or columns.
-    EstimationError
-        The total is not positive.
-
-    Examples
-    --------
     >>> moments = beam_moments([[0, 1, 0], [1, 1, 1], [0, 1, 0]], [-1, 0, 1], [1, 0, -1])
     >>> moments.covariance_m2
     array([[0.4, 0. ],
@@ -127,31 +105,14 @@ def encircled_diameters_m(
 ) -> FloatArray:
     """Return the diameters of the circles that hold given shares of a beam.
 
-    Parameters
-    ----------
-    values_dn : array_like, shape (h, w)
-        Brightness without its background; 0 where it is not to count [DN].
-    x_m : ndarray, shape (w,)
-        Position of each column [m].
-    y_m : ndarray, shape (h,)
-        Position of each row [m].
-    center_m : array_like, shape (2,)
-        Centre of the circles [m].
-    shares : sequence of float
-        Shares of the total between 0 and 1.
+    Shapes: center_m (2,).
+    values_dn (h, w): Brightness without its background; 0 where it is not to count [DN].
+    x_m (w,): Position of each column [m].
+    y_m (h,): Position of each row [m].
+    shares: Shares of the total between 0 and 1.
+    Returns (len(shares),): Diameters; NaN where the total is not positive [m].
+    InputError: A share outside 0 to 1, or shapes that do not fit.
 
-    Returns
-    -------
-    ndarray, shape (len(shares),)
-        Diameters; NaN where the total is not positive [m].
-
-    Raises
-    ------
-    InputError
-        A share outside 0 to 1, or shapes that do not fit.
-
-    Notes
-    -----
     The brightness is gathered in rings as wide as half a pixel and added up outwards; where noise makes the sum fall
     again, the first crossing counts.
     """

@@ -43,30 +43,17 @@ _LEAST_FREE = 0.08
 class BeamRegion:
     """Beam and background on a coarse grid that covers the whole target.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        The picture, averaged [DN].
-    background : Background
-        The target's own brightness.
-    smoothed_dn : ndarray, shape (h, w)
-        Picture minus background, smoothed [DN].
-    inside : ndarray of bool, shape (h, w)
-        Pixels of the beam.
-    free : ndarray of bool, shape (h, w)
-        Pixels that no beam lights.
-    others : ndarray of bool, shape (h, w)
-        Pixels as bright as a beam that do not belong to this one.
-    peak_dn : float
-        Largest smoothed value [DN].
-    outline_dn : float
-        Smoothed value on the outline of the beam [DN].
-    smoothing : float
-        Standard deviation of the smoothing [share of the longer side].
-    scatter_dn : float
-        Scatter of smoothed values where no beam is [DN].
-    little_background : bool
-        Whether too little of the target was free.
+    values_dn (h, w): The picture, averaged [DN].
+    background: The target's own brightness.
+    smoothed_dn (h, w): Picture minus background, smoothed [DN].
+    inside (h, w): Pixels of the beam.
+    free (h, w): Pixels that no beam lights.
+    others (h, w): Pixels as bright as a beam that do not belong to this one.
+    peak_dn: Largest smoothed value [DN].
+    outline_dn: Smoothed value on the outline of the beam [DN].
+    smoothing: Standard deviation of the smoothing [share of the longer side].
+    scatter_dn: Scatter of smoothed values where no beam is [DN].
+    little_background: Whether too little of the target was free.
     """
 
     values_dn: FloatArray
@@ -92,29 +79,14 @@ def find_beam_region(
 ) -> BeamRegion:
     """Find beam and background of a rectified picture.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Picture of the target; finite everywhere [DN].
-    valid : ndarray of bool, shape (h, w)
-        Pixels that show the target.
-    empty : ndarray, shape (h, w), optional
-        The target without a beam [DN].
-    full_scale_dn : float, optional
-        End of the grey scale [DN].
-    edges_first : bool, optional
-        Whether edges of shadows are looked for before the beam is known: right where a shadow is as strong as the
-        beam, wrong where a beam reaches across the target.
-
-    Returns
-    -------
-    BeamRegion
-        The brightest beam; whether it is one at all is for the caller to judge from peak and scatter.
-
-    Raises
-    ------
-    EstimationError
-        Too little of the target is seen.
+    values_dn (h, w): Picture of the target; finite everywhere [DN].
+    valid (h, w): Pixels that show the target.
+    empty (h, w): The target without a beam [DN].
+    full_scale_dn: End of the grey scale [DN].
+    edges_first: Whether edges of shadows are looked for before the beam is known: right where a shadow is as strong
+        as the beam, wrong where a beam reaches across the target.
+    Returns: The brightest beam; whether it is one at all is for the caller to judge from peak and scatter.
+    EstimationError: Too little of the target is seen.
     """
     shape = _coarse_shape(values_dn.shape)
     values = area_resized(values_dn, shape)

@@ -22,19 +22,10 @@ _LEAST_GAIN, _LEAST_SIDE = 0.08, 0.05
 def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray | None:
     """Find the straight step that explains most of a background's residuals.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (h, w)
-        Picture minus the smooth background [DN].
-    free : ndarray of bool, shape (h, w)
-        Pixels without a beam.
-    basis : ndarray, shape (h, w, k)
-        Functions of the smooth background: what they can follow is no step.
-
-    Returns
-    -------
-    ndarray, shape (h, w), or None
-        The step, from 0 to 1; None where no step explains a good part of the residuals' squares.
+    residuals (h, w): Picture minus the smooth background [DN].
+    free (h, w): Pixels without a beam.
+    basis (h, w, k): Functions of the smooth background: what they can follow is no step.
+    Returns (h, w): The step, from 0 to 1; None where no step explains a good part of the residuals' squares.
     """
     y, x = np.nonzero(free)
     step = (y.size // _ENOUGH_PIXELS) | 1

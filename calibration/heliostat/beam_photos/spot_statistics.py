@@ -31,16 +31,10 @@ _NOON_H = 0.5
 class Drift:
     """Drift and oscillation of a beam (Stage-STE 12.6, 1.3.6.2 and 2.4).
 
-    Parameters
-    ----------
-    amplitude_m : ndarray, shape (2,)
-        Largest minus smallest value of the trend in x and y [m].
-    oscillation_m : ndarray, shape (2,)
-        Standard deviation of the places about the trend [m].
-    oscillation_beam_rad : ndarray, shape (2,)
-        The same over the slant range: angle of the beam [rad].
-    trend_m : ndarray, shape (n, 2)
-        The trend at each time [m].
+    amplitude_m (2,): Largest minus smallest value of the trend in x and y [m].
+    oscillation_m (2,): Standard deviation of the places about the trend [m].
+    oscillation_beam_rad (2,): The same over the slant range: angle of the beam [rad].
+    trend_m (n, 2): The trend at each time [m].
     """
 
     amplitude_m: FloatArray
@@ -53,20 +47,12 @@ class Drift:
 class DailyTracking:
     """Accuracy of tracking over a day (Stage-STE 12.6, 1.2.4.1 and 1.3.1.4), angles of the beam.
 
-    Parameters
-    ----------
-    mean_rad : ndarray, shape (2,)
-        Systematic offset right and up [rad].
-    standard_deviation_rad : ndarray, shape (2,)
-        Scatter about it [rad].
-    rms_rad : float
-        Root mean square of the offset in both directions: the daily error [rad].
-    largest_rad : float
-        Largest offset [rad].
-    noon_rad : ndarray, shape (2,)
-        Mean offset within half an hour of solar noon; NaN without any [rad].
-    n : int
-        Spots.
+    mean_rad (2,): Systematic offset right and up [rad].
+    standard_deviation_rad (2,): Scatter about it [rad].
+    rms_rad: Root mean square of the offset in both directions: the daily error [rad].
+    largest_rad: Largest offset [rad].
+    noon_rad (2,): Mean offset within half an hour of solar noon; NaN without any [rad].
+    n: Spots.
     """
 
     mean_rad: FloatArray
@@ -81,14 +67,9 @@ class DailyTracking:
 class Repeatability:
     """Repeated approaches of the same aim point (Stage-STE 12.6, 1.3.1.4), angles of the beam.
 
-    Parameters
-    ----------
-    systematic_rad : ndarray, shape (k, 2)
-        Mean offset of each group: what a model can correct [rad].
-    repeatability_rad : ndarray, shape (2,)
-        Standard deviation within the groups, pooled: what no model can correct [rad].
-    degrees_of_freedom : int
-        Spots minus groups.
+    systematic_rad (k, 2): Mean offset of each group: what a model can correct [rad].
+    repeatability_rad (2,): Standard deviation within the groups, pooled: what no model can correct [rad].
+    degrees_of_freedom: Spots minus groups.
     """
 
     systematic_rad: FloatArray
@@ -101,31 +82,14 @@ def drift_and_oscillation(
 ) -> Drift:
     """Separate the slow drift of a beam from its oscillation.
 
-    Parameters
-    ----------
-    times_s : array_like, shape (n,)
-        Times from any origin [s].
-    places_m : array_like, shape (n, 2)
-        Places of the beam on the target; rows with NaN do not count [m].
-    slant_range_m : float
-        Distance from heliostat to target [m].
-    degree : int, optional
-        Degree of the trend; 3 as in the report.
+    times_s (n,): Times from any origin [s].
+    places_m (n, 2): Places of the beam on the target; rows with NaN do not count [m].
+    slant_range_m: Distance from heliostat to target [m].
+    degree: Degree of the trend; 3 as in the report.
+    Returns: Amplitude of the trend, scatter about it.
+    InputError: Shapes do not fit or the range is not positive.
+    EstimationError: Fewer places than the trend and a scatter need, or all at one time.
 
-    Returns
-    -------
-    Drift
-        Amplitude of the trend, scatter about it.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit or the range is not positive.
-    EstimationError
-        Fewer places than the trend and a scatter need, or all at one time.
-
-    Notes
-    -----
     Least squares on time scaled to -1 to 1: with the report's own coefficients, which refer to hours from midnight,
     five printed digits leave 12.8 m of rounding. The scatter has the degrees of freedom n - degree - 1.
     """
@@ -156,26 +120,12 @@ def daily_tracking(
 ) -> DailyTracking:
     """Summarise how far beams were from the aim point over a day.
 
-    Parameters
-    ----------
-    offsets_m : array_like, shape (n, 2)
-        Place of the beam minus the aim point, right and up; rows with NaN do not count [m].
-    slant_range_m : float
-        Distance from heliostat to target [m].
-    hours_from_noon : array_like, shape (n,), optional
-        Solar time minus 12 h of each spot [h].
-
-    Returns
-    -------
-    DailyTracking
-        Offset, scatter, daily error, error at noon.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit or the range is not positive.
-    EstimationError
-        Fewer than two spots.
+    offsets_m (n, 2): Place of the beam minus the aim point, right and up; rows with NaN do not count [m].
+    slant_range_m: Distance from heliostat to target [m].
+    hours_from_noon (n,): Solar time minus 12 h of each spot [h].
+    Returns: Offset, scatter, daily error, error at noon.
+    InputError: Shapes do not fit or the range is not positive.
+    EstimationError: Fewer than two spots.
     """
     offsets = float_array("offsets_m", offsets_m, (None, 2), finite=False)
     angles = offsets / positive("slant_range_m", slant_range_m, "metres")
@@ -201,26 +151,12 @@ def daily_tracking(
 def repeatability(offsets_m: npt.ArrayLike, groups: npt.ArrayLike, slant_range_m: float) -> Repeatability:
     """Split offsets of repeated approaches into what is systematic and what is not.
 
-    Parameters
-    ----------
-    offsets_m : array_like, shape (n, 2)
-        Place of the beam minus the aim point, right and up [m].
-    groups : array_like, shape (n,)
-        Which approach each spot belongs to: the same aim, sun position and direction of the last move.
-    slant_range_m : float
-        Distance from heliostat to target [m].
-
-    Returns
-    -------
-    Repeatability
-        Mean of each group in the order of their sorted names, pooled scatter.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit or the range is not positive.
-    EstimationError
-        No group has two spots.
+    offsets_m (n, 2): Place of the beam minus the aim point, right and up [m].
+    groups (n,): Which approach each spot belongs to: the same aim, sun position and direction of the last move.
+    slant_range_m: Distance from heliostat to target [m].
+    Returns: Mean of each group in the order of their sorted names, pooled scatter.
+    InputError: Shapes do not fit or the range is not positive.
+    EstimationError: No group has two spots.
     """
     offsets = float_array("offsets_m", offsets_m, (None, 2))
     names = np.asarray(groups)
@@ -240,26 +176,11 @@ def repeatability(offsets_m: npt.ArrayLike, groups: npt.ArrayLike, slant_range_m
 def search_spiral(target_side_m: float, rings: int) -> FloatArray:
     """Return offsets of the aim point that look for a beam which is not on the target (Malan 2014, 6.5).
 
-    Parameters
-    ----------
-    target_side_m : float
-        Side of the target [m].
-    rings : int
-        Rings around the start.
+    rings: Rings around the start.
+    Returns ((2 rings + 1)^2, 2): Offsets right and up in the order of the visit: a square spiral outwards (right,
+        up, left, left, down, ...) in blocks of half the target's side [m].
+    InputError: A side that is not positive, or fewer than no rings.
 
-    Returns
-    -------
-    ndarray, shape ((2 rings + 1)^2, 2)
-        Offsets right and up in the order of the visit: a square spiral outwards (right, up, left, left, down, ...) in
-        blocks of half the target's side [m].
-
-    Raises
-    ------
-    InputError
-        A side that is not positive, or fewer than no rings.
-
-    Examples
-    --------
     >>> search_spiral(2.0, 1)[:4].tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
     """

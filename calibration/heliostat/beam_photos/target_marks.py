@@ -35,12 +35,8 @@ _LEAST_CROSSINGS = 5
 class MarkTemplate:
     """Picture of a mark and the point of it that is the target's corner.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        The mark and a little of the target around it [DN].
-    anchor_px : array_like, shape (2,)
-        The corner: column and row in the template [px].
+    values_dn (h, w): The mark and a little of the target around it [DN].
+    anchor_px (2,): The corner: column and row in the template [px].
     """
 
     values_dn: FloatArray
@@ -58,16 +54,10 @@ class MarkTemplate:
 class TargetCorners:
     """Where the corners of a target are in a picture.
 
-    Parameters
-    ----------
-    pixels_px : ndarray, shape (4, 2)
-        In the order of `CORNERS` [px].
-    sigma_px : float
-        Uncertainty of a coordinate [px].
-    quality : ndarray, shape (4,)
-        Correlation with the template; contrast of a dark mark [DN].
-    scale : float, optional
-        Size of the marks in the picture over their size in the templates.
+    pixels_px (4, 2): In the order of `CORNERS` [px].
+    sigma_px: Uncertainty of a coordinate [px].
+    quality (4,): Correlation with the template; contrast of a dark mark [DN].
+    scale: Size of the marks in the picture over their size in the templates.
     """
 
     pixels_px: FloatArray
@@ -79,29 +69,13 @@ class TargetCorners:
 def mark_corner(window_dn: npt.ArrayLike, corner: str, *, outer: bool = True) -> tuple[FloatArray, float]:
     """Measure the corner of one dark mark.
 
-    Parameters
-    ----------
-    window_dn : array_like, shape (h, w)
-        The mark and a little of the target around it [DN].
-    corner : str
-        Which corner of the target it marks: one of `CORNERS`.
-    outer : bool, optional
-        The corner away from the target's middle (of an L, the outside of its bend); otherwise the one towards it (of
-        a filled rectangle).
-
-    Returns
-    -------
-    position_px : ndarray, shape (2,)
-        Column and row [px].
-    sigma_px : float
-        Uncertainty of a coordinate, from the scatter of the edges about their lines [px].
-
-    Raises
-    ------
-    InputError
-        No such corner, or no picture.
-    EstimationError
-        No dark mark, or its edges are too short.
+    window_dn (h, w): The mark and a little of the target around it [DN].
+    outer: The corner away from the target's middle (of an L, the outside of its bend); otherwise the one towards it
+        (of a filled rectangle).
+    position_px (2,): Column and row [px].
+    sigma_px: Uncertainty of a coordinate, from the scatter of the edges about their lines [px].
+    InputError: No such corner, or no picture.
+    EstimationError: No dark mark, or its edges are too short.
     """
     if corner not in _OUTER:
         raise InputError(f"corner: one of {', '.join(CORNERS)} is needed, not {corner!r}")
@@ -130,28 +104,14 @@ def dark_corners(
 ) -> TargetCorners:
     """Find the corners of a target by dark marks, one near each corner (Malan 2014, 5.6.3).
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Picture of the target [DN].
-    near_px : array_like, shape (4, 2), optional
-        Roughly where the marks are, in the order of `CORNERS`; a sixth of the picture from its sides if absent [px].
-    reach_px : float, optional
-        Half the side of the window searched around each; a sixth of the picture's shorter side if absent [px].
-    outer : bool, optional
-        Whether the outer corner of a mark (an L) is the target's corner, or the inner one (a filled rectangle).
-
-    Returns
-    -------
-    TargetCorners
-        Corners with their sigma.
-
-    Raises
-    ------
-    InputError
-        Not a grey picture.
-    EstimationError
-        A mark is not found; which one.
+    Shapes: image_dn (h, w).
+    near_px (4, 2): Roughly where the marks are, in the order of `CORNERS`; a sixth of the picture from its sides if
+        absent [px].
+    reach_px: Half the side of the window searched around each; a sixth of the picture's shorter side if absent
+        [px].
+    outer: Whether the outer corner of a mark (an L) is the target's corner, or the inner one (a filled rectangle).
+    InputError: Not a grey picture.
+    EstimationError: A mark is not found; which one.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: shape (height, width) is needed, not {image_dn.shape}; make colours grey first")
@@ -181,30 +141,13 @@ def template_corners(
 ) -> TargetCorners:
     """Find the corners of a target by templates of its marks.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        The camera's picture [DN].
-    templates : sequence of MarkTemplate
-        Four, in the order of `CORNERS`, all of one scale, which need not be the picture's.
-    near : TargetCorners, optional
-        What another picture of the same camera gave: the search over scales and places is then left out, unless it
-        leads to nothing.
+    image_dn (h, w): The camera's picture [DN].
+    templates: Four, in the order of `CORNERS`, all of one scale, which need not be the picture's.
+    near: What another picture of the same camera gave: the search over scales and places is then left out, unless
+        it leads to nothing.
+    InputError: Not a grey picture, or not four templates.
+    EstimationError: A mark is not found: its correlation is too low, or the four do not form a quadrilateral.
 
-    Returns
-    -------
-    TargetCorners
-        Corners with their sigma and the correlations.
-
-    Raises
-    ------
-    InputError
-        Not a grey picture, or not four templates.
-    EstimationError
-        A mark is not found: its correlation is too low, or the four do not form a quadrilateral.
-
-    Notes
-    -----
     The scale, one for all four, and the places come from the largest normalised correlation in a smaller picture; an
     affine registration in the full picture (enhanced correlation, Evangelidis and Psarakis 2008) refines them.
     """

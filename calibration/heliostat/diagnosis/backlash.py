@@ -15,12 +15,8 @@ __all__ = ["Backlash", "backlash_from_marks", "backlash_from_normals", "normals_
 class Backlash:
     """Play of one axis.
 
-    Parameters
-    ----------
-    full_rad : float
-        Angle of the axis (and of the normal) between both ends of the play [rad].
-    sigma_full_rad : float
-        Its standard deviation; NaN where it cannot be known [rad].
+    full_rad: Angle of the axis (and of the normal) between both ends of the play [rad].
+    sigma_full_rad: Its standard deviation; NaN where it cannot be known [rad].
     """
 
     full_rad: float
@@ -35,25 +31,12 @@ class Backlash:
 def backlash_from_marks(marks_m: npt.ArrayLike, distance_m: float, *, sigma_mark_m: float | None = None) -> Backlash:
     """Evaluate marks of a laser that is fixed to the mirror (Stage-STE 12.6, 1.3.5.2).
 
-    Parameters
-    ----------
-    marks_m : array_like, shape (n, 2)
-        Marks on the wall after coming from one side and from the other, along the axis' motion; one row for each
-        repetition [m].
-    distance_m : float
-        From the axis to the wall [m].
-    sigma_mark_m : float, optional
-        Uncertainty of one mark; from the scatter of the repetitions if absent [m].
-
-    Returns
-    -------
-    Backlash
-        ``2 alpha = A A' / d``: the laser's beam is direct, so there is no further factor of two.
-
-    Raises
-    ------
-    InputError
-        No rows, or a distance that is not positive.
+    marks_m (n, 2): Marks on the wall after coming from one side and from the other, along the axis' motion; one row
+        for each repetition [m].
+    distance_m: From the axis to the wall [m].
+    sigma_mark_m: Uncertainty of one mark; from the scatter of the repetitions if absent [m].
+    Returns: ``2 alpha = A A' / d``: the laser's beam is direct, so there is no further factor of two.
+    InputError: No rows, or a distance that is not positive.
     """
     marks = float_array("marks_m", marks_m, (None, 2))
     distance = positive("distance_m", distance_m, "metres")
@@ -71,26 +54,12 @@ def backlash_from_marks(marks_m: npt.ArrayLike, distance_m: float, *, sigma_mark
 def normals_from_spots(spots_m: npt.ArrayLike, sun_directions: npt.ArrayLike, mirror_m: npt.ArrayLike) -> FloatArray:
     """Return the mirror normals that send the sun to given spots.
 
-    Parameters
-    ----------
-    spots_m : array_like, shape (n, 3)
-        Centroids of the beam in the field's frame [m].
-    sun_directions : array_like, shape (n, 3)
-        Directions to the sun at the same times, of any length.
-    mirror_m : array_like, shape (3,)
-        Middle of the mirror [m].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Unit normals: the bisectors of the directions to spot and sun.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, or a spot in the mirror.
-    EstimationError
-        The sun stands exactly behind the mirror as seen from a spot.
+    Shapes: mirror_m (3,).
+    spots_m (n, 3): Centroids of the beam in the field's frame [m].
+    sun_directions (n, 3): Directions to the sun at the same times, of any length.
+    Returns (n, 3): Unit normals: the bisectors of the directions to spot and sun.
+    InputError: Shapes do not fit, or a spot in the mirror.
+    EstimationError: The sun stands exactly behind the mirror as seen from a spot.
     """
     spots = float_array("spots_m", spots_m, (None, 3))
     sun = float_array("sun_directions", sun_directions, (spots.shape[0], 3))
@@ -111,26 +80,13 @@ def backlash_from_normals(
 ) -> Backlash:  # fmt: skip
     """Evaluate normals of a mirror that was pushed to both ends of its play (Stage-STE 12.6, 2.4).
 
-    Parameters
-    ----------
-    one_end, other_end : array_like, shape (n, 3)
-        Normals at the ends, one row for each repetition.
-    axis : array_like, shape (3,), optional
-        Axis whose play is meant; the vertical one if absent.
-    sigma_normal_rad : float, optional
-        Uncertainty of a normal in each direction; from the scatter of the repetitions if absent [rad].
-
-    Returns
-    -------
-    Backlash
-        Angle between the projections of both normals on the plane across the axis.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit.
-    EstimationError
-        A normal along the axis: turning about it does not move the normal.
+    one_end, other_end (n, 3): Normals at the ends, one row for each repetition.
+    axis (3,): Axis whose play is meant; the vertical one if absent.
+    sigma_normal_rad: Uncertainty of a normal in each direction; from the scatter of the repetitions if absent
+        [rad].
+    Returns: Angle between the projections of both normals on the plane across the axis.
+    InputError: Shapes do not fit.
+    EstimationError: A normal along the axis: turning about it does not move the normal.
     """
     first = float_array("one_end", one_end, (None, 3))
     second = float_array("other_end", other_end, (first.shape[0], 3))

@@ -21,15 +21,7 @@ _DAY = np.timedelta64(1, "D")
 def angles_of(design: HeliostatDesign) -> tuple[str, ...]:
     """Return the angles that can slip or settle: tilts, offsets, zeros, without the drives' own terms.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-
-    Returns
-    -------
-    tuple of str
-        Names in the order of the chain.
+    Returns: Names in the order of the chain.
     """
     terms = {name for drive in design.drives for name in drive.terms.names}
     units = dict(zip(design.parameters.names, design.parameters.units, strict=True))
@@ -39,15 +31,8 @@ def angles_of(design: HeliostatDesign) -> tuple[str, ...]:
 def in_time(terms: Terms) -> list[Term]:
     """Return a jump of the angles on each date, and a drift of them.
 
-    Parameters
-    ----------
-    terms : Terms
-        The fit, and rows whose time is known.
-
-    Returns
-    -------
-    list of Term
-        Both, or nothing where all rows are of one day or too few.
+    terms: The fit, and rows whose time is known.
+    Returns: Both, or nothing where all rows are of one day or too few.
     """
     times = terms.fit.observations.time
     dates = change_dates(times[terms.rows])
@@ -74,15 +59,8 @@ def in_time(terms: Terms) -> list[Term]:
 def change_dates(times: npt.NDArray[np.datetime64]) -> npt.NDArray[np.datetime64]:
     """Return the dates on which rows begin to be new: each could be the first after a change.
 
-    Parameters
-    ----------
-    times : ndarray of datetime64, shape (n,)
-        Times of the rows.
-
-    Returns
-    -------
-    ndarray of datetime64[D], shape (d,)
-        Dates with enough rows before and from them on, at most 120.
+    Shapes: times (n,).
+    Returns (d,): Dates with enough rows before and from them on, at most 120.
     """
     days = np.sort(times.astype("datetime64[D]"))
     dates, first = np.unique(days, return_index=True)
@@ -98,24 +76,12 @@ def date_range(
 ) -> tuple[np.datetime64, np.datetime64]:
     """Return between which days a change lies, with 95 % confidence.
 
-    Parameters
-    ----------
-    at : ndarray, shape (d,)
-        First days after the change, one for each look [days since 1970].
-    statistics : ndarray, shape (d,)
-        Statistic of each look.
-    times : ndarray of datetime64, shape (n,)
-        Times of the rows.
+    Shapes: statistics (d,), times (n,).
+    at (d,): First days after the change, one for each look [days since 1970].
+    Returns: The last day that is surely before it, and the first that is surely after it.
 
-    Returns
-    -------
-    tuple of datetime64[D]
-        The last day that is surely before it, and the first that is surely after it.
-
-    Notes
-    -----
-    Dates whose statistic is within 6.0 of the best: the 95 % point of chi-square with two degrees, a date being one and
-    the discreteness of days being paid with the other.
+    Dates whose statistic is within 6.0 of the best: the 95 % point of chi-square with two degrees, a date being one
+    and the discreteness of days being paid with the other.
     """
     likely = at[statistics >= statistics.max() - 6.0]
     days = np.unique(times[~np.isnat(times)].astype("datetime64[D]"))

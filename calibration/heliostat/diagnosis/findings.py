@@ -47,24 +47,14 @@ REMEDIES: Mapping[str, str] = {
 class Finding:
     """One thing that is, or may be, wrong with a heliostat or its records.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `REMEDIES`.
-    severity : {"fault", "rows", "hint", "doubt"}
-        How it stands to the heliostat.
-    text : str
-        The finding in one sentence, with its numbers.
-    evidence : mapping of str to float
-        Numbers with their unit in the name.
-    chance : float
-        Probability of as much by chance, all looks counted; NaN where it is no matter of chance.
-    rows : tuple of int
-        Rows of the observations' table concerned; empty where it is all of them.
-    dates : tuple of str
-        Their dates, each once.
-    images : tuple of str
-        Their photos, as far as known.
+    kind: A key of `REMEDIES`.
+    severity: How it stands to the heliostat.
+    text: The finding in one sentence, with its numbers.
+    evidence: Numbers with their unit in the name.
+    chance: Probability of as much by chance, all looks counted; NaN where it is no matter of chance.
+    rows: Rows of the observations' table concerned; empty where it is all of them.
+    dates: Their dates, each once.
+    images: Their photos, as far as known.
     """
 
     kind: str
@@ -94,14 +84,9 @@ class Finding:
 class Check:
     """One look at the residuals.
 
-    Parameters
-    ----------
-    name : str
-        What was looked for.
-    chance : float
-        Probability of as much by chance in this look alone.
-    explained : float
-        Share of the residuals' variance that it explains; NaN where it was not significant.
+    name: What was looked for.
+    chance: Probability of as much by chance in this look alone.
+    explained: Share of the residuals' variance that it explains; NaN where it was not significant.
     """
 
     name: str
@@ -113,14 +98,9 @@ class Check:
 class Diagnosis:
     """What is wrong with a heliostat, and what was looked at.
 
-    Parameters
-    ----------
-    findings : tuple of Finding
-        Faults first.
-    checks : tuple of Check
-        All looks at the residuals, significant or not.
-    significance : float
-        Chance that a healthy heliostat gets any finding that is a matter of chance.
+    findings: Faults first.
+    checks: All looks at the residuals, significant or not.
+    significance: Chance that a healthy heliostat gets any finding that is a matter of chance.
     """
 
     findings: tuple[Finding, ...]

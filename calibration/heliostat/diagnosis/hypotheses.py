@@ -35,18 +35,10 @@ _HOURS = (*range(-14, 0), *range(1, 15))
 class Hypothesis:
     """Records as they would be without a fault.
 
-    Parameters
-    ----------
-    kind : str
-        The fault: a key of `REMEDIES`.
-    text : str
-        The fault in words.
-    design : HeliostatDesign
-        The heliostat.
-    change : callable
-        Makes observations as they should have been.
-    evidence : mapping of str to float
-        Numbers of the fault.
+    kind: The fault: a key of `REMEDIES`.
+    text: The fault in words.
+    design: The heliostat.
+    change: Makes observations as they should have been.
     """
 
     kind: str
@@ -66,21 +58,9 @@ def hypothesis_finding(
 ) -> tuple[Finding, HeliostatFit | None]:
     """Find what, if undone, would make a heliostat's observations fit.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        A fit that is far from its observations.
-    targets : mapping
-        Targets by name.
-    site : Site or None
-        Where the plant is; without, times are not questioned.
-
-    Returns
-    -------
-    Finding
-        The fault whose undoing explains the observations, or that none does.
-    HeliostatFit or None
-        The fit without the fault; None where none explains them.
+    site: Where the plant is; without, times are not questioned.
+    Returns: The fault whose undoing explains the observations, or that none does.
+    Returns: The fit without the fault; None where none explains them.
     """
     before = _median(fit)
     few = _some(fit.observations)

@@ -22,20 +22,11 @@ _ROUNDS = 12
 class LinearFit:
     """Residuals of a fit and their derivatives, in units of the rows' scatter.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (m,)
-        Predicted minus measured, then the pulls of the priors [sigma].
-    base : ndarray, shape (m, k)
-        Derivatives by what is adjusted anyhow.
-    owner : ndarray of int, shape (m,)
-        Row of each component, counted from 0; -1 for priors.
-    count : int
-        Number of rows.
-    scale : float
-        Scatter of the rows over their sigma.
-    stated : float
-        What that is where they scatter as was stated of them.
+    residual (m,): Predicted minus measured, then the pulls of the priors [sigma].
+    base (m, k): Derivatives by what is adjusted anyhow.
+    owner (m,): Row of each component, counted from 0; -1 for priors.
+    scale: Scatter of the rows over their sigma.
+    stated: What that is where they scatter as was stated of them.
     """
 
     residual: FloatArray
@@ -64,20 +55,10 @@ class LinearFit:
     def scores(self, columns: FloatArray) -> tuple[FloatArray, np.ndarray[tuple[int, ...], np.dtype[np.intp]]]:
         """Ask whether the residuals contain one of several terms.
 
-        Parameters
-        ----------
-        columns : ndarray, shape (looks, m_rows, q)
-            Derivatives by the coefficients of each.
+        columns (looks, m_rows, q): Derivatives by the coefficients of each.
+        Returns (looks,): Statistic of each: chi-square with its degrees of freedom if the term is not there.
+        Returns (looks,): Degrees of freedom: directions of the term that the base does not imitate.
 
-        Returns
-        -------
-        ndarray, shape (looks,)
-            Statistic of each: chi-square with its degrees of freedom if the term is not there.
-        ndarray of int, shape (looks,)
-            Degrees of freedom: directions of the term that the base does not imitate.
-
-        Notes
-        -----
         A score test with Huber's influence: the bounded residuals are projected on what the columns have beyond the
         base. ``-(v + q / 2 - 1) ln(1 - R^2)``, with v spare components, is chi-square with q degrees to second order
         in 1 / v, and exactly for q = 2. Rows that scatter less than was stated of them are judged by what was stated:
@@ -109,19 +90,10 @@ class LinearFit:
     ) -> "Extension":
         """Adjust a term together with the base.
 
-        Parameters
-        ----------
-        columns : ndarray, shape (m_rows, q)
-            Its derivatives.
-        sigmas : ndarray, shape (q,), optional
-            What is known of its coefficients beforehand; nothing without.
-        judged : ndarray of bool, shape (count,), optional
-            Rows in which it shall explain something; all without.
-
-        Returns
-        -------
-        Extension
-            Coefficients with sigma, and what is left.
+        Shapes: columns (m_rows, q).
+        sigmas (q,): What is known of its coefficients beforehand; nothing without.
+        judged (count,): Rows in which it shall explain something; all without.
+        Returns: Coefficients with sigma, and what is left.
         """
         wide, residual, base, owner = self.padded(columns), self.residual, self.base, self.owner
         if sigmas is not None:
@@ -153,14 +125,9 @@ class LinearFit:
 class Extension:
     """A term that was adjusted together with the base.
 
-    Parameters
-    ----------
-    model : LinearFit
-        What is left, the term being part of the base.
-    coefficients, sigmas : ndarray, shape (q,)
-        Of the term.
-    explained : float
-        Share of the (cut) variance that it explains beyond its degrees of freedom.
+    model: What is left, the term being part of the base.
+    coefficients, sigmas (q,): Of the term.
+    explained: Share of the (cut) variance that it explains beyond its degrees of freedom.
     """
 
     model: LinearFit
@@ -172,17 +139,8 @@ class Extension:
 def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:
     """Make a fit linear.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    rows : ndarray of bool, shape (n,), optional
-        Rows to take; all that can be computed without.
-
-    Returns
-    -------
-    LinearFit
-        Rejected rows included, with a bounded pull: a fault that concerns some rows shows in just these.
+    rows (n,): Rows to take; all that can be computed without.
+    Returns: Rejected rows included, with a bounded pull: a fault that concerns some rows shows in just these.
     """
     residuals, parameters = fit.residuals, fit.nominal.parameters
     taken = residuals.computable if rows is None else residuals.computable & rows

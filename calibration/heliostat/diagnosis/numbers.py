@@ -39,17 +39,8 @@ _FEW_BEYOND, _SHARE_BEYOND = 3, 0.02
 def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
     """Judge fitted numbers against the nominal ones.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    significance : float
-        Chance that a heliostat whose numbers come from its priors gets any finding.
-
-    Returns
-    -------
-    list of Finding
-        One for the actuators, one for the place, one for other angles, as far as there is something.
+    significance: Chance that a heliostat whose numbers come from its priors gets any finding.
+    Returns: One for the actuators, one for the place, one for other angles, as far as there is something.
     """
     findings = _beyond(fit)
     names, moved, prior, chance = _departures(fit)
@@ -77,20 +68,9 @@ def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
 def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
     """Fit again without what the priors say of the actuators or the place, and judge where the numbers go.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        A fit whose residuals contradict these priors.
-    kind : {"actuator_numbers", "position"}
-        Which numbers.
+    fit: A fit whose residuals contradict these priors.
+    Returns: A fault, if they explain it and leave their priors far behind.
 
-    Returns
-    -------
-    Finding or None
-        A fault, if they explain it and leave their priors far behind.
-
-    Notes
-    -----
     A wrong stroke of some millimetres turns the axis by tens of milliradians: a linear look at the residuals of a fit
     that is held by its priors does not find the way there.
     """

@@ -60,14 +60,10 @@ class _Group:
 class Looked:
     """What the residuals said.
 
-    Parameters
-    ----------
-    findings : tuple of Finding
-        At most three faults, and one hint.
-    checks : tuple of Check
-        All looks of the first round.
-    lengths : ndarray, shape (n,)
-        Length of each row's residual once the faults are explained [sigma]; NaN for rows that were not looked at.
+    findings: At most three faults, and one hint.
+    checks: All looks of the first round.
+    lengths (n,): Length of each row's residual once the faults are explained [sigma]; NaN for rows that were not
+        looked at.
     """
 
     findings: tuple[Finding, ...]
@@ -84,23 +80,9 @@ def residual_findings(
 ) -> Looked:
     """Look for terms in the residuals of a fit.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    targets : mapping
-        Targets by name.
-    site : Site or None
-        Where the plant is, for the sky's rotation.
-    significance : float
-        Chance of any finding with a healthy heliostat.
-    excluded : ndarray of bool, shape (n,)
-        Rows that are known to be wrong.
-
-    Returns
-    -------
-    Looked
-        Findings, looks, and what is left of each row.
+    site: Where the plant is, for the sky's rotation.
+    significance: Chance of any finding with a healthy heliostat.
+    excluded (n,): Rows that are known to be wrong.
     """
     groups = _candidates(fit, targets, site, fit.residuals.computable & ~excluded)
     count = max(sum(len(group.terms) for group in groups), 1)

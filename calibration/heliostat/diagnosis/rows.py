@@ -32,16 +32,10 @@ _MANY, _MANY_SHARE = 4, 0.035
 class Records:
     """What the table of observations says beyond the observations: all its rows, those left out before the fit too.
 
-    Parameters
-    ----------
-    flags : tuple of str
-        Why each row was left out before the fit; empty if it was not.
-    images : tuple of str
-        Photo of each row, as far as known.
-    times : ndarray of datetime64, shape (rows,)
-        Time of each row.
-    ids : tuple of str, optional
-        What a person calls each row, such as "line 7"; else its number from 0 is said.
+    flags: Why each row was left out before the fit; empty if it was not.
+    images: Photo of each row, as far as known.
+    times (rows,): Time of each row.
+    ids: What a person calls each row, such as "line 7"; else its number from 0 is said.
     """
 
     flags: tuple[str, ...]
@@ -53,19 +47,8 @@ class Records:
 def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tuple[list[Finding], BoolArray]:
     """Find rejected rows that fit when one thing in them is read differently.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit; most of its rows are right.
-    targets : mapping
-        Targets by name.
-
-    Returns
-    -------
-    findings : list of Finding
-        One for each way of reading.
-    rows : ndarray of bool, shape (n,)
-        Rows that are explained.
+    Shapes: rows (n,).
+    fit: The fit; most of its rows are right.
     """
     explained = np.zeros(len(fit.observations), dtype=np.bool_)
     if not fit.rejected.any():
@@ -92,21 +75,9 @@ def outlier_finding(
 ) -> Finding | None:
     """Return the rows that nothing explains, or None without any.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    rows : ndarray of bool, shape (n,)
-        The rows.
-    images : sequence of str, length n
-        Their photos.
-    ids : sequence of str, optional
-        What a person calls each row of the table.
-
-    Returns
-    -------
-    Finding or None
-        With date and photo; a fault of the records if there are many.
+    Shapes: rows (n,), images length n.
+    ids: What a person calls each row of the table.
+    Returns: With date and photo; a fault of the records if there are many.
     """
     count = int(rows.sum())
     if not count:
@@ -129,19 +100,8 @@ def outlier_finding(
 def record_findings(fit: HeliostatFit, records: Records | None, targets: Mapping[str, PlaneTarget]) -> list[Finding]:
     """Find repeats, mixed units and columns that never change.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    records : Records, optional
-        Verdicts on all rows of the table.
-    targets : mapping
-        Targets by name.
-
-    Returns
-    -------
-    list of Finding
-        What was left out before the fit, and what is still in it.
+    records: Verdicts on all rows of the table.
+    Returns: What was left out before the fit, and what is still in it.
     """
     findings = _flagged(records) if records is not None else []
     repeated = _repeats(fit.observations)
@@ -275,17 +235,7 @@ def _other_units(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[
 def coordinates_on_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> FloatArray:
     """Return where spots were seen on the targets that they name.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    targets : mapping
-        Targets by name.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        To the right and up [m]; NaN for other observations.
+    Returns (n, 2): To the right and up [m]; NaN for other observations.
     """
     found = []
     for group in fit.observations.groups:

@@ -36,21 +36,13 @@ _FEWEST_CYCLES, _MOST_CYCLES = 1.5, 40.0
 class Term:
     """Something that residuals could contain.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `REMEDIES`.
-    name : str
-        What it is, for people.
-    columns : ndarray, shape (looks, m, q)
-        Derivatives of the whitened residuals by its q coefficients; several looks where a number (a date, a period) has
-        to be found.
-    names : tuple of str, length q
-        Its coefficients with units.
-    at : ndarray, shape (looks,)
-        The number of each look.
-    columns_at : callable, optional
-        Makes the columns at any such numbers, to look closer about the best.
+    kind: A key of `REMEDIES`.
+    name: What it is, for people.
+    columns (looks, m, q): Derivatives of the whitened residuals by its q coefficients; several looks where a number
+        (a date, a period) has to be found.
+    names length q: Its coefficients with units.
+    at (looks,): The number of each look.
+    columns_at: Makes the columns at any such numbers, to look closer about the best.
     """
 
     kind: str
@@ -69,12 +61,7 @@ def _single(kind: str, name: str, columns: FloatArray, *names: str) -> Term:
 class Terms:
     """Makes the terms of a fit.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-    rows : ndarray of bool, shape (n,)
-        Rows that are looked at; all must be computable.
+    rows (n,): Rows that are looked at; all must be computable.
     """
 
     fit: HeliostatFit

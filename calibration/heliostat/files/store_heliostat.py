@@ -36,21 +36,7 @@ def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summa
 
     Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-    shared : Shared
-        What all heliostats of the run share.
-    folder : Path
-        Where to.
-    summary : Summary
-        From `heliostat_summary`.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
+    shared: What all heliostats of the run share.
     """
     write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
     write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
@@ -65,17 +51,8 @@ def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summa
 def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]:
     """Return what ``heliostat.json`` says.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-    shared : Shared
-        What all heliostats of the run share.
-
-    Returns
-    -------
-    dict
-        Only numbers, texts, lists and tables; null where something is not determined.
+    shared: What all heliostats of the run share.
+    Returns: Only numbers, texts, lists and tables; null where something is not determined.
     """
     fit = result.fit
     free = [fit.names.index(name) for name in fit.solution.names]
@@ -215,15 +192,7 @@ def _statistics(name: str, angles_rad: FloatArray) -> dict[str, Any]:
 def angles_content(summary: AngleSummary) -> dict[str, Any]:
     """Return a summary of angles with its units in the names [mrad].
 
-    Parameters
-    ----------
-    summary : AngleSummary
-        Of the beam and of the normal.
-
-    Returns
-    -------
-    dict
-        Counts and angles.
+    summary: Of the beam and of the normal.
     """
     content: dict[str, Any] = {"n": summary.n}
     for kind in ("beam", "normal"):
@@ -265,15 +234,7 @@ def _plain(value: npt.ArrayLike) -> Any:
 def headline(result: HeliostatResult) -> dict[str, float | int | None]:
     """Return the headline numbers of a heliostat, in the order of their importance.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-
-    Returns
-    -------
-    dict
-        Numbers with their units in the names; None where not determined.
+    Returns: Numbers with their units in the names; None where not determined.
     """
     main, counts = result.main, _counts(result)
     whole = _angles_of(result.fit)
@@ -310,19 +271,9 @@ def heliostat_summary(
 ) -> Summary:
     """Return the summary of one heliostat.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-    durations_s : mapping of str to float
-        Time of each stage [s].
-    input_sha256 : mapping of str to str
-        Hashes of what was read.
-
-    Returns
-    -------
-    Summary
-        Headline numbers, the splits, warnings.
+    durations_s: Time of each stage [s].
+    input_sha256: Hashes of what was read.
+    Returns: Headline numbers, the splits, warnings.
     """
     numbers = headline(result)
     why = result.not_split.get(result.split, "the observations give none")
@@ -337,18 +288,7 @@ def heliostat_summary(
 
 
 def split_lines(result: HeliostatResult) -> tuple[str, ...]:
-    """Say what came of each split in a line, what to expect before what was found.
-
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-
-    Returns
-    -------
-    tuple of str
-        Lines for the terminal.
-    """
+    """Say what came of each split in a line, what to expect before what was found."""
     lines = []
     for name, held in result.held.items():
         asked = next((text for text in held.warnings if text.startswith("split ")), f"split {name}: {held.split.note}")
@@ -366,18 +306,7 @@ def _status(result: HeliostatResult, doubts: Sequence[str]) -> str:
 
 
 def field_row(result: HeliostatResult) -> dict[str, Any]:
-    """Return a heliostat's row of ``field.csv``.
-
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-
-    Returns
-    -------
-    dict
-        Cells by column.
-    """
+    """Return a heliostat's row of ``field.csv``."""
     east, north, up = result.fit.design.position_m.tolist()
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
     doubts = [text for text in result.warnings if not text.startswith("split ")]
@@ -396,18 +325,7 @@ def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
 
 
 def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Rows of `field_row` and `failed_row`.
-
-    Returns
-    -------
-    list of dict
-        The same, sorted.
-    """
+    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first."""
 
     def key(row: Mapping[str, Any]) -> tuple[bool, float, str]:
         number = row.get("beam_test_rms_mrad")
@@ -418,20 +336,7 @@ def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write ``field.csv``, the worst heliostat first.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    rows : sequence of mapping
-        Rows of `field_row` and `failed_row`.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write ``field.csv``, the worst heliostat first."""
     ordered = worst_first(rows)
     # The reason is long: it comes last, after whatever columns some row has.
     names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name != "reason"]
@@ -440,21 +345,5 @@ def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_heliostat(folder: Path) -> dict[str, Any]:
-    """Read ``heliostat.json`` of a folder of results.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    dict
-        Its content.
-
-    Raises
-    ------
-    InputError
-        No such file, or not written by this software.
-    """
+    """Read ``heliostat.json`` of a folder of results."""
     return read_json(folder / HELIOSTAT_FILE)

@@ -57,14 +57,7 @@ TILT_KEYS = {
 class PaintUnit:
     """Files of one heliostat.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    properties : Path
-        What it is.
-    calibrations : tuple of Path
-        Its calibration records, in the order of their numbers.
+    calibrations: Its calibration records, in the order of their numbers.
     """
 
     name: str
@@ -76,14 +69,9 @@ class PaintUnit:
 class Tower:
     """Where the plant is, and its flat targets.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Latitude [deg], longitude [deg], altitude [m] of the plant: the origin of the field's frame.
-    targets : dict of str to PlaneTarget
-        Targets by name.
-    others : tuple of str
-        Names of targets that are not flat.
+    origin: Latitude [deg], longitude [deg], altitude [m] of the plant: the origin of the field's frame.
+    targets: Targets by name.
+    others: Names of targets that are not flat.
     """
 
     origin: tuple[float, float, float]
@@ -95,22 +83,12 @@ class Tower:
 class PaintProperties:
     """What a properties file says of a heliostat.
 
-    Parameters
-    ----------
-    position : tuple of float
-        Latitude [deg], longitude [deg], altitude [m].
-    actuators : tuple of dict
-        Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
-    translations_m : dict of str to tuple of float
-        East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
-    tilts_rad : dict of str to float
-        Tilts of both joints by the names of the chain; 0 where not told [rad].
-    size_m : tuple of float
-        Width and height of the mirror [m]; NaN where not told.
-    warnings : tuple of str
-        What was assumed.
-    content : dict
-        The file.
+    position: Latitude [deg], longitude [deg], altitude [m].
+    actuators: Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
+    translations_m: East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
+    tilts_rad: Tilts of both joints by the names of the chain; 0 where not told [rad].
+    size_m: Width and height of the mirror [m]; NaN where not told.
+    warnings: What was assumed.
     """
 
     position: tuple[float, float, float]
@@ -128,22 +106,9 @@ class PaintProperties:
 def find_units(folder: Path, names: Sequence[str] = ()) -> tuple[PaintUnit, ...]:
     """Find the heliostats of a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Of one heliostat, or with a folder for each.
-    names : sequence of str, optional
-        Only these heliostats.
-
-    Returns
-    -------
-    tuple of PaintUnit
-        Heliostats in natural order; those without calibration records too, so that they can be named.
-
-    Raises
-    ------
-    InputError
-        No heliostat, or none of a name that is asked for.
+    names: Only these heliostats.
+    Returns: Heliostats in natural order; those without calibration records too, so that they can be named.
+    InputError: No heliostat, or none of a name that is asked for.
     """
     units: dict[str, PaintUnit] = {}
     for file in properties_files(folder):
@@ -178,22 +143,7 @@ def _calibrations(properties: Path) -> tuple[Path, ...]:
 
 
 def find_beside(folder: Path, patterns: Iterable[str], places: Sequence[str] = (".", "tower")) -> Path | None:
-    """Find a file that heliostats share: in a folder, or in one of the two above, or in ``tower`` there.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to begin.
-    patterns : iterable of str
-        Names.
-    places : sequence of str, optional
-        Folders within each.
-
-    Returns
-    -------
-    Path or None
-        The first that is there.
-    """
+    """Find a file that heliostats share: in a folder, or in one of the two above, or in ``tower`` there."""
     start = folder.resolve()
     for home in (start, *list(start.parents)[:2]):
         for place in places:
@@ -210,20 +160,9 @@ def find_beside(folder: Path, patterns: Iterable[str], places: Sequence[str] = (
 def read_tower(file: Path) -> Tower:
     """Read the file of the tower.
 
-    Parameters
-    ----------
-    file : Path
-        Such as ``tower_measurements.json``.
-
-    Returns
-    -------
-    Tower
-        Origin and flat targets.
-
-    Raises
-    ------
-    InputError
-        Not JSON, or a key is missing.
+    file: Such as ``tower_measurements.json``.
+    Returns: Origin and flat targets.
+    InputError: Not JSON, or a key is missing.
     """
     content = read_json(file)
     try:
@@ -254,22 +193,9 @@ def _in_field(places: FloatArray, origin: tuple[float, float, float]) -> FloatAr
 def parse_properties(text: str, where: str) -> PaintProperties:
     """Read the properties of a heliostat.
 
-    Parameters
-    ----------
-    text : str
-        The file's content.
-    where : str
-        The file, for messages.
-
-    Returns
-    -------
-    PaintProperties
-        Position and actuators.
-
-    Raises
-    ------
-    InputError
-        Not JSON, a key is missing, a number that cannot be meant, or drives of another kind.
+    text: The file's content.
+    where: The file, for messages.
+    InputError: Not JSON, a key is missing, a number that cannot be meant, or drives of another kind.
     """
     content = _parsed(text, where)
     kinematics = next((content[key] for key in _KINEMATICS if isinstance(content.get(key), dict)), None)
@@ -358,21 +284,10 @@ def parse_calibrations(
 ) -> Rows:
     """Read calibration records of a heliostat.
 
-    Parameters
-    ----------
-    records : sequence of (str, str)
-        Number and content of each file.
-    times : sequence of str
-        Time of each (ISO 8601 with zone), empty where not known.
-    label : str
-        Method of the beam's centre: "UTIS" or "HeliOS".
-    origin : tuple of float
-        Latitude [deg], longitude [deg], altitude [m] of the field's frame.
-
-    Returns
-    -------
-    Rows
-        One row for each record, with a verdict where it cannot be read.
+    records: Number and content of each file.
+    times: Time of each (ISO 8601 with zone), empty where not known.
+    label: Method of the beam's centre: "UTIS" or "HeliOS".
+    origin: Latitude [deg], longitude [deg], altitude [m] of the field's frame.
     """
     names = ("axis_1_counts", "axis_2_counts", "sun_azimuth_deg", "sun_elevation_deg", "lat", "lon", "alt")
     values, targets, verdicts = np.full((len(records), len(names)), np.nan), [""] * len(records), []
@@ -442,17 +357,8 @@ def _of(table: Mapping[str, Any], keys: tuple[str, str]) -> float:
 def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> dict[str, Any]:
     """Return a properties file with calibrated numbers, as PAINT has it and ARTIST reads it.
 
-    Parameters
-    ----------
-    content : mapping
-        ``heliostat.json``; the properties it came from are kept but for the numbers.
-    design : HeliostatDesign
-        The calibrated heliostat, with linear actuators.
-
-    Returns
-    -------
-    dict
-        The file.
+    content: ``heliostat.json``; the properties it came from are kept but for the numbers.
+    design: The calibrated heliostat, with linear actuators.
     """
     numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
     earlier = dict(content.get("paint_properties") or {})

@@ -17,17 +17,7 @@ from heliogauge.validate import FloatArray
 def final_flags(result: HeliostatResult) -> tuple[list[str], list[str]]:
     """Return flag and reason of every row, those that the fit refused included.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-
-    Returns
-    -------
-    list of str
-        Flags, keys of `calibration.heliostat.pipeline.rows.ROW_FLAGS`.
-    list of str
-        Reasons; empty for rows that were used.
+    Returns: Flags, keys of `calibration.heliostat.pipeline.rows.ROW_FLAGS`.
     """
     rows, fit = result.seen.rows, result.fit
     flags, reasons = list(rows.flags), list(rows.reasons)
@@ -41,18 +31,9 @@ def final_flags(result: HeliostatResult) -> tuple[list[str], list[str]]:
 def residual_columns(result: HeliostatResult, shared: Shared) -> dict[str, Sequence[Any] | npt.NDArray[Any]]:
     """Return the columns of ``residuals.csv``, one row for every row that was read.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-    shared : Shared
-        Targets.
-
-    Returns
-    -------
-    dict of str to sequence
-        Columns; NaN where a row has no such number. ``residual_*`` are measured minus predicted by the fit to the
-        train rows of the split, so that those of test rows are true predictions; ``all_rows_*`` by the fit to all.
+    Returns: Columns; NaN where a row has no such number. ``residual_*`` are measured minus predicted by the fit to
+        the train rows of the split, so that those of test rows are true predictions; ``all_rows_*`` by the fit to
+        all.
     """
     seen, rows, fit = result.seen, result.seen.rows, result.fit
     count, place = len(rows), fit.observations.row

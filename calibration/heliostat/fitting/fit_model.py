@@ -35,18 +35,10 @@ _LEAST_FACTOR = 1e-6
 class FitModel:
     """The heliostat, its observations, and how to fit.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        With the parameters that the observations bring.
-    observations : Observations
-        All rows.
-    options : FitOptions
-        How to fit.
-    fallback : frozenset of str
-        Free parameters that are held within what could be wrong at all.
-    reach : float
-        Factor on what could be wrong at all.
+    design: With the parameters that the observations bring.
+    observations: All rows.
+    fallback: Free parameters that are held within what could be wrong at all.
+    reach: Factor on what could be wrong at all.
     """
 
     design: HeliostatDesign
@@ -128,16 +120,9 @@ class FitModel:
 class Descended:
     """Where a descent ended.
 
-    Parameters
-    ----------
-    model : FitModel
-        What was fitted.
-    factors : mapping
-        Factors on the stated sigmas by kind that were in force.
-    used : ndarray of bool, shape (n,)
-        Rows that were in use.
-    solution : Solution
-        The end.
+    model: What was fitted.
+    factors: Factors on the stated sigmas by kind that were in force.
+    used (n,): Rows that were in use.
     """
 
     model: FitModel
@@ -159,8 +144,6 @@ class Descended:
     def scatter(self) -> dict[str, float]:
         """Return the factor on the stated sigmas that the residuals of each kind ask for; NaN with nothing to spare.
 
-        Notes
-        -----
         The factor s solves ``sum psi(r / s)^2 / E psi^2 = redundancy`` at the residuals r as they stand (Huber 1981,
         section 7.7), so that the descents only have to follow the rows.
         """
@@ -193,11 +176,10 @@ class Descended:
     def with_own_covariance(self) -> "Descended":
         """Return the same end with the covariance for normal errors of the sigmas in force.
 
-        Notes
-        -----
-        ``A^-1 B A^-1``, ``A = E psi' N + P``, ``B = E psi^2 N + P`` with the normal matrices N of the observations and
-        P of the priors. The adjustment takes the larger of this and of what the residuals themselves say; here the
-        sigmas were tested or estimated before, and the larger of two is 10 % too large with 15 rows and 5 parameters.
+        ``A^-1 B A^-1``, ``A = E psi' N + P``, ``B = E psi^2 N + P`` with the normal matrices N of the observations
+        and P of the priors. The adjustment takes the larger of this and of what the residuals themselves say; here
+        the sigmas were tested or estimated before, and the larger of two is 10 % too large with 15 rows and 5
+        parameters.
         """
         model, block = self.model, self.model.block(self.used)
         chosen = self.used[model.owners]
@@ -260,23 +242,11 @@ def descend(
 ) -> Descended:
     """Adjust the free parameters to some rows at given sigmas.
 
-    Parameters
-    ----------
-    model : FitModel
-        What is fitted.
-    start : ndarray, shape (k,)
-        Free parameters to start from.
-    factors : mapping
-        Factors on the stated sigmas by kind.
-    used : ndarray of bool, shape (n,)
-        Rows in use; all of them must be computable at the start.
-    tolerance : float
-        Remaining step at which to stop [sigma].
-
-    Returns
-    -------
-    Descended
-        The end, converged or not.
+    Shapes: start (k,).
+    factors: Factors on the stated sigmas by kind.
+    used (n,): Rows in use; all of them must be computable at the start.
+    tolerance: Remaining step at which to stop [sigma].
+    Returns: The end, converged or not.
     """
     chosen = used[model.owners]
     per_component = 1.0 / model.row_factors(factors)[model.owners[chosen]]

@@ -22,26 +22,14 @@ SigmaPolicy: TypeAlias = Literal["auto", "stated", "estimated"]
 class FitOptions:
     """How to fit.
 
-    Parameters
-    ----------
-    loss : {"huber", "squares", "tukey"}, optional
-        What a row far off may pull; "squares" rejects nothing.
-    sigma : {"auto", "stated", "estimated"}, optional
-        Whether the stated sigmas of the observations are believed, or estimated from the residuals, kind by kind;
-        "auto" believes them unless the residuals refute them.
-    significance : float, optional
-        Chance that any good row is rejected at all.
-    refuted_below : float, optional
-        Probability of the residuals under the stated sigmas below which "auto" estimates.
-    restarts : int, optional
-        Further starts, tried only where the first ends in no minimum or far from the observations.
-    max_iterations : int, optional
-        Steps of one descent.
-
-    Raises
-    ------
-    InputError
-        A choice that does not exist or a number out of its range.
+    loss: What a row far off may pull; "squares" rejects nothing.
+    sigma: Whether the stated sigmas of the observations are believed, or estimated from the residuals, kind by
+        kind; "auto" believes them unless the residuals refute them.
+    significance: Chance that any good row is rejected at all.
+    refuted_below: Probability of the residuals under the stated sigmas below which "auto" estimates.
+    restarts: Further starts, tried only where the first ends in no minimum or far from the observations.
+    max_iterations: Steps of one descent.
+    InputError: A choice that does not exist or a number out of its range.
     """
 
     loss: LossName = "huber"
@@ -68,38 +56,21 @@ class FitOptions:
 class HeliostatFit:
     """A fitted heliostat with the evidence for and against it.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat with the estimates as values; the sigmas of its parameters are still the priors.
-    nominal : HeliostatDesign
-        The heliostat as it was handed in, with the parameters that the observations bring.
-    observations : Observations
-        All rows, rejected ones too.
-    solution : Solution
-        The adjustment in the free parameters; whitened with the sigmas that were used in the end.
-    covariance : ndarray, shape (p, p)
-        Covariance of all parameters, 0 for held ones.
-    residuals : Residuals
-        Of all rows, whitened with the stated sigmas; derivatives by all parameters.
-    rejected : ndarray of bool, shape (n,)
-        Rows that were left out.
-    reason : tuple of str, length n
-        Why a row was left out; empty for rows that were used.
-    weight : ndarray, shape (n,)
-        Weight that the loss left to each row, 0 if rejected.
-    leverage : ndarray, shape (n,)
-        Share of each row's own error that the fit follows (mean of its components), 0 if rejected.
-    sigma_factors : mapping
-        Factor on the stated sigmas by kind; 1 where they were believed.
-    sigma0 : mapping
-        Scatter of the residuals over the stated sigmas by kind; NaN without redundancy.
-    unobservable : tuple of Combination
-        Combinations that the priors decide.
-    basins : int
-        Starts tried.
-    warnings : tuple of str
-        What a user must know before believing the numbers.
+    design: The heliostat with the estimates as values; the sigmas of its parameters are still the priors.
+    nominal: The heliostat as it was handed in, with the parameters that the observations bring.
+    observations: All rows, rejected ones too.
+    solution: The adjustment in the free parameters; whitened with the sigmas that were used in the end.
+    covariance (p, p): Covariance of all parameters, 0 for held ones.
+    residuals: Of all rows, whitened with the stated sigmas; derivatives by all parameters.
+    rejected (n,): Rows that were left out.
+    reason length n: Why a row was left out; empty for rows that were used.
+    weight (n,): Weight that the loss left to each row, 0 if rejected.
+    leverage (n,): Share of each row's own error that the fit follows (mean of its components), 0 if rejected.
+    sigma_factors: Factor on the stated sigmas by kind; 1 where they were believed.
+    sigma0: Scatter of the residuals over the stated sigmas by kind; NaN without redundancy.
+    unobservable: Combinations that the priors decide.
+    basins: Starts tried.
+    warnings: What a user must know before believing the numbers.
     """
 
     design: HeliostatDesign

@@ -27,12 +27,8 @@ _FEWEST = 8
 class Candidate:
     """A choice of parameters that may move, with what is known of them.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    sigmas : mapping
-        Prior sigma by parameter name (inf: free); all others are held.
+    name: What it is called.
+    sigmas: Prior sigma by parameter name (inf: free); all others are held.
     """
 
     name: str
@@ -43,18 +39,11 @@ class Candidate:
 class CandidateScore:
     """How a candidate did.
 
-    Parameters
-    ----------
-    name : str
-        The candidate.
-    n_free : int
-        Its parameters.
-    blocked_rms_rad : float
-        Beam error where blocks of sun positions had been left aside (normal error where no beam was seen) [rad].
-    fit_rms_rad : float
-        The same in the fit to all rows [rad].
-    aicc : float
-        Akaike's criterion for small samples of the fit to all rows.
+    n_free: Its parameters.
+    blocked_rms_rad: Beam error where blocks of sun positions had been left aside (normal error where no beam was
+        seen) [rad].
+    fit_rms_rad: The same in the fit to all rows [rad].
+    aicc: Akaike's criterion for small samples of the fit to all rows.
     """
 
     name: str
@@ -68,16 +57,10 @@ class CandidateScore:
 class ModelChoice:
     """The choice and how it was made.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat with the chosen parameters free within their priors.
-    best : str
-        Name of the chosen candidate.
-    table : tuple of CandidateScore
-        All candidates, the smallest first.
-    reason : str
-        Why it was chosen.
+    design: The heliostat with the chosen parameters free within their priors.
+    best: Name of the chosen candidate.
+    table: All candidates, the smallest first.
+    reason: Why it was chosen.
     """
 
     design: HeliostatDesign
@@ -89,21 +72,10 @@ class ModelChoice:
 def usual_candidates(design: HeliostatDesign) -> tuple[Candidate, ...]:
     """Return nested choices for a design, each within its priors.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat, with bending (`with_bending`) if that is to be tried.
-
-    Returns
-    -------
-    tuple of Candidate
-        Nothing; headings and zeros; tilts; where it stands; bending; the parts of the drives. The usual one, all that
-        is not part of a drive, is the last before the parts.
-
-    Raises
-    ------
-    InputError
-        None of the design's parameters is one of those that `PRIORS` knows.
+    design: The heliostat, with bending (`with_bending`) if that is to be tried.
+    Returns: Nothing; headings and zeros; tilts; where it stands; bending; the parts of the drives. The usual one,
+        all that is not part of a drive, is the last before the parts.
+    InputError: None of the design's parameters is one of those that `PRIORS` knows.
     """
     steps = (
         ("as delivered", ()),
@@ -134,37 +106,19 @@ def choose_model(
 ) -> ModelChoice:
     """Choose which parameters may move by how well blocks of sun positions left aside are predicted.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    observations : Observations
-        What was seen.
-    options : FitOptions, optional
-        How to fit.
-    candidates : sequence of Candidate, optional
-        Choices, the smallest first; `usual_candidates` if not given.
+    observations: What was seen.
+    candidates: Choices, the smallest first; `usual_candidates` if not given.
+    Returns: The chosen design and the table of all.
+    EstimationError: No candidate could be fitted.
+    InputError: There are no candidates.
 
-    Returns
-    -------
-    ModelChoice
-        The chosen design and the table of all.
-
-    Raises
-    ------
-    EstimationError
-        No candidate could be fitted.
-    InputError
-        There are no candidates.
-
-    Notes
-    -----
     Rows are ordered by sun azimuth (by the first reading where there is no sun) and cut into four blocks; each is
-    predicted from the other three. Leaving out single rows, or AICc, would ask how well the model fills gaps; left-out
-    blocks ask how well it goes on where nothing was measured. Rows that a fit to all of them rejects are left out.
-    Within priors a parameter too many costs little and one too few makes the others lie, so the usual choice stays
-    unless another is better by a tenth. On six real heliostats with 30 suns of the morning only, the evening is
-    predicted to 4.6 mrad in the median, 6.3 with the smallest choice within 5 %, 6.6 with four tilts set free.
+    predicted from the other three. Leaving out single rows, or AICc, would ask how well the model fills gaps;
+    left-out blocks ask how well it goes on where nothing was measured. Rows that a fit to all of them rejects are
+    left out. Within priors a parameter too many costs little and one too few makes the others lie, so the usual
+    choice stays unless another is better by a tenth. On six real heliostats with 30 suns of the morning only, the
+    evening is predicted to 4.6 mrad in the median, 6.3 with the smallest choice within 5 %, 6.6 with four tilts set
+    free.
     """
     bending = with_bending(design)
     tried = usual_candidates(bending) if candidates is None else tuple(candidates)

@@ -18,16 +18,11 @@ _PLACES = ("position_", "camera_", "target_")
 class Combination:
     """A combination of parameters on which the observations say less than was known before.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Its parameters, the largest share first.
-    coefficients : ndarray, shape (len(names),)
-        How far each moves along it, in its own unit; the first is positive.
-    information : float
-        Information of the observations over that of the priors, below 1.
-    held_by_prior : bool
-        Whether all its parameters had a prior sigma; otherwise it was held within what could be wrong at all.
+    names: Its parameters, the largest share first.
+    coefficients (len(names),): How far each moves along it, in its own unit; the first is positive.
+    information: Information of the observations over that of the priors, below 1.
+    held_by_prior: Whether all its parameters had a prior sigma; otherwise it was held within what could be wrong at
+        all.
     """
 
     names: tuple[str, ...]
@@ -45,19 +40,10 @@ class Combination:
 def plausible_scales(values: FloatArray, names: Sequence[str], units: Sequence[str]) -> FloatArray:
     """Return how far numbers of which nothing is known could be wrong.
 
-    Parameters
-    ----------
-    values : ndarray, shape (p,)
-        The numbers.
-    names : sequence of str, length p
-        Their names: a place can be wrong by more than a part of a machine.
-    units : sequence of str, length p
-        ``"rad"``, ``"m"``, ``"1/m"`` or ``"1"`` of each.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        Standard deviations in the same units.
+    Shapes: values (p,).
+    names length p: Their names: a place can be wrong by more than a part of a machine.
+    units length p: ``"rad"``, ``"m"``, ``"1/m"`` or ``"1"`` of each.
+    Returns (p,): Standard deviations in the same units.
     """
     scales = np.where(values == 0, LARGEST_LENGTH_M, np.abs(values) * LARGEST_SHARE)
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
@@ -73,21 +59,11 @@ def unobserved(
 ) -> tuple[Combination, ...]:
     """Return the combinations that the priors decide rather than the observations.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (m, k)
-        Derivatives of the whitened, weighted residuals of the observations.
-    names : sequence of str, length k
-        Names of the free parameters.
-    sigmas : ndarray, shape (k,)
-        Their prior standard deviations, inf where there is none.
-    scales : ndarray, shape (k,)
-        What takes their place where there is none.
-
-    Returns
-    -------
-    tuple of Combination
-        Directions in which the information of the observations is less than that of the priors, least first.
+    jacobian (m, k): Derivatives of the whitened, weighted residuals of the observations.
+    names length k: Names of the free parameters.
+    sigmas (k,): Their prior standard deviations, inf where there is none.
+    scales (k,): What takes their place where there is none.
+    Returns: Directions in which the information of the observations is less than that of the priors, least first.
     """
     if not len(names):
         return ()

@@ -34,30 +34,18 @@ _BEYOND = 1.5
 class Prediction:
     """Predicted pointing at some positions, with its uncertainty.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, 2)
-        Readings of both drives; NaN where the aim cannot be reached.
-    usable : ndarray of bool, shape (n,)
-        Whether the drives can go there.
-    covariance_rad2 : ndarray, shape (n, 2, 2)
-        Covariance of the beam's direction, right and up as seen from the mirror [rad^2].
-    sigma_parameters_rad : ndarray, shape (n,)
-        Share of the parameters, root of both axes' variances [rad of the beam].
-    sigma_misfit_rad : ndarray, shape (n,)
-        Share of what the model does not describe, as the residuals show it [rad of the beam].
-    sigma_noise_rad : ndarray, shape (n,)
-        Stated sigma of the measurement at test rows, 0 where nothing is measured [rad of the beam].
-    leverage : ndarray, shape (n,)
-        Variance from the parameters over that of one observation.
-    distance_rad : ndarray, shape (n,)
-        Angle to the nearest sun (without suns: mirror normal) that was used [rad].
-    extrapolated : ndarray of bool, shape (n,)
-        Whether the position lies beyond those used.
-    reason : tuple of str, length n
-        Why; empty where it does not.
-    inflation : float
-        Factor on the parameters' sigmas that blocks left aside asked for, at least 1.
+    readings (n, 2): Readings of both drives; NaN where the aim cannot be reached.
+    usable (n,): Whether the drives can go there.
+    covariance_rad2 (n, 2, 2): Covariance of the beam's direction, right and up as seen from the mirror [rad^2].
+    sigma_parameters_rad (n,): Share of the parameters, root of both axes' variances [rad of the beam].
+    sigma_misfit_rad (n,): Share of what the model does not describe, as the residuals show it [rad of the beam].
+    sigma_noise_rad (n,): Stated sigma of the measurement at test rows, 0 where nothing is measured [rad of the
+        beam].
+    leverage (n,): Variance from the parameters over that of one observation.
+    distance_rad (n,): Angle to the nearest sun (without suns: mirror normal) that was used [rad].
+    extrapolated (n,): Whether the position lies beyond those used.
+    reason length n: Why; empty where it does not.
+    inflation: Factor on the parameters' sigmas that blocks left aside asked for, at least 1.
     """
 
     readings: FloatArray
@@ -86,24 +74,10 @@ class Prediction:
 def predict_rows(found: HeliostatFit, observations: Observations, options: FitOptions | None = None) -> Prediction:
     """Predict observations that the fit has not seen.
 
-    Parameters
-    ----------
-    found : HeliostatFit
-        The fit.
-    observations : Observations
-        Rows with readings; their measurements are not used.
-    options : FitOptions, optional
-        How the fit was made, for the fits with blocks left aside.
-
-    Returns
-    -------
-    Prediction
-        One entry per row; the beam's sigma is the line of sight's or the normal's for other kinds.
-
-    Raises
-    ------
-    InputError
-        A row needs a camera or target that the fit does not have.
+    observations: Rows with readings; their measurements are not used.
+    options: How the fit was made, for the fits with blocks left aside.
+    Returns: One entry per row; the beam's sigma is the line of sight's or the normal's for other kinds.
+    InputError: A row needs a camera or target that the fit does not have.
     """
     wide = _Wide.of(found)
     rows = evaluate(found.design, found.values, observations, columns=wide.columns)
@@ -129,28 +103,12 @@ def predict_aim(
 ) -> Prediction:
     """Predict how well the heliostat hits aim points at any suns: a map over the sky, a day, a year.
 
-    Parameters
-    ----------
-    found : HeliostatFit
-        The fit.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    aim_points_m : array_like, shape (3,) or (n, 3)
-        Where the beam shall go [m].
-    inflation : float, optional
-        Of `blocked_inflation`; found here if not given.
-    options : FitOptions, optional
-        How the fit was made.
-
-    Returns
-    -------
-    Prediction
-        One entry per sun; ``usable`` is False where the drives cannot point.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
+    Shapes: sun (n, 3).
+    aim_points_m (3,) or (n, 3): Where the beam shall go [m].
+    inflation: Of `blocked_inflation`; found here if not given.
+    options: How the fit was made.
+    Returns: One entry per sun; ``usable`` is False where the drives cannot point.
+    InputError: Shapes that do not fit.
     """
     suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
     points = np.broadcast_to(np.asarray(aim_points_m, dtype=np.float64), suns.shape)
@@ -177,21 +135,10 @@ def predict_aim(
 def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
     """Return by how much errors at suns left aside exceed what the parameters' covariance says.
 
-    Parameters
-    ----------
-    found : HeliostatFit
-        The fit.
-    options : FitOptions, optional
-        How it was made.
+    options: How it was made.
+    Returns: Factor on the parameters' sigmas, at least 1, at most 10; 1 with too few rows, or where the stated
+        sigmas were believed, for then the model describes the observations.
 
-    Returns
-    -------
-    float
-        Factor on the parameters' sigmas, at least 1, at most 10; 1 with too few rows, or where the stated sigmas were
-        believed, for then the model describes the observations.
-
-    Notes
-    -----
     What a model does not describe repeats from sun to neighbouring sun, and its covariance takes every row for a new
     draw. Blocks of neighbouring positions are left aside in turn; the factor makes the mean of their squared errors
     what it should be.
@@ -236,26 +183,13 @@ def tracking_error(
 ) -> FloatArray:
     """Return by how much the beam of a true heliostat misses when a calibrated model commands it.
 
-    Parameters
-    ----------
-    calibrated, truth : HeliostatDesign
-        The model that computes the readings, and the heliostat that takes them.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    aim_point_m : array_like, shape (3,) or (n, 3)
-        Where the beam shall go [m].
-    believed_aim_m : array_like, shape (3,) or (n, 3), optional
-        Where the model takes that point to be, if it was calibrated with the heliostat [m].
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Beam minus aim, right and up as seen from the mirror [rad]; NaN where the model cannot point.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
+    Shapes: sun (n, 3).
+    calibrated, truth: The model that computes the readings, and the heliostat that takes them.
+    aim_point_m (3,) or (n, 3): Where the beam shall go [m].
+    believed_aim_m (3,) or (n, 3): Where the model takes that point to be, if it was calibrated with the heliostat
+        [m].
+    Returns (n, 2): Beam minus aim, right and up as seen from the mirror [rad]; NaN where the model cannot point.
+    InputError: Shapes that do not fit.
     """
     suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
     points = np.broadcast_to(np.asarray(aim_point_m, dtype=np.float64), suns.shape)
@@ -276,12 +210,8 @@ def tracking_error(
 class YearlyError:
     """Tracking error over a year (Gouws 2018, chapter 6).
 
-    Parameters
-    ----------
-    error_rad : ndarray, shape (n, 2)
-        Beam minus aim, right and up [rad]; NaN where the heliostat cannot point.
-    day : ndarray of int, shape (n,)
-        Which of the days.
+    error_rad (n, 2): Beam minus aim, right and up [rad]; NaN where the heliostat cannot point.
+    day (n,): Which of the days.
     """
 
     error_rad: FloatArray
@@ -320,28 +250,9 @@ def yearly_evaluation(
 ) -> YearlyError:
     """Return the tracking error at 35 suns on the tenth day of every month.
 
-    Parameters
-    ----------
-    calibrated, truth : HeliostatDesign
-        As for `tracking_error`.
-    site : Site
-        Where the plant is.
-    aim_point_m : array_like, shape (3,)
-        Where the beam shall go [m].
-    year : int, optional
-        Which year.
-    believed_aim_m : array_like, shape (3,), optional
-        As for `tracking_error`.
-
-    Returns
-    -------
-    YearlyError
-        Errors with their day.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
+    Shapes: believed_aim_m (3,).
+    aim_point_m (3,): Where the beam shall go [m].
+    InputError: Shapes that do not fit.
     """
     suns, day = sun_positions_of_year(site, year)
     return YearlyError(tracking_error(calibrated, truth, suns, aim_point_m, believed_aim_m=believed_aim_m), day)
@@ -352,25 +263,8 @@ def sun_positions_of_year(
 ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """Return suns spread evenly over the daylight of one day of each month.
 
-    Parameters
-    ----------
-    site : Site
-        Where.
-    year : int
-        Which year.
-    day_of_month : int, optional
-        Which day.
-    per_day : int, optional
-        Positions a day.
-    least_elevation_rad : float, optional
-        Lowest sun [rad].
-
-    Returns
-    -------
-    sun : ndarray, shape (n, 3)
-        Directions to the sun.
-    day : ndarray of int, shape (n,)
-        Month of each, 1 to 12.
+    Shapes: sun (n, 3).
+    day (n,): Month of each, 1 to 12.
     """
     from heliogauge.geometry.sun import sun_directions
 

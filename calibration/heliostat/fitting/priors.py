@@ -11,12 +11,8 @@ from calibration.heliostat.kinematic_model.presets import with_drive_terms
 class PriorSigma:
     """What a number may be wrong by before anything is measured.
 
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation in the parameter's unit.
-    source : str
-        Where that comes from.
+    sigma: Standard deviation in the parameter's unit.
+    source: Where that comes from.
     """
 
     sigma: float
@@ -56,24 +52,11 @@ PARTS = (
 def with_priors(design: HeliostatDesign, names: tuple[str, ...] | None = None) -> HeliostatDesign:
     """Return the same heliostat with what is known before as the sigmas of its parameters.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    names : tuple of str, optional
-        Only these parameters become free within their priors, all others are held; all that have one but the parts of
-        the drives (`PARTS`) if not given.
-
-    Returns
-    -------
-    HeliostatDesign
-        With `PRIORS` as sigmas; a finite sigma of its own (a survey's) takes their place. A heliostat with linear
-        actuators gets the bending of its first axis.
-
-    Raises
-    ------
-    InputError
-        A name that the design does not have.
+    names: Only these parameters become free within their priors, all others are held; all that have one but the
+        parts of the drives (`PARTS`) if not given.
+    Returns: With `PRIORS` as sigmas; a finite sigma of its own (a survey's) takes their place. A heliostat with
+        linear actuators gets the bending of its first axis.
+    InputError: A name that the design does not have.
     """
     design = with_bending(design)
     known = tuple(name for name in PRIORS if name in design.parameters.names and name not in PARTS)
@@ -93,15 +76,7 @@ def prior_sigma(design: HeliostatDesign, name: str) -> float:
 def with_bending(design: HeliostatDesign) -> HeliostatDesign:
     """Return the same heliostat with bending by weight about its elevation axis as one more (held) parameter.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-
-    Returns
-    -------
-    HeliostatDesign
-        With ``sag_1`` if its first drive is a linear actuator that bends nothing yet; otherwise as it was.
+    Returns: With ``sag_1`` if its first drive is a linear actuator that bends nothing yet; otherwise as it was.
     """
     first = design.drives[0]
     if not isinstance(first, LinearActuator) or first.terms.names or "sag_1" in design.parameters.names:

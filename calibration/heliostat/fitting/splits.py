@@ -27,14 +27,9 @@ _FEWEST = 4
 class Split:
     """Rows to learn from and rows to try the prediction on.
 
-    Parameters
-    ----------
-    name : str
-        Which split.
-    train, test : ndarray of bool, shape (n,)
-        Rows; some may be in neither.
-    note : str
-        What it asks of a model.
+    name: Which split.
+    train, test (n,): Rows; some may be in neither.
+    note: What it asks of a model.
     """
 
     name: str
@@ -47,14 +42,10 @@ class Split:
 class AngleSummary:
     """Angles between measurement and prediction, of the beam and of the normal [rad].
 
-    Parameters
-    ----------
-    n : int
-        Rows.
-    beam_rms_rad, beam_median_rad, beam_max_rad : float
-        Of the beam (for drones of the line of sight); NaN without such rows.
-    normal_rms_rad, normal_median_rad, normal_max_rad : float
-        Of the mirror's normal.
+    n: Rows.
+    beam_rms_rad, beam_median_rad, beam_max_rad: Of the beam (for drones of the line of sight); NaN without such
+        rows.
+    normal_rms_rad, normal_median_rad, normal_max_rad: Of the mirror's normal.
     """
 
     n: int
@@ -76,22 +67,12 @@ class AngleSummary:
 class HeldOut:
     """What a fit to one part of the observations says of the other.
 
-    Parameters
-    ----------
-    split : Split
-        The parts.
-    fit : HeliostatFit
-        Fit to the training rows.
-    train : AngleSummary
-        Of the training rows that were used.
-    test : AngleSummary
-        Of all test rows that can be computed, outliers included: nobody knows them beforehand.
-    residuals : Residuals
-        Of all rows at the values of the fit.
-    prediction : Prediction
-        What was predicted of the test rows, with sigma and warning, before they were looked at.
-    warnings : tuple of str
-        What must be known before the numbers are read.
+    fit: Fit to the training rows.
+    train: Of the training rows that were used.
+    test: Of all test rows that can be computed, outliers included: nobody knows them beforehand.
+    residuals: Of all rows at the values of the fit.
+    prediction: What was predicted of the test rows, with sigma and warning, before they were looked at.
+    warnings: What must be known before the numbers are read.
     """
 
     split: Split
@@ -114,36 +95,17 @@ def make_split(
 ) -> Split:
     """Split observations.
 
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    name : str
-        One of `SPLIT_NAMES`, or "column".
-    share : float, optional
-        Share of training rows of the random and chronological splits.
-    count : int, optional
-        Rows in each part of the azimuth and high-variance splits, at most half of all.
-    seed : int, optional
-        Of the random split.
-    column : sequence of str, length n, optional
-        "train", "test", "validation" or anything else (in neither part) for each row.
+    observations: What was seen.
+    name: One of `SPLIT_NAMES`, or "column".
+    share: Share of training rows of the random and chronological splits.
+    count: Rows in each part of the azimuth and high-variance splits, at most half of all.
+    column length n: "train", "test", "validation" or anything else (in neither part) for each row.
+    Returns: Masks over the rows.
+    InputError: The split does not exist, or the observations lack suns or rows for it.
 
-    Returns
-    -------
-    Split
-        Masks over the rows.
-
-    Raises
-    ------
-    InputError
-        The split does not exist, or the observations lack suns or rows for it.
-
-    Notes
-    -----
     Azimuth (0 = north, clockwise): the ``count`` smallest train and the largest are predicted; reversed the other way
-    round, as the PAINT benchmark's azimuth split (its azimuth counts from south to east). High variance: the ``count``
-    suns farthest from their three neighbours are predicted from the ``count`` that are nearest to theirs.
+    round, as the PAINT benchmark's azimuth split (its azimuth counts from south to east). High variance: the
+    ``count`` suns farthest from their three neighbours are predicted from the ``count`` that are nearest to theirs.
     """
     n = len(observations)
     if n < _FEWEST:
@@ -187,30 +149,10 @@ def held_out(
 ) -> HeldOut:
     """Fit to the training rows and compare with the others.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    observations : Observations
-        All rows.
-    split : Split
-        Which rows are which.
-    options : FitOptions, optional
-        How to fit.
-    chooser : callable, optional
-        Chooses the free parameters from the training rows alone, such as `choose_model`.
-
-    Returns
-    -------
-    HeldOut
-        Fit, residuals of both parts, prediction, warnings.
-
-    Raises
-    ------
-    EstimationError
-        The training rows do not determine the heliostat, or there are none.
-    InputError
-        A test row needs a camera or target that no training row has.
+    chooser: Chooses the free parameters from the training rows alone, such as `choose_model`.
+    Returns: Fit, residuals of both parts, prediction, warnings.
+    EstimationError: The training rows do not determine the heliostat, or there are none.
+    InputError: A test row needs a camera or target that no training row has.
     """
     if not split.train.any() or not split.test.any():
         raise EstimationError(

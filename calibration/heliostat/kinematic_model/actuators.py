@@ -18,14 +18,9 @@ _NEWTON_STEPS = 30
 class DriveAngle:
     """Angle of an axis at some readings, with its derivatives.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n,)
-        Angle; NaN where the reading lies outside the actuator's geometry [rad].
-    per_reading : ndarray, shape (n,)
-        Derivative by the reading [rad per reading].
-    by_parameter : dict of str to ndarray, shape (n,) each
-        Derivative by each parameter that the drive uses [rad per unit of the parameter].
+    angle_rad (n,): Angle; NaN where the reading lies outside the actuator's geometry [rad].
+    per_reading (n,): Derivative by the reading [rad per reading].
+    by_parameter (n,): Derivative by each parameter that the drive uses [rad per unit of the parameter].
     """
 
     angle_rad: FloatArray
@@ -47,24 +42,11 @@ def drive_angle(
 ) -> DriveAngle:
     """Return the angle of an axis.
 
-    Parameters
-    ----------
-    drive : RotaryDrive or LinearActuator
-        The drive.
-    numbers : mapping
-        Value of each parameter by name.
-    readings : ndarray, shape (n,)
-        Readings in the design's unit.
-    approach : ndarray, shape (n,), optional
-        Direction of the last move: +1 to larger readings, -1 to smaller ones, 0 unknown; only backlash asks for it.
+    numbers: Value of each parameter by name.
+    readings (n,): Readings in the design's unit.
+    approach (n,): Direction of the last move: +1 to larger readings, -1 to smaller ones, 0 unknown; only backlash
+        asks for it.
 
-    Returns
-    -------
-    DriveAngle
-        Angle and derivatives.
-
-    Notes
-    -----
     ``angle = base + k cos(base - sag_zero) + sum_h (a_h sin h phase + b_h cos h phase) + approach backlash / 2``.
     The phase of a rotary drive is ``worm_ratio * scale * rad_per_reading * reading``, the nominal angle of the output
     shaft times the ratio: the periodic error of a worm gear (Malan 2014, eq. 6.1), which the offset does not move.
@@ -82,24 +64,11 @@ def drive_reading(
 ) -> FloatArray:
     """Return the readings at which an axis has these angles; the inverse of `drive_angle`.
 
-    Parameters
-    ----------
-    drive : RotaryDrive or LinearActuator
-        The drive.
-    numbers : mapping
-        Value of each parameter by name.
-    angles_rad : ndarray, shape (n,)
-        Angles [rad].
-    approach : ndarray, shape (n,), optional
-        Direction of the move that will lead there; see `drive_angle`.
+    Shapes: angles_rad (n,).
+    numbers: Value of each parameter by name.
+    approach (n,): Direction of the move that will lead there; see `drive_angle`.
+    Returns (n,): Readings; NaN for an angle that the actuator cannot reach.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        Readings; NaN for an angle that the actuator cannot reach.
-
-    Notes
-    -----
     In closed form, followed by Newton's method where the drive has terms.
     """
     inverse = _rotary_reading if isinstance(drive, RotaryDrive) else _linear_reading
@@ -119,20 +88,10 @@ def drive_reading(
 def check_readings(design: HeliostatDesign, values: FloatArray, readings: FloatArray) -> None:
     """Refuse readings that the drives cannot have.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : ndarray, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    readings : ndarray, shape (n, 2)
-        Readings of both drives.
-
-    Raises
-    ------
-    InputError
-        A reading is not finite, or the triangle of a linear actuator does not close; the message names the first row
-        (counted from 0), the reading and the argument of the arc cosine.
+    Shapes: readings (n, 2).
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    InputError: A reading is not finite, or the triangle of a linear actuator does not close; the message names the
+        first row (counted from 0), the reading and the argument of the arc cosine.
     """
     numbers = dict(zip(design.parameters.names, values.tolist(), strict=True))
     for axis, drive in enumerate(design.drives):

@@ -27,22 +27,13 @@ _CONVERGED_RAD = 1e-9
 class Aim:
     """Readings that point a heliostat.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, 2)
-        Readings of both drives in the design's unit; NaN where no position of the axes does it.
-    angles_rad : ndarray, shape (n, 2)
-        Angles of both axes [rad].
-    normals : ndarray, shape (n, 3)
-        The mirror's normals.
-    centre_m : ndarray, shape (n, 3)
-        The mirror's centre [m].
-    miss_rad : ndarray, shape (n,)
-        Angle between the reflected beam and the direction to the aim point [rad].
-    converged : ndarray of bool, shape (n,)
-        Whether the beam meets the aim point to rounding.
-    within_limits : ndarray of bool, shape (n,)
-        Whether the drives can go there.
+    readings (n, 2): Readings of both drives in the design's unit; NaN where no position of the axes does it.
+    angles_rad (n, 2): Angles of both axes [rad].
+    normals (n, 3): The mirror's normals.
+    centre_m (n, 3): The mirror's centre [m].
+    miss_rad (n,): Angle between the reflected beam and the direction to the aim point [rad].
+    converged (n,): Whether the beam meets the aim point to rounding.
+    within_limits (n,): Whether the drives can go there.
     """
 
     readings: FloatArray
@@ -85,33 +76,13 @@ def aim(
 ) -> Aim:
     """Return the readings that reflect a source to aim points.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    source : array_like, shape (n, 3) or (3,)
-        Directions to the sun, of any length; with `finite` points of the field's frame [m].
-    aim_points_m : array_like, shape (n, 3) or (3,)
-        Where the beam shall go [m].
-    finite : bool, optional
-        Whether the source is at a finite distance: a drone, a lamp.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's move that will lead there, for drives with backlash.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    source (n, 3) or (3,): Directions to the sun, of any length; with `finite` points of the field's frame [m].
+    aim_points_m (n, 3) or (3,): Where the beam shall go [m].
+    finite: Whether the source is at a finite distance: a drone, a lamp.
+    approach (n, 2): Direction of each drive's move that will lead there, for drives with backlash.
+    InputError: Shapes that do not fit.
 
-    Returns
-    -------
-    Aim
-        Readings with what became of each row.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
-
-    Notes
-    -----
     The mirror's normal bisects the directions to source and aim; for two axes both angles follow in closed form.
     The directions depend on the mirror's centre, which moves with the angles: a fixed point, contracting by about
     the arm over the distance. Of two solutions the one within the limits is taken, else the nearer one.

@@ -25,12 +25,8 @@ ReadingUnit: TypeAlias = Literal["counts", "rad"]
 class Turn:
     """A rotation by a named parameter about an axis that is fixed in the frame so far.
 
-    Parameters
-    ----------
-    axis : array_like, shape (3,)
-        Direction of the axis, of any length; the rotation is right-handed about it.
-    angle : str
-        Name of the parameter [rad].
+    axis (3,): Direction of the axis, of any length; the rotation is right-handed about it.
+    angle: Name of the parameter [rad].
     """
 
     axis: FloatArray
@@ -47,12 +43,8 @@ class Turn:
 class Shift:
     """A translation by three named parameters.
 
-    Parameters
-    ----------
-    names : tuple of str or None
-        Parameters of the three components [m]; None for a component that is zero.
-    sign : float, optional
-        +1, or -1 to shift back.
+    names: Parameters of the three components [m]; None for a component that is zero.
+    sign: +1, or -1 to shift back.
     """
 
     names: tuple[str | None, str | None, str | None]
@@ -67,12 +59,8 @@ class Shift:
 class Driven:
     """A rotation by a drive about an axis that is fixed in the frame so far.
 
-    Parameters
-    ----------
-    axis : array_like, shape (3,)
-        Direction of the axis, of any length; the rotation is right-handed about it.
-    drive : int
-        0 or 1, the position in the design's `drives`.
+    axis (3,): Direction of the axis, of any length; the rotation is right-handed about it.
+    drive: 0 or 1, the position in the design's `drives`.
     """
 
     axis: FloatArray
@@ -91,18 +79,13 @@ class Driven:
 class DriveTerms:
     """Errors that a drive adds to its angle; every part is optional.
 
-    Parameters
-    ----------
-    worm_ratio : float, optional
-        Cycles of the periodic error per turn of the axis; for a linear actuator cycles per metre of stroke.
-    worm : tuple of str, optional
-        Coefficients [rad] of sin, cos of the first harmonic, then of sin, cos of the second; none, two or four names.
-    sag : str or None, optional
-        Coefficient [rad] of the bending by weight: ``sag * cos(angle - sag_zero_rad)`` is added.
-    sag_zero_rad : float, optional
-        Angle of the drive at which the lever of the weight is longest (the mirror upright) [rad].
-    backlash : str or None, optional
-        Play [rad]: half of it is added when the last move went to larger readings, half taken when to smaller ones.
+    worm_ratio: Cycles of the periodic error per turn of the axis; for a linear actuator cycles per metre of stroke.
+    worm: Coefficients [rad] of sin, cos of the first harmonic, then of sin, cos of the second; none, two or four
+        names.
+    sag: Coefficient [rad] of the bending by weight: ``sag * cos(angle - sag_zero_rad)`` is added.
+    sag_zero_rad: Angle of the drive at which the lever of the weight is longest (the mirror upright) [rad].
+    backlash: Play [rad]: half of it is added when the last move went to larger readings, half taken when to smaller
+        ones.
     """
 
     worm_ratio: float = 0.0
@@ -127,18 +110,12 @@ class DriveTerms:
 class RotaryDrive:
     """A drive whose angle grows evenly with its reading: ``scale * rad_per_reading * reading + sign * offset``.
 
-    Parameters
-    ----------
-    offset : str
-        Parameter of the reference offset [rad].
-    rad_per_reading : float, optional
-        Angle of one count [rad]; 1 for readings in radians. Negative where the count runs against the axis.
-    scale : str or None, optional
-        Parameter of a factor on the reading [1].
-    offset_sign : float, optional
-        +1 for angle = reading + offset, -1 for reading = angle + offset.
-    terms : DriveTerms, optional
-        Periodic error, sag, backlash.
+    offset: Parameter of the reference offset [rad].
+    rad_per_reading: Angle of one count [rad]; 1 for readings in radians. Negative where the count runs against the
+        axis.
+    scale: Parameter of a factor on the reading [1].
+    offset_sign: +1 for angle = reading + offset, -1 for reading = angle + offset.
+    terms: Periodic error, sag, backlash.
     """
 
     offset: str
@@ -167,17 +144,11 @@ class LinearActuator:
     ``angle = zero_rad + initial_angle +- (a(s0) - a(s))``, ``a(s) = acos((o^2 + r^2 - s^2) / (2 o r))``,
     ``s = s0 + reading / increment``; the sign is + for a clockwise axis.
 
-    Parameters
-    ----------
-    initial_angle, initial_stroke, offset, pivot_radius, increment : str
-        Parameters: angle [rad] and stroke s0 [m] at reading 0, sides o and r of the triangle [m], counts per metre
-        [1/m].
-    clockwise : bool, optional
-        Sense of the axis.
-    zero_rad : float, optional
-        Angle from which the initial angle is counted [rad].
-    terms : DriveTerms, optional
-        Periodic error, sag, backlash.
+    initial_angle, initial_stroke, offset, pivot_radius, increment: Parameters: angle [rad] and stroke s0 [m] at
+        reading 0, sides o and r of the triangle [m], counts per metre [1/m].
+    clockwise: Sense of the axis.
+    zero_rad: Angle from which the initial angle is counted [rad].
+    terms: Periodic error, sag, backlash.
     """
 
     initial_angle: str
@@ -204,30 +175,18 @@ Drive: TypeAlias = RotaryDrive | LinearActuator
 class HeliostatDesign:
     """A heliostat: the chain from the ground to its mirror, two drives, and all numbers by name.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat (or kind of heliostat) this is.
-    steps : tuple of Turn, Shift, Driven
-        The chain from the field's frame to the mirror's; both drives occur once. The mirror's centre is where it ends.
-    drives : tuple of RotaryDrive or LinearActuator
-        The drives 0 and 1.
-    normal : array_like, shape (3,)
-        The mirror's outward normal in the mirror's frame.
-    parameters : Parameters
-        All numbers with what is known of them; may hold more than the chain uses (positions of cameras, say).
-    limits : array_like, shape (2, 2)
-        Lowest and highest reading of each drive (row).
-    reading_unit : {"counts", "rad"}, optional
-        Unit of the readings.
-    free_sets : mapping, optional
-        Usual choices of free parameters by name, such as ``{"4": (...)}``.
-
-    Raises
-    ------
-    InputError
-        A step or drive names a parameter that is not there, a drive does not occur exactly once, the position is
-        missing, or limits are not in order.
+    name: Which heliostat (or kind of heliostat) this is.
+    steps: The chain from the field's frame to the mirror's; both drives occur once. The mirror's centre is where it
+        ends.
+    drives: The drives 0 and 1.
+    normal (3,): The mirror's outward normal in the mirror's frame.
+    parameters: All numbers with what is known of them; may hold more than the chain uses (positions of cameras,
+        say).
+    limits (2, 2): Lowest and highest reading of each drive (row).
+    reading_unit: Unit of the readings.
+    free_sets: Usual choices of free parameters by name, such as ``{"4": (...)}``.
+    InputError: A step or drive names a parameter that is not there, a drive does not occur exactly once, the
+        position is missing, or limits are not in order.
     """
 
     name: str
@@ -282,10 +241,7 @@ class HeliostatDesign:
     def with_free(self, free: str | Sequence[str]) -> "HeliostatDesign":
         """Return the same heliostat with the parameters of a usual choice (or these names) free and all others held.
 
-        Raises
-        ------
-        InputError
-            There is no such choice or parameter.
+        InputError: There is no such choice or parameter.
         """
         if isinstance(free, str):
             if free not in self.free_sets:
@@ -299,26 +255,13 @@ class HeliostatDesign:
 class PlaneTarget:
     """A flat target with its own coordinates: x to the right and y up, as seen from the field, from the centre [m].
 
-    Parameters
-    ----------
-    name : str
-        Which target.
-    center_m : array_like, shape (3,)
-        Its centre in the field's frame [m].
-    right, up : array_like, shape (3,)
-        Directions to the right and up for one who looks at it from the field; perpendicular, of any length.
-    width_m, height_m : float
-        Its size [m].
-    flatness_m : float, optional
-        Largest distance of a measured corner from the plane [m].
+    center_m (3,): Its centre in the field's frame [m].
+    right, up (3,): Directions to the right and up for one who looks at it from the field; perpendicular, of any
+        length.
+    width_m, height_m: Its size [m].
+    flatness_m: Largest distance of a measured corner from the plane [m].
+    InputError: Directions that are not perpendicular, or a size that is not positive.
 
-    Raises
-    ------
-    InputError
-        Directions that are not perpendicular, or a size that is not positive.
-
-    Examples
-    --------
     >>> target = PlaneTarget.facing("lower", [0.0, 0.0, 36.0], np.pi, 5.4, 7.0)
     >>> target.normal.round(12) + 0.0
     array([ 0., -1.,  0.])
@@ -358,22 +301,9 @@ class PlaneTarget:
     def from_corners(cls, name: str, corners_m: npt.ArrayLike) -> "PlaneTarget":
         """Return the target through four measured corners.
 
-        Parameters
-        ----------
-        name : str
-            Which target.
-        corners_m : array_like, shape (4, 3)
-            Upper left, upper right, lower right, lower left, as seen from the field [m].
-
-        Returns
-        -------
-        PlaneTarget
-            The best-fitting plane; up is along the mean of the two sides, size and centre are means.
-
-        Raises
-        ------
-        InputError
-            The corners are not a quadrilateral in that order.
+        corners_m (4, 3): Upper left, upper right, lower right, lower left, as seen from the field [m].
+        Returns: The best-fitting plane; up is along the mean of the two sides, size and centre are means.
+        InputError: The corners are not a quadrilateral in that order.
         """
         corners = float_array(f"corners of target {name}", corners_m, (4, 3))
         upper_left, upper_right, lower_right, lower_left = corners

@@ -11,10 +11,7 @@ from heliogauge.validate import FloatArray
 class Sights:
     """Directions with what is right and up for one who looks along them.
 
-    Parameters
-    ----------
-    towards, right, up : ndarray, shape (n, 3)
-        Unit vectors, perpendicular to each other.
+    towards, right, up (n, 3): Unit vectors, perpendicular to each other.
     """
 
     towards: FloatArray
@@ -41,15 +38,9 @@ class Sights:
     def coordinates(self, directions: FloatArray) -> FloatArray:
         """Return stereographic coordinates of unit directions.
 
-        Parameters
-        ----------
-        directions : ndarray, shape (n, 3)
-            Unit vectors.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            ``2 (d.t) / (1 + d.d0)`` for t right and up: angles near d0, growing to infinity behind [rad].
+        Shapes: directions (n, 3).
+        Returns (n, 2): ``2 (d.t) / (1 + d.d0)`` for t right and up: angles near d0, growing to infinity behind
+            [rad].
         """
         doubled = 2.0 / (1.0 + dot(directions, self.towards))
         return np.stack([dot(directions, self.right) * doubled, dot(directions, self.up) * doubled], axis=1)
@@ -57,17 +48,9 @@ class Sights:
     def gradients(self, directions: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return the derivative of the coordinates by the direction.
 
-        Parameters
-        ----------
-        directions : ndarray, shape (n, 3)
-            Unit vectors.
-        coordinates : ndarray, shape (n, 2)
-            Their coordinates.
-
-        Returns
-        -------
-        ndarray, shape (n, 2, 3)
-            ``d(2 x / (1 + c)) = (2 dx - coordinate dc) / (1 + c)``.
+        Shapes: coordinates (n, 2).
+        directions (n, 3): Unit vectors.
+        Returns (n, 2, 3): ``d(2 x / (1 + c)) = (2 dx - coordinate dc) / (1 + c)``.
         """
         denominator = 1.0 + dot(directions, self.towards)
         rows = 2.0 * self.across - coordinates[..., None] * self.towards[:, None, :]

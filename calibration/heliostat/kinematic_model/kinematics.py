@@ -21,12 +21,8 @@ _IDENTITY, _ORIGIN = freeze(np.eye(3)), freeze(np.zeros(3))
 class MirrorPoses:
     """Poses of a mirror in the field's frame.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (n, 3, 3)
-        ``world_from_mirror`` rotation matrices.
-    centre_m : ndarray, shape (n, 3)
-        The mirror's centre [m].
+    rotation (n, 3, 3): ``world_from_mirror`` rotation matrices.
+    centre_m (n, 3): The mirror's centre [m].
     """
 
     rotation: FloatArray
@@ -46,16 +42,10 @@ class MirrorPoses:
 class PoseDerivatives:
     """Poses of a mirror and how they change with the parameters.
 
-    Parameters
-    ----------
-    poses : MirrorPoses
-        The poses.
-    omega : ndarray, shape (n, 3, k)
-        Rotation vector per unit of each parameter: a direction d fixed in the mirror changes by ``omega x d`` [rad].
-    shift : ndarray, shape (n, 3, k)
-        Change of the mirror's centre per unit of each parameter [m].
-    columns : ndarray of int, shape (k,)
-        Position of each parameter in ``design.parameters``.
+    omega (n, 3, k): Rotation vector per unit of each parameter: a direction d fixed in the mirror changes by
+        ``omega x d`` [rad].
+    shift (n, 3, k): Change of the mirror's centre per unit of each parameter [m].
+    columns (k,): Position of each parameter in ``design.parameters``.
     """
 
     poses: MirrorPoses
@@ -105,29 +95,13 @@ def mirror_poses(
 ) -> MirrorPoses:
     """Return the poses of the mirror at some readings.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    readings : array_like, shape (n, 2)
-        Readings of both drives in the design's unit.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
-    outside : {"raise", "nan"}, optional
-        What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN (for
-        a fit on its way).
-
-    Returns
-    -------
-    MirrorPoses
-        One pose per row.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or readings outside the geometry of an actuator.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    readings (n, 2): Readings of both drives in the design's unit.
+    approach (n, 2): Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
+    outside: What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN
+        (for a fit on its way).
+    Returns: One pose per row.
+    InputError: Shapes that do not fit, or readings outside the geometry of an actuator.
     """
     numbers, drives = _drive_angles(design, values, readings, approach, outside)
     return chain_poses(design, numbers, [drive.angle_rad for drive in drives])
@@ -144,35 +118,17 @@ def pose_derivatives(
 ) -> PoseDerivatives:
     """Return the poses of the mirror with their derivatives by the parameters.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    readings : array_like, shape (n, 2)
-        Readings of both drives in the design's unit.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
-    columns : sequence of int, optional
-        Positions of the wanted parameters in ``design.parameters``; all of them if not given.
-    outside : {"raise", "nan"}, optional
-        What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    readings (n, 2): Readings of both drives in the design's unit.
+    approach (n, 2): Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
+    columns: Positions of the wanted parameters in ``design.parameters``; all of them if not given.
+    outside: What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as
+        NaN.
+    Returns: Poses and derivatives; columns of parameters that the chain does not use are zero.
+    InputError: Shapes that do not fit, or readings outside the geometry of an actuator.
 
-    Returns
-    -------
-    PoseDerivatives
-        Poses and derivatives; columns of parameters that the chain does not use are zero.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or readings outside the geometry of an actuator.
-
-    Notes
-    -----
-    The geometric Jacobian of a serial chain: a parameter that turns about the axis w through the point q moves a centre
-    c by ``w x (c - q)`` and turns everything behind it by w.
+    The geometric Jacobian of a serial chain: a parameter that turns about the axis w through the point q moves a
+    centre c by ``w x (c - q)`` and turns everything behind it by w.
     """
     numbers, drives = _drive_angles(design, values, readings, approach, outside)
     wanted = np.arange(len(design.parameters)) if columns is None else np.asarray(columns, dtype=np.intp)
@@ -193,19 +149,9 @@ def pose_derivatives(
 def chain_poses(design: HeliostatDesign, numbers: Mapping[str, float], angles_rad: Sequence[FloatArray]) -> MirrorPoses:
     """Return the poses at given angles of the two axes.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    numbers : mapping
-        Value of each parameter by name.
-    angles_rad : sequence of ndarray, shape (n,)
-        Angle of each drive [rad].
-
-    Returns
-    -------
-    MirrorPoses
-        One pose per angle.
+    numbers: Value of each parameter by name.
+    angles_rad (n,): Angle of each drive [rad].
+    Returns: One pose per angle.
     """
     return _poses(_walk(_links(design, numbers, {}), angles_rad)[-1], len(angles_rad[0]))
 

@@ -18,24 +18,12 @@ HELD, FREE = 0.0, float("inf")
 class Parameters:
     """Values of a model with the names they are known by, and what is known of each beforehand.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names, each once.
-    values : array_like, shape (p,)
-        Values in the units of `units`.
-    sigmas : array_like, shape (p,)
-        Prior standard deviation about the value: 0 holds the parameter, inf leaves it to the observations.
-    units : tuple of str
-        ``"rad"``, ``"m"``, ``"1/m"`` or ``"1"`` of each.
+    names: Names, each once.
+    values (p,): Values in the units of `units`.
+    sigmas (p,): Prior standard deviation about the value: 0 holds the parameter, inf leaves it to the observations.
+    units: ``"rad"``, ``"m"``, ``"1/m"`` or ``"1"`` of each.
+    InputError: A name occurs twice, lengths differ, a value is not finite, or a sigma is negative or NaN.
 
-    Raises
-    ------
-    InputError
-        A name occurs twice, lengths differ, a value is not finite, or a sigma is negative or NaN.
-
-    Examples
-    --------
     >>> tilts = Parameters(("tilt_north", "tilt_east"), [1e-3, 0.0], [np.inf, 0.0], ("rad", "rad"))
     >>> tilts.with_value({"tilt_east": 2e-3}).value("tilt_east")
     0.002
@@ -85,10 +73,7 @@ class Parameters:
     def index(self, name: str) -> int:
         """Return the position of a name.
 
-        Raises
-        ------
-        InputError
-            There is no such parameter; the message names those that are spelled alike.
+        InputError: There is no such parameter; the message names those that are spelled alike.
         """
         try:
             return self.names.index(name)

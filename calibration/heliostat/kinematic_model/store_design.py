@@ -25,15 +25,7 @@ _NAMES = ("initial_angle", "initial_stroke", "offset", "pivot_radius", "incremen
 def design_content(design: HeliostatDesign) -> dict[str, Any]:
     """Return the chain of a heliostat without its numbers, which `parameters` of ``heliostat.json`` has.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-
-    Returns
-    -------
-    dict
-        Texts, numbers, lists and tables only.
+    Returns: Texts, numbers, lists and tables only.
     """
     return {
         "name": design.name,
@@ -49,24 +41,8 @@ def design_content(design: HeliostatDesign) -> dict[str, Any]:
 def design_from(content: Mapping[str, Any], numbers: Mapping[str, Mapping[str, Any]], *, key: str) -> HeliostatDesign:
     """Return a heliostat from what ``heliostat.json`` says.
 
-    Parameters
-    ----------
-    content : mapping
-        From `design_content`.
-    numbers : mapping of str to mapping
-        ``parameters`` of ``heliostat.json``.
-    key : str
-        Which numbers: "value" or "nominal".
-
-    Returns
-    -------
-    HeliostatDesign
-        The heliostat; all parameters are held.
-
-    Raises
-    ------
-    InputError
-        A key is missing, or a value that cannot be.
+    key: Which numbers: "value" or "nominal".
+    InputError: A key is missing, or a value that cannot be.
     """
     try:
         parameters = Parameters.of({name: (float(one[key]), str(one["unit"])) for name, one in numbers.items()})

@@ -29,23 +29,12 @@ from heliogauge.validate import FloatArray, float_array
 class BeamSpots(ObservationGroup):
     """Centres of the reflected sunlight on targets.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    spot_m : array_like, shape (n, 3)
-        Where the beam's centre was seen, in the field's frame [m].
-    covariance_m2 : array_like, shape (n, 3, 3)
-        Its covariance; singular across the target [m^2].
-    target : tuple of str, length n
-        On which target.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a value is not finite, a direction has no length.
+    pointings: Readings, rows, times.
+    sun (n, 3): Directions to the sun.
+    spot_m (n, 3): Where the beam's centre was seen, in the field's frame [m].
+    covariance_m2 (n, 3, 3): Its covariance; singular across the target [m^2].
+    target length n: On which target.
+    InputError: Lengths differ, a value is not finite, a direction has no length.
     """
 
     kind: ClassVar[str] = "beam"
@@ -74,30 +63,12 @@ class BeamSpots(ObservationGroup):
     ) -> "BeamSpots":
         """Build from coordinates on flat targets.
 
-        Parameters
-        ----------
-        pointings : Pointings
-            Readings, rows, times.
-        sun : array_like, shape (n, 3)
-            Directions to the sun.
-        targets : mapping
-            The targets by name.
-        target : sequence of str, length n
-            Target of each row.
-        xy_m : array_like, shape (n, 2)
-            Coordinates on it: right and up as seen from the field [m].
-        sigma_m : array_like, shape (), (2,) or (n, 2)
-            Their standard deviation [m].
-
-        Returns
-        -------
-        BeamSpots
-            The same in the field's frame.
-
-        Raises
-        ------
-        InputError
-            A target is unknown, or shapes do not fit.
+        Shapes: sun (n, 3), target length n.
+        pointings: Readings, rows, times.
+        xy_m (n, 2): Coordinates on it: right and up as seen from the field [m].
+        sigma_m (): Their standard deviation [m].
+        Returns: The same in the field's frame.
+        InputError: A target is unknown, or shapes do not fit.
         """
         unknown = sorted(set(target) - set(targets))
         if unknown:
@@ -146,23 +117,12 @@ class BeamSpots(ObservationGroup):
 class SunInCamera(ObservationGroup):
     """The sun's reflection seen in the middle of the mirror by a camera in the field, whose place may be unknown.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    camera : tuple of str, length n
-        By which camera.
-    cameras : tuple of Place
-        The cameras; those of unknown place (sigma inf) become parameters ``camera_<name>_e``, ``_n``, ``_u``.
-    sigma_rad : array_like, shape () or (n,)
-        How well the beam's centre is known to meet the camera, per axis [rad of the beam].
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a camera is unknown, a sigma is not positive.
+    pointings: Readings, rows, times.
+    sun (n, 3): Directions to the sun.
+    camera length n: By which camera.
+    cameras: The cameras; those of unknown place (sigma inf) become parameters ``camera_<name>_e``, ``_n``, ``_u``.
+    sigma_rad () or (n,): How well the beam's centre is known to meet the camera, per axis [rad of the beam].
+    InputError: Lengths differ, a camera is unknown, a sigma is not positive.
     """
 
     kind: ClassVar[str] = "camera"
@@ -198,29 +158,16 @@ class SunInCamera(ObservationGroup):
 class DroneSightings(ObservationGroup):
     """A drone that sees a point of a target in the middle of the mirror (Gouws 2018).
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    source_m : array_like, shape (n, 3)
-        Where the drone's antenna was measured [m].
-    source_covariance_m2 : array_like, shape (n, 3, 3)
-        Covariance of the drone's place, with the error of the centre in the image carried to it [m^2].
-    target : tuple of str, length n
-        Which point was seen.
-    targets : tuple of Place
-        The points; they become parameters ``target_<name>_e``, ``_n``, ``_u`` with their sigma.
-    offset_sigma_m : array_like, shape () or (3,), optional
-        Standard deviation of the camera's place relative to the antenna [m]; parameters ``drone_offset_e``, ``_n``,
-        ``_u``.
+    pointings: Readings, rows, times.
+    source_m (n, 3): Where the drone's antenna was measured [m].
+    source_covariance_m2 (n, 3, 3): Covariance of the drone's place, with the error of the centre in the image
+        carried to it [m^2].
+    target length n: Which point was seen.
+    targets: The points; they become parameters ``target_<name>_e``, ``_n``, ``_u`` with their sigma.
+    offset_sigma_m () or (3,): Standard deviation of the camera's place relative to the antenna [m]; parameters
+        ``drone_offset_e``, ``_n``, ``_u``.
+    InputError: Lengths differ, a target is unknown, a covariance is not positive definite.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, a target is unknown, a covariance is not positive definite.
-
-    Notes
-    -----
     The residual lies at the drone, across the line of sight: there is the error. A residual on the target grows with
     the distance of the target, and least squares would shorten it: 50 mm at 27 m with points of 10 mm.
     """

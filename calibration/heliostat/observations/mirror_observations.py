@@ -26,32 +26,18 @@ from heliogauge.validate import FloatArray, float_array
 class LampSightings(ObservationGroup):
     """Lamps at known places seen by a camera that is rigid on the structure.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    lamp_m : array_like, shape (n, 3)
-        Places of the lamps [m].
-    lamp : tuple of str, length n
-        Which lamp.
-    sigma_rad : array_like, shape () or (n,)
-        Standard deviation of the line of sight per axis: of the image, the drives and the lamp's place [rad].
-    position : tuple of str, length n, optional
-        Uncalibrated camera: label of the image position the lamp was driven to; all rows of a label share one unknown
-        direction, parameters ``direction_<label>_a``, ``_b``.
-    direction_camera : array_like, shape (n, 3), optional
-        Calibrated camera: direction of the lamp in its frame; its rotation on the structure is
+    pointings: Readings, rows, times.
+    lamp_m (n, 3): Places of the lamps [m].
+    lamp length n: Which lamp.
+    sigma_rad () or (n,): Standard deviation of the line of sight per axis: of the image, the drives and the lamp's
+        place [rad].
+    position length n: Uncalibrated camera: label of the image position the lamp was driven to; all rows of a label
+        share one unknown direction, parameters ``direction_<label>_a``, ``_b``.
+    direction_camera (n, 3): Calibrated camera: direction of the lamp in its frame; its rotation on the structure is
         ``mounted_turn_x``, ``_y``, ``_z``.
-    camera : MountedCamera, optional
-        Where the camera sits; parameters ``mounted_x``, ``_y``, ``_z``.
+    camera: Where the camera sits; parameters ``mounted_x``, ``_y``, ``_z``.
+    InputError: Lengths differ, or not exactly one of position and direction is given.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, or not exactly one of position and direction is given.
-
-    Notes
-    -----
     STAGE-STE Deliverable 12.6, section 4.2.2: intrinsics that drift need not be known if every lamp is driven to the
     same image positions.
     """
@@ -108,19 +94,10 @@ class LampSightings(ObservationGroup):
 class MirrorNormals(ObservationGroup):
     """Normals of the mirror in the field's frame, from photogrammetry, a laser tracker, an inclinometer.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    normal : array_like, shape (n, 3)
-        Outward normals of any length.
-    sigma_rad : array_like, shape () or (n,)
-        Standard deviation per axis [rad of the normal].
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a direction has no length, a sigma is not positive.
+    pointings: Readings, rows, times.
+    normal (n, 3): Outward normals of any length.
+    sigma_rad () or (n,): Standard deviation per axis [rad of the normal].
+    InputError: Lengths differ, a direction has no length, a sigma is not positive.
     """
 
     kind: ClassVar[str] = "normal"
@@ -138,23 +115,12 @@ class MirrorNormals(ObservationGroup):
 class MirrorPoints(ObservationGroup):
     """Points of the mirror measured in the field's frame, by photogrammetry or multilateration.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times; one row per point.
-    point_mirror_m : array_like, shape (n, 3)
-        The points in the mirror's frame [m].
-    point_m : array_like, shape (n, 3)
-        The points as measured [m].
-    covariance_m2 : array_like, shape (n, 3, 3)
-        Their covariance [m^2].
-    point : tuple of str, length n
-        Which point.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a value is not finite, a covariance is not positive definite.
+    pointings: Readings, rows, times; one row per point.
+    point_mirror_m (n, 3): The points in the mirror's frame [m].
+    point_m (n, 3): The points as measured [m].
+    covariance_m2 (n, 3, 3): Their covariance [m^2].
+    point length n: Which point.
+    InputError: Lengths differ, a value is not finite, a covariance is not positive definite.
     """
 
     kind: ClassVar[str] = "point"

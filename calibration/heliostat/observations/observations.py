@@ -46,15 +46,8 @@ Group: TypeAlias = BeamSpots | SunInCamera | DroneSightings | LampSightings | Mi
 class Observations:
     """Any mixture of observations of one heliostat.
 
-    Parameters
-    ----------
-    groups : tuple
-        Groups of one kind each; their rows follow one another.
-
-    Raises
-    ------
-    InputError
-        There is no group.
+    groups: Groups of one kind each; their rows follow one another.
+    InputError: There is no group.
     """
 
     groups: tuple[Group, ...]
@@ -113,10 +106,7 @@ class Observations:
     def select(self, mask: npt.ArrayLike) -> "Observations":
         """Return the rows of a mask, shape (n,); groups stay where they are, also when empty.
 
-        Raises
-        ------
-        InputError
-            The mask has another length.
+        InputError: The mask has another length.
         """
         chosen = np.asarray(mask, dtype=np.bool_)
         if chosen.shape != (len(self),):
@@ -128,10 +118,7 @@ class Observations:
     def extra_parameters(self, design: HeliostatDesign) -> Parameters:
         """Return what the observations bring besides the heliostat's own numbers, without those it already has.
 
-        Raises
-        ------
-        InputError
-            Two groups say different things of the same camera or target.
+        InputError: Two groups say different things of the same camera or target.
         """
         extra = joined_parameters(group.extra_parameters(design) for group in self.groups if len(group))
         new = np.array([name not in design.parameters.names for name in extra.names], dtype=np.bool_)

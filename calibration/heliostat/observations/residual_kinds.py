@@ -29,20 +29,12 @@ Rows = npt.NDArray[Any]
 class Prepared:
     """What does not change while the numbers do: axes of the components, weights, who is where.
 
-    Parameters
-    ----------
-    sights : Sights or None
-        Directions that the components are right and up of; None for points.
-    root : ndarray, shape (n, c, c)
-        Inverse root of the covariance of each row's components.
-    sigma_rad : ndarray, shape (n,)
-        Stated sigma per axis [rad]; NaN for points.
-    rows : mapping
-        Rows of each camera, target or image position.
-    stretch : ndarray, shape (n,)
-        Divisor of the components: the stereographic map stretches away from its middle.
-    distance_m : ndarray, shape (n,)
-        Distance at which a sigma in metres was made an angle; NaN where it was told as an angle [m].
+    sights: Directions that the components are right and up of; None for points.
+    root (n, c, c): Inverse root of the covariance of each row's components.
+    sigma_rad (n,): Stated sigma per axis [rad]; NaN for points.
+    rows: Rows of each camera, target or image position.
+    stretch (n,): Divisor of the components: the stereographic map stretches away from its middle.
+    distance_m (n,): Distance at which a sigma in metres was made an angle; NaN where it was told as an angle [m].
     """
 
     sights: Sights | None
@@ -57,16 +49,10 @@ class Prepared:
 class Place:
     """Poses and numbers at which a group is evaluated.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (n, 3, 3)
-        ``world_from_mirror``.
-    centre : ndarray, shape (n, 3)
-        The mirror's centre [m].
-    normal : ndarray, shape (n, 3)
-        Its normal.
-    numbers : mapping
-        All parameters by name.
+    rotation (n, 3, 3): ``world_from_mirror``.
+    centre (n, 3): The mirror's centre [m].
+    normal (n, 3): Its normal.
+    numbers: All parameters by name.
     """
 
     rotation: FloatArray
@@ -83,18 +69,12 @@ class Place:
 class Equations:
     """Components of a group (predicted minus observed), with derivatives by the pose and by its own parameters.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (n, c)
-        Components [rad or m].
-    by_turn, by_shift : ndarray, shape (n, c, 3)
-        Derivatives by a turn of the mirror [per rad] and a shift of its centre [per m], both in the field's frame.
-    extra : tuple
-        Names, rows and derivatives (r, c, k) of further parameters.
-    beam : tuple of ndarray or None
-        Source and observed direction of the beam, from which the normal follows; None for kinds without.
-    distance_m : ndarray, shape (n,)
-        From the mirror to what was observed; NaN for normals [m].
+    residual (n, c): Components [rad or m].
+    by_turn, by_shift (n, c, 3): Derivatives by a turn of the mirror [per rad] and a shift of its centre [per m],
+        both in the field's frame.
+    extra: Names, rows and derivatives (r, c, k) of further parameters.
+    beam: Source and observed direction of the beam, from which the normal follows; None for kinds without.
+    distance_m (n,): From the mirror to what was observed; NaN for normals [m].
     """
 
     residual: FloatArray
@@ -108,22 +88,10 @@ class Equations:
 def prepare(design: HeliostatDesign, group: Group) -> Prepared:
     """Return what stays the same at all numbers.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat; its own numbers choose axes and weights.
-    group : Group
-        Observations of one kind.
-
-    Returns
-    -------
-    Prepared
-        Axes, weights and rows.
-
-    Raises
-    ------
-    InputError
-        A covariance vanishes across the line of sight.
+    design: The heliostat; its own numbers choose axes and weights.
+    group: Observations of one kind.
+    Returns: Axes, weights and rows.
+    InputError: A covariance vanishes across the line of sight.
     """
     return _PREPARATIONS[type(group)](design, group)
 
@@ -136,22 +104,11 @@ def equations(place: Place, group: Group, prepared: Prepared) -> Equations:
 def in_metres(part: Equations, prepared: Prepared) -> Equations:
     """Return components as lengths at what was seen, over the distance at which their sigma was made an angle.
 
-    Parameters
-    ----------
-    part : Equations
-        Components as angles.
-    prepared : Prepared
-        What their weights rest on.
+    prepared: What their weights rest on.
 
-    Returns
-    -------
-    Equations
-        The same where the sigma was told as an angle.
-
-    Notes
-    -----
     Frozen weights of angles would reward a heliostat for standing farther away, where the same miss in metres is a
-    smaller angle: 1178 components of 7.6 mm at 39 m move a place that is known to 0.6 m by 6 m along the line of sight.
+    smaller angle: 1178 components of 7.6 mm at 39 m move a place that is known to 0.6 m by 6 m along the line of
+    sight.
     """
     if part.beam is None or np.isnan(prepared.distance_m).any():
         return part

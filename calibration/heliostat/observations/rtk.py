@@ -16,16 +16,10 @@ _FEWEST = 20
 class RtkStatistics:
     """Spread of the positions of a receiver that did not move; components are north, east, down.
 
-    Parameters
-    ----------
-    n_epochs : int
-        Positions used.
-    mean_m, range_m, sigma_m : ndarray, shape (3,)
-        Mean, largest minus smallest, standard deviation (n - 1) [m].
-    drms_m, mrse_m : float
-        Root mean square deviation in the horizontal plane and in space, over n [m].
-    correlation_time_s : float
-        Integrated autocorrelation time, the longest of the three components: how far apart epochs are independent [s].
+    mean_m, range_m, sigma_m (3,): Mean, largest minus smallest, standard deviation (n - 1) [m].
+    drms_m, mrse_m: Root mean square deviation in the horizontal plane and in space, over n [m].
+    correlation_time_s: Integrated autocorrelation time, the longest of the three components: how far apart epochs
+        are independent [s].
     """
 
     n_epochs: int
@@ -39,12 +33,8 @@ class RtkStatistics:
     def sigma_of_mean_m(self, duration_s: float, interval_s: float) -> FloatArray:
         """Return the standard deviation of a mean over some time of such a receiver, shape (3,) [m].
 
-        Parameters
-        ----------
-        duration_s : float
-            How long is averaged [s].
-        interval_s : float
-            Time between epochs [s].
+        duration_s: How long is averaged [s].
+        interval_s: Time between epochs [s].
         """
         positive("interval_s", interval_s, "seconds")
         independent = max(1.0, duration_s / max(interval_s, self.correlation_time_s))
@@ -56,29 +46,13 @@ def rtk_statistics(
 ) -> RtkStatistics:
     """Summarise the log of an RTK-GPS receiver that did not move.
 
-    Parameters
-    ----------
-    positions_m : array_like, shape (n, 3)
-        North, east and down of the base station [m].
-    interval_s : float, optional
-        Time between epochs [s].
-    is_fixed : array_like of bool, shape (n,), optional
-        Epochs with resolved ambiguities; the others are left out. All of them without.
+    positions_m (n, 3): North, east and down of the base station [m].
+    interval_s: Time between epochs [s].
+    is_fixed (n,): Epochs with resolved ambiguities; the others are left out. All of them without.
+    Returns: Spread, and how long it keeps its direction.
+    InputError: Wrong shapes.
+    EstimationError: Fewer than 20 epochs are fixed.
 
-    Returns
-    -------
-    RtkStatistics
-        Spread, and how long it keeps its direction.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes.
-    EstimationError
-        Fewer than 20 epochs are fixed.
-
-    Notes
-    -----
     Gouws (2018), eqs. 3.13 and 3.14. For errors that are equal and normal in all directions 63.2 % of them are within
     DRMS and 60.8 % within MRSE. The autocorrelation time sums the correlation until it first falls below zero; white
     noise has that of one epoch. Epochs that are left out in between are not bridged.

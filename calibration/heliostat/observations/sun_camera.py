@@ -26,16 +26,10 @@ _LEAST_PIXELS = 12
 class SunDisc:
     """The sun in a picture taken through a dark filter.
 
-    Parameters
-    ----------
-    center_px : ndarray, shape (2,)
-        Column and row of its centre [px].
-    sigma_px : float
-        Uncertainty of a coordinate by the noise beside the disc [px].
-    radius_px : float
-        Radius of the circle of the same area [px].
-    roundness : float
-        Minor over major axis: well below 1 where a cloud or the border cuts the disc.
+    center_px (2,): Column and row of its centre [px].
+    sigma_px: Uncertainty of a coordinate by the noise beside the disc [px].
+    radius_px: Radius of the circle of the same area [px].
+    roundness: Minor over major axis: well below 1 where a cloud or the border cuts the disc.
     """
 
     center_px: FloatArray
@@ -47,22 +41,10 @@ class SunDisc:
 def sun_disc(image_dn: npt.NDArray[np.generic]) -> SunDisc:
     """Find the sun's disc.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        The picture [DN].
-
-    Returns
-    -------
-    SunDisc
-        Centre of the area above half the disc's brightness, radius, roundness.
-
-    Raises
-    ------
-    InputError
-        Not a grey picture.
-    EstimationError
-        No bright disc, or it touches the border.
+    Shapes: image_dn (h, w).
+    Returns: Centre of the area above half the disc's brightness, radius, roundness.
+    InputError: Not a grey picture.
+    EstimationError: No bright disc, or it touches the border.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: shape (height, width) is needed, not {image_dn.shape}; make colours grey first")
@@ -101,22 +83,9 @@ def sun_disc(image_dn: npt.NDArray[np.generic]) -> SunDisc:
 def sun_shifts_rad(camera: Camera, centers_px: npt.ArrayLike) -> FloatArray:
     """Return how far the camera's axis turned against the sun since the first picture.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera on the mirror.
-    centers_px : array_like, shape (n, 2)
-        Centres of the sun [px].
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Shift of the sun's direction to the right and up in the picture: angles of the normal [rad].
-
-    Raises
-    ------
-    InputError
-        No pictures, or a place where the lens model is not one-to-one.
+    Shapes: centers_px (n, 2).
+    Returns (n, 2): Shift of the sun's direction to the right and up in the picture: angles of the normal [rad].
+    InputError: No pictures, or a place where the lens model is not one-to-one.
     """
     centers = float_array("centers_px", centers_px, (None, 2))
     if centers.shape[0] == 0:

@@ -13,26 +13,14 @@ from heliogauge.validate import FloatArray, positive
 class ConcaveMirror:
     """A mirror that concentrates, seen from its axis, in one of its two directions.
 
-    Parameters
-    ----------
-    size_m : float
-        Width of the mirror [m].
-    edge_slope_rad : float
-        Slope of the surface at its edges; 0 for a flat mirror [rad].
+    size_m: Width of the mirror [m].
+    edge_slope_rad: Slope of the surface at its edges; 0 for a flat mirror [rad].
+    InputError: A width that is not positive, or a slope outside 0 to pi / 8.
 
-    Raises
-    ------
-    InputError
-        A width that is not positive, or a slope outside 0 to pi / 8.
-
-    Notes
-    -----
     Gouws (2018), section 4.2.2.1, eqs. 4.1 to 4.5: the ray from the camera to the edge leaves it by twice the edge's
-    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the plane
-    of incidence and f / cos(theta) across.
+    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the
+    plane of incidence and f / cos(theta) across.
 
-    Examples
-    --------
     >>> mirror = ConcaveMirror.showing(2.0, size_m=1.9, camera_m=32.0, target_m=27.0)
     >>> round(float(np.degrees(mirror.edge_slope_rad)), 6)
     0.797183
@@ -52,24 +40,7 @@ class ConcaveMirror:
     def showing(cls, width_m: float, *, size_m: float, camera_m: float, target_m: float) -> "ConcaveMirror":
         """Return the mirror in which so much of a target is seen.
 
-        Parameters
-        ----------
-        width_m : float
-            Width of the target that fills the mirror [m].
-        size_m : float
-            Width of the mirror [m].
-        camera_m, target_m : float
-            Distances of camera and target from the mirror [m].
-
-        Returns
-        -------
-        ConcaveMirror
-            The mirror.
-
-        Raises
-        ------
-        InputError
-            Lengths that are not positive, or a convex mirror would be needed.
+        InputError: Lengths that are not positive, or a convex mirror would be needed.
         """
         for name, value in (("width_m", width_m), ("camera_m", camera_m), ("target_m", target_m)):
             positive(name, value, "metres")
@@ -89,15 +60,9 @@ class ConcaveMirror:
     def visible_width_m(self, camera_m: npt.ArrayLike, target_m: npt.ArrayLike) -> FloatArray:
         """Return how much of a target is seen in the mirror.
 
-        Parameters
-        ----------
-        camera_m, target_m : array_like, shape (...)
-            Distances of camera (inf: the sun, whose spot has this width) and target from the mirror [m].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Widths; negative where the rays cross before the target [m].
+        camera_m, target_m (...): Distances of camera (inf: the sun, whose spot has this width) and target from the
+            mirror [m].
+        Returns (...): Widths; negative where the rays cross before the target [m].
         """
         with np.errstate(divide="ignore"):
             ray = np.arctan(self.size_m / (2 * np.asarray(camera_m, dtype=np.float64))) - 2 * self.edge_slope_rad
@@ -106,22 +71,7 @@ class ConcaveMirror:
     def nearest_camera_m(self, width_m: float, target_m: float) -> float:
         """Return the distance beyond which no more than a target's width is seen in the mirror, and it fills it.
 
-        Parameters
-        ----------
-        width_m : float
-            Width of the target [m].
-        target_m : float
-            Its distance from the mirror [m].
-
-        Returns
-        -------
-        float
-            Distance of the camera [m].
-
-        Raises
-        ------
-        InputError
-            From no distance so little is seen.
+        InputError: From no distance so little is seen.
         """
         positive("target_m", target_m, "metres")
         ray = np.arctan((width_m - self.size_m) / (2 * target_m)) + 2 * self.edge_slope_rad
@@ -133,15 +83,7 @@ class ConcaveMirror:
     def beam_error_per_metre(self, camera_m: float, target_m: float) -> float:
         """Return the error of the beam for each metre by which the target's centre is misjudged on the mirror.
 
-        Parameters
-        ----------
-        camera_m, target_m : float
-            Distances of camera and target from the mirror [m].
-
-        Returns
-        -------
-        float
-            ``1 / camera + 1 / target - 1 / f`` [rad/m].
+        Returns: ``1 / camera + 1 / target - 1 / f`` [rad/m].
         """
         positive("camera_m", camera_m, "metres")
         positive("target_m", target_m, "metres")

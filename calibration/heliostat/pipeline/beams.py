@@ -31,28 +31,10 @@ def with_measured_beams(
 ) -> tuple[Rows, BeamMeasurements | None]:
     """Measure the beams in the photos that rows name.
 
-    Parameters
-    ----------
-    rows : Rows
-        Rows as they were read; those with a photo and without a place are filled.
-    folder : Path
-        The measurement's folder.
-    plant : Plant
-        Targets.
-    model : HeliostatModel
-        Where targets are in the photos.
-
-    Returns
-    -------
-    Rows
-        With places and sigmas [m, mm], or the reason why a photo gave none.
-    BeamMeasurements or None
-        What was measured in the photos; None where no row names one that could be looked at.
-
-    Raises
-    ------
-    InputError
-        Photos of empty targets, marks or a camera that cannot be used.
+    rows: Rows as they were read; those with a photo and without a place are filled.
+    Returns: With places and sigmas [m, mm], or the reason why a photo gave none.
+    Returns: What was measured in the photos; None where no row names one that could be looked at.
+    InputError: Photos of empty targets, marks or a camera that cannot be used.
     """
     images, kinds, targets = rows.text("image"), rows.text("kind", "beam"), rows.text("target")
     flat, space = rows.vector("x_m", "y_m"), rows.vector("e_m", "n_m", "u_m")
@@ -95,24 +77,7 @@ def _frozen(column: FloatArray) -> FloatArray:
 def beam_frames(folder: Path, plant: Plant, model: HeliostatModel) -> dict[str, TargetFrame]:
     """Return where the targets are in the photos.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    plant : Plant
-        Targets.
-    model : HeliostatModel
-        ``[[images]]`` of the measurement.
-
-    Returns
-    -------
-    dict of str to TargetFrame
-        Frames by target.
-
-    Raises
-    ------
-    InputError
-        A target that is not known or described twice, or a file that is not there.
+    InputError: A target that is not known or described twice, or a file that is not there.
     """
     corners = {one.name: one.corners_m for one in model.target}
     frames: dict[str, TargetFrame] = {}

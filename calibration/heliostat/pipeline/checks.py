@@ -29,24 +29,11 @@ _TURN = 2 * np.pi
 def readings_of(rows: Rows, design: HeliostatDesign, verdicts: Verdicts) -> FloatArray:
     """Return the readings of both drives in the design's unit.
 
-    Parameters
-    ----------
-    rows : Rows
-        The rows.
-    design : HeliostatDesign
-        Says the unit and the limits.
-    verdicts : Verdicts
-        Takes rows whose readings are missing or cannot be.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Readings; NaN where there are none.
-
-    Raises
-    ------
-    InputError
-        Readings in a unit that the design has no use for, or a whole column that is in another unit than it says.
+    design: Says the unit and the limits.
+    verdicts: Takes rows whose readings are missing or cannot be.
+    Returns (n, 2): Readings; NaN where there are none.
+    InputError: Readings in a unit that the design has no use for, or a whole column that is in another unit than it
+        says.
     """
     unit = next((one for one in ("counts", "deg", "rad") if f"axis_1_{one}" in rows.numbers), "rad")
     names = [f"axis_{axis}_{unit}" for axis in (1, 2)]
@@ -112,28 +99,11 @@ def _outside_text(design: HeliostatDesign, names: list[str], values: FloatArray,
 def suns_of(rows: Rows, site: Site, verdicts: Verdicts, needed: BoolArray) -> tuple[FloatArray, float]:
     """Return the direction to the sun of each row: as told, else from its time.
 
-    Parameters
-    ----------
-    rows : Rows
-        The rows.
-    site : Site
-        Where the plant is.
-    verdicts : Verdicts
-        Takes rows without a sun, with one below the horizon, and with one that contradicts its time.
-    needed : ndarray of bool, shape (n,)
-        Rows that are nothing without the sun.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Unit vectors to the apparent sun; NaN where there is none.
-    float
-        Median angle between the sun as told and as SPA has it [rad]; NaN where not both are there.
-
-    Raises
-    ------
-    InputError
-        The suns as told are in radians, or counted by another convention, or the times are of another zone.
+    verdicts: Takes rows without a sun, with one below the horizon, and with one that contradicts its time.
+    needed (n,): Rows that are nothing without the sun.
+    Returns (n, 3): Unit vectors to the apparent sun; NaN where there is none.
+    Returns: Median angle between the sun as told and as SPA has it [rad]; NaN where not both are there.
+    InputError: The suns as told are in radians, or counted by another convention, or the times are of another zone.
     """
     told = np.deg2rad(rows.vector("sun_azimuth_deg", "sun_elevation_deg"))
     is_told: BoolArray = np.asarray(np.isfinite(told).all(axis=1))
@@ -213,12 +183,7 @@ def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site,
 def refuse_repeats(rows: Rows, verdicts: Verdicts) -> None:
     """Refuse rows that say what an earlier one said: they would count twice.
 
-    Parameters
-    ----------
-    rows : Rows
-        The rows.
-    verdicts : Verdicts
-        Takes the repeats.
+    verdicts: Takes the repeats.
     """
     numbers = np.column_stack([*rows.numbers.values(), np.zeros(len(rows))])
     texts = list(zip(*(rows.texts[name] for name in rows.texts if name != "split"), strict=True))
@@ -235,21 +200,11 @@ def refuse_repeats(rows: Rows, verdicts: Verdicts) -> None:
 def refuse_constants(readings: FloatArray, suns: FloatArray, where: BoolArray, name: str) -> None:
     """Refuse columns that never change although the sun moved.
 
-    Parameters
-    ----------
-    readings : ndarray, shape (n, 2)
-        Readings of both drives.
-    suns : ndarray, shape (n, 3)
-        Directions to the sun.
-    where : ndarray of bool, shape (n,)
-        Usable rows that need the sun.
-    name : str
-        The heliostat, for the message.
-
-    Raises
-    ------
-    InputError
-        A drive, or the sun, is the same in all rows.
+    Shapes: suns (n, 3).
+    readings (n, 2): Readings of both drives.
+    where (n,): Usable rows that need the sun.
+    name: The heliostat, for the message.
+    InputError: A drive, or the sun, is the same in all rows.
     """
     count = int(np.count_nonzero(where))
     if count < _ENOUGH:

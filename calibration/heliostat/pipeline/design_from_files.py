@@ -28,24 +28,11 @@ _POSITION_CELLS = frozenset({"e_m", "n_m", "u_m", "lat_deg", "lon_deg", "alt_m"}
 def nominal_design(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:
     """Return a heliostat as it is known before any observation.
 
-    Parameters
-    ----------
-    task : HeliostatTask
-        Its row of the table, or its properties.
-    plant : Plant
-        Origin of the field's frame.
-    kinematics : KinematicsSection
-        Preset, terms, numbers and priors that all share.
-
-    Returns
-    -------
-    HeliostatDesign
-        All parameters, those of the chosen free set and those with a prior free.
-
-    Raises
-    ------
-    InputError
-        A number that is missing or cannot be, a parameter that does not exist.
+    task: Its row of the table, or its properties.
+    plant: Origin of the field's frame.
+    kinematics: Preset, terms, numbers and priors that all share.
+    Returns: All parameters, those of the chosen free set and those with a prior free.
+    InputError: A number that is missing or cannot be, a parameter that does not exist.
     """
     if task.properties:
         design = paint_design(parse_properties(task.properties, f"properties of {task.name}"), task.name, plant)
@@ -60,19 +47,8 @@ def nominal_design(task: HeliostatTask, plant: Plant, kinematics: KinematicsSect
 def paint_design(properties: PaintProperties, name: str, plant: Plant) -> HeliostatDesign:
     """Return the heliostat that a properties file of PAINT describes.
 
-    Parameters
-    ----------
-    properties : PaintProperties
-        What the file says.
-    name : str
-        Its name.
-    plant : Plant
-        Origin of the field's frame.
-
-    Returns
-    -------
-    HeliostatDesign
-        Two linear actuators, all parameters held.
+    plant: Origin of the field's frame.
+    Returns: Two linear actuators, all parameters held.
     """
     numbers = [
         ActuatorNumbers(

@@ -41,16 +41,10 @@ corrections_*.csv    readings over a day that put the beam on the aim point: as 
 class ExportOptions:
     """What to export.
 
-    Parameters
-    ----------
-    date : datetime.date or None
-        Day of the tables of corrections; none without.
-    step_minutes : float
-        Step of the tables [min].
-    target : str or None
-        Target whose centre is aimed at; the first one if None.
-    force : bool
-        Replace earlier exported files.
+    date: Day of the tables of corrections; none without.
+    step_minutes: Step of the tables [min].
+    target: Target whose centre is aimed at; the first one if None.
+    force: Replace earlier exported files.
     """
 
     date: datetime.date | None = None
@@ -62,24 +56,9 @@ class ExportOptions:
 def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[str]:
     """Export calibrated heliostats.
 
-    Parameters
-    ----------
-    result : Path
-        Folder with ``heliostat.json``, or one with a folder for each heliostat.
-    out : Path
-        Where to.
-    options : ExportOptions, optional
-        What.
-
-    Returns
-    -------
-    list of str
-        Names of the files, in order.
-
-    Raises
-    ------
-    InputError
-        No results there, the folder cannot be used, no such target, or a step that cannot be.
+    result: Folder with ``heliostat.json``, or one with a folder for each heliostat.
+    Returns: Names of the files, in order.
+    InputError: No results there, the folder cannot be used, no such target, or a step that cannot be.
     """
     options = options or ExportOptions()
     if not 0.1 <= options.step_minutes <= 240:
@@ -105,20 +84,7 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
 def results_of(folder: Path) -> Iterator[dict[str, Any]]:
     """Read what each calibrated heliostat of a folder of results says.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder with ``heliostat.json``, or one with a folder for each heliostat.
-
-    Yields
-    ------
-    dict
-        Content of one ``heliostat.json``.
-
-    Raises
-    ------
-    InputError
-        No results there, or results of another version.
+    InputError: No results there, or results of another version.
     """
     files = (
         [folder / HELIOSTAT_FILE] if (folder / HELIOSTAT_FILE).is_file() else sorted(folder.glob(f"*/{HELIOSTAT_FILE}"))
@@ -136,16 +102,8 @@ def results_of(folder: Path) -> Iterator[dict[str, Any]]:
 def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
     """Return what a local controller of an azimuth-elevation heliostat stores (Malan 2014, section 5.4).
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat with its calibrated numbers.
-
-    Returns
-    -------
-    dict or None
-        Rotation ``rm1`` to ``rm9``, biases and non-orthogonality [rad], position [m]; None for a chain that has no such
-        closed form.
+    Returns: Rotation ``rm1`` to ``rm9``, biases and non-orthogonality [rad], position [m]; None for a chain that
+        has no such closed form.
     """
     numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
     drives = design.drives
@@ -174,22 +132,10 @@ def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
 def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> dict[str, Any]:
     """Return a day's readings without and with the calibration, and their difference.
 
-    Parameters
-    ----------
-    content : mapping
-        ``heliostat.json``.
-    options : ExportOptions
-        Date, step, target.
-
-    Returns
-    -------
-    dict of str to sequence
-        Columns of the table; rows from sunrise to sunset, NaN where a drive cannot go there.
-
-    Raises
-    ------
-    InputError
-        No such target, or no date.
+    content: ``heliostat.json``.
+    options: Date, step, target.
+    Returns: Columns of the table; rows from sunrise to sunset, NaN where a drive cannot go there.
+    InputError: No such target, or no date.
     """
     targets = content["targets"]
     name = next(iter(targets)) if options.target is None else options.target

@@ -49,16 +49,10 @@ _MOST_SAID = 20
 class FieldResult:
     """What came of a field; the heliostats themselves are in the folder.
 
-    Parameters
-    ----------
-    rows : list of dict
-        Rows of ``field.csv``, the worst first.
-    summary : Summary
-        Counts and the middle of the field.
-    resumed : int
-        Heliostats that were finished before.
-    splits : tuple of str
-        For a single heliostat: what came of each split.
+    rows: Rows of ``field.csv``, the worst first.
+    summary: Counts and the middle of the field.
+    resumed: Heliostats that were finished before.
+    splits: For a single heliostat: what came of each split.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -93,35 +87,14 @@ def run_into(
 ) -> FieldResult:
     """Calibrate heliostats into a folder.
 
-    Parameters
-    ----------
-    measurement : HeliostatMeasurement
-        From `heliogauge.measurement.load.load_heliostat`.
-    out : Path
-        The folder. One heliostat: it appears whole or not at all. Several: it fills one by one; what an interrupted run
-        has finished is kept, and taken over by the next run with the same measurement and options.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-    force : bool, optional
-        Replace earlier results, interrupted ones too.
-    report : bool, optional
-        Add ``report.html``.
-
-    Returns
-    -------
-    FieldResult
-        The rows of the field, the worst first.
-
-    Raises
-    ------
-    InputError
-        The measurement cannot be meant, or the folder cannot be used.
-    EstimationError
-        No heliostat could be calibrated.
-    KeyboardInterrupt
-        With what is finished in its text.
+    out: The folder. One heliostat: it appears whole or not at all. Several: it fills one by one; what an
+        interrupted run has finished is kept, and taken over by the next run with the same measurement and options.
+    force: Replace earlier results, interrupted ones too.
+    report: Add ``report.html``.
+    Returns: The rows of the field, the worst first.
+    InputError: The measurement cannot be meant, or the folder cannot be used.
+    EstimationError: No heliostat could be calibrated.
+    KeyboardInterrupt: With what is finished in its text.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("look at heliostats"):
@@ -239,15 +212,7 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
 def headline_text(result: FieldResult) -> str:
     """Say the most important numbers in a few lines.
 
-    Parameters
-    ----------
-    result : FieldResult
-        What `run_into` returned.
-
-    Returns
-    -------
-    str
-        Lines for the terminal.
+    result: What `run_into` returned.
     """
     lines = []
     if result.resumed:

@@ -19,20 +19,11 @@ JOURNAL_FILE = "field_progress.jsonl"
 class FieldFolder:
     """A folder of results with one folder for each heliostat.
 
-    Parameters
-    ----------
-    target : Path
-        Where the results shall stand.
-    force : bool, optional
-        Replace earlier results, whole or interrupted; without it an interrupted field is continued.
+    target: Where the results shall stand.
+    force: Replace earlier results, whole or interrupted; without it an interrupted field is continued.
+    InputError: On entering: whole results are there already, the folder holds something else, or it cannot be
+        written to.
 
-    Raises
-    ------
-    InputError
-        On entering: whole results are there already, the folder holds something else, or it cannot be written to.
-
-    Notes
-    -----
     Each heliostat's folder appears whole or not at all, and only then is it noted as finished. Earlier results that
     `force` replaces stay until the first heliostat is finished.
     """
@@ -87,16 +78,9 @@ class FieldFolder:
     def keep(self, name: str, digest: str, row: Mapping[str, Any], files: Mapping[str, bytes]) -> None:
         """Write a finished heliostat's files into a folder of its own, whole or not at all.
 
-        Parameters
-        ----------
-        name : str
-            The heliostat.
-        digest : str
-            Hash of what its result was made from.
-        row : mapping
-            Its row in the table of the field.
-        files : mapping of str to bytes
-            Content of each file; none for a heliostat that failed.
+        digest: Hash of what its result was made from.
+        row: Its row in the table of the field.
+        files: Content of each file; none for a heliostat that failed.
         """
         working, place = self.path / f".{name}.partial", self.path / name
         shutil.rmtree(working, ignore_errors=True)
@@ -152,15 +136,7 @@ def _read_journal(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:
 def check_names(names: tuple[str, ...]) -> None:
     """Refuse names of heliostats that cannot be names of folders.
 
-    Parameters
-    ----------
-    names : tuple of str
-        The names.
-
-    Raises
-    ------
-    InputError
-        Names the first that cannot be.
+    InputError: Names the first that cannot be.
     """
     for name in names:
         if not name or name.startswith(".") or any(sign in name for sign in '/\\\0:*?"<>|') or name != name.strip():

@@ -41,23 +41,14 @@ WORTH = {False: 16, True: 1}
 class Options:
     """Choices of the evaluation; what is None is as the measurement says.
 
-    Parameters
-    ----------
-    split : str or None
-        What the model is tried out on: "chronological", "random", "azimuth", "azimuth-reversed", "high-variance", or
-        "column" of the table.
-    model : str or None
-        Usual choice of free parameters of the preset ("4", "8", "15", ...), or "auto".
-    label : str or None
-        Method of the beams' centres in PAINT's records: "UTIS" or "HeliOS".
-    only : str or None
-        Heliostats to calibrate, by name, a text with ``*``; several with commas.
-    thorough : bool or None
-        Make every split, and choose the model by trial; None for small fields only.
-    jobs : int or None
-        Processes side by side; None for all processors.
-    scheduler : str or None
-        Address of a Dask cluster that does the work instead.
+    split: What the model is tried out on: "chronological", "random", "azimuth", "azimuth-reversed",
+        "high-variance", or "column" of the table.
+    model: Usual choice of free parameters of the preset ("4", "8", "15", ...), or "auto".
+    label: Method of the beams' centres in PAINT's records: "UTIS" or "HeliOS".
+    only: Heliostats to calibrate, by name, a text with ``*``; several with commas.
+    thorough: Make every split, and choose the model by trial; None for small fields only.
+    jobs: Processes side by side; None for all processors.
+    scheduler: Address of a Dask cluster that does the work instead.
     """
 
     split: str | None = None
@@ -78,20 +69,12 @@ class Options:
 class Result:
     """Calibrated heliostats.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    shared : Shared
-        What all share.
-    heliostats : tuple of HeliostatResult
-        Those that could be calibrated, in the order of the measurement.
-    failures : dict of str to Failure
-        Why the others could not.
-    durations_s : dict of str to float
-        Time of each stage [s].
-    input_sha256 : dict of str to str
-        Hashes of the files they share.
+    name: Name of the measurement.
+    shared: What all share.
+    heliostats: Those that could be calibrated, in the order of the measurement.
+    failures: Why the others could not.
+    durations_s: Time of each stage [s].
+    input_sha256: Hashes of the files they share.
     """
 
     name: str
@@ -121,26 +104,9 @@ class Chosen:
 def run(measurement: HeliostatMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Calibrate heliostats and keep everything in memory; for thousands use `calibration.heliostat.pipeline.field`.
 
-    Parameters
-    ----------
-    measurement : HeliostatMeasurement
-        From `heliogauge.measurement.load.load_heliostat`.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Told of each stage.
-
-    Returns
-    -------
-    Result
-        Each heliostat with its fit, or why it has none.
-
-    Raises
-    ------
-    InputError
-        The measurement cannot be meant.
-    EstimationError
-        No heliostat could be calibrated.
+    Returns: Each heliostat with its fit, or why it has none.
+    InputError: The measurement cannot be meant.
+    EstimationError: No heliostat could be calibrated.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("look at heliostats"):
@@ -166,22 +132,7 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
 def choose(measurement: HeliostatMeasurement, options: Options) -> Chosen:
     """Look at a measurement: which heliostats, and what they share.
 
-    Parameters
-    ----------
-    measurement : HeliostatMeasurement
-        From `heliogauge.measurement.load.load_heliostat`.
-    options : Options
-        Choices.
-
-    Returns
-    -------
-    Chosen
-        Ready to be worked on.
-
-    Raises
-    ------
-    InputError
-        The measurement cannot be meant, or no heliostat has a name that is asked for.
+    InputError: The measurement cannot be meant, or no heliostat has a name that is asked for.
     """
     source = open_source(measurement)
     names = tuple(_asked_for(source.names, options.only))
@@ -203,19 +154,9 @@ def choose(measurement: HeliostatMeasurement, options: Options) -> Chosen:
 def with_field(chosen: Chosen, workers: Workers, progress: Progress) -> Chosen:
     """Let heliostats of a small field know what they have in common, where nobody said which parameters are free.
 
-    Parameters
-    ----------
-    chosen : Chosen
-        The heliostats.
-    workers : Workers
-        Who works.
-    progress : Progress
-        Told of the stage.
-
-    Returns
-    -------
-    Chosen
-        With the field's population; as it was for one heliostat, a large field, or beams that are only measured yet.
+    workers: Who works.
+    Returns: With the field's population; as it was for one heliostat, a large field, or beams that are only
+        measured yet.
     """
     shared = chosen.shared
     own_say = shared.free != AUTO or told_free(shared.model.kinematics)
@@ -256,15 +197,7 @@ def _asked_for(names: tuple[str, ...], only: str | None) -> Iterator[str]:
 def refuse_all(failures: dict[str, Failure]) -> None:
     """Say why not one heliostat could be calibrated.
 
-    Parameters
-    ----------
-    failures : dict of str to Failure
-        Reasons by heliostat.
-
-    Raises
-    ------
-    EstimationError
-        Always, with the first reason.
+    EstimationError: Always, with the first reason.
     """
     first = next(iter(failures.values()))
     if first.trace:
@@ -275,20 +208,7 @@ def refuse_all(failures: dict[str, Failure]) -> None:
 
 
 def write(result: Result, folder: Path) -> None:
-    """Write results into an existing folder: of one heliostat, or a folder for each, ``field.csv`` and a summary.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write results into an existing folder: of one heliostat, or a folder for each, ``field.csv`` and a summary."""
     durations, hashes = result.durations_s, result.input_sha256
     if len(result.heliostats) == 1 and not result.failures:
         (one,) = result.heliostats
@@ -314,23 +234,9 @@ def field_summary(
 ) -> Summary:
     """Return the summary of a field.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    rows : list of dict
-        Rows of ``field.csv``.
-    shared : Shared
-        What all heliostats share.
-    durations_s : dict of str to float
-        Time of each stage [s].
-    input_sha256 : dict of str to str
-        Hashes of what was read.
-
-    Returns
-    -------
-    Summary
-        Counts and the middle of the field.
+    shared: What all heliostats share.
+    durations_s: Time of each stage [s].
+    input_sha256: Hashes of what was read.
     """
     import numpy as np
 

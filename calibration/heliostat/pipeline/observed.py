@@ -42,22 +42,13 @@ _OFF_PLANE_M = 0.5
 class Observed:
     """Observations of a heliostat, and what became of each row.
 
-    Parameters
-    ----------
-    rows : Rows
-        All rows, with the verdict on each.
-    observations : Observations or None
-        Those that can be used; ``observations.row`` counts rows of `rows`. None without any.
-    readings : ndarray, shape (n, 2)
-        Readings of all rows in the design's unit; NaN where there are none.
-    suns : ndarray, shape (n, 3)
-        Directions to the sun; NaN where there is none.
-    spots_m : ndarray, shape (n, 3)
-        Where the beams' centres were seen [m]; NaN for other kinds.
-    sun_check_rad : float
-        Median angle between suns as told and as SPA has them [rad]; NaN where not both are there.
-    has_sigmas : bool
-        Whether the table itself says how well each row is known.
+    rows: All rows, with the verdict on each.
+    observations: Those that can be used; ``observations.row`` counts rows of `rows`. None without any.
+    readings (n, 2): Readings of all rows in the design's unit; NaN where there are none.
+    suns (n, 3): Directions to the sun; NaN where there is none.
+    spots_m (n, 3): Where the beams' centres were seen [m]; NaN for other kinds.
+    sun_check_rad: Median angle between suns as told and as SPA has them [rad]; NaN where not both are there.
+    has_sigmas: Whether the table itself says how well each row is known.
     """
 
     rows: Rows
@@ -79,26 +70,11 @@ def site_of(section: SiteSection) -> Site:
 def observed(rows: Rows, design: HeliostatDesign, plant: Plant, model: HeliostatModel) -> Observed:
     """Turn rows into observations.
 
-    Parameters
-    ----------
-    rows : Rows
-        As they were read.
-    design : HeliostatDesign
-        The heliostat as it is known.
-    plant : Plant
-        Targets and site.
-    model : HeliostatModel
-        Cameras, and the sigma of a beam's centre where the table gives none.
-
-    Returns
-    -------
-    Observed
-        Observations, and a verdict on every row.
-
-    Raises
-    ------
-    InputError
-        A whole column is in another unit or convention, or never changes.
+    rows: As they were read.
+    design: The heliostat as it is known.
+    plant: Targets and site.
+    model: Cameras, and the sigma of a beam's centre where the table gives none.
+    InputError: A whole column is in another unit or convention, or never changes.
     """
     verdicts = Verdicts(rows)
     kinds = rows.text("kind", "beam")

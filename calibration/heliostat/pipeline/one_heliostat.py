@@ -49,24 +49,14 @@ _FEW_REFUSED = 0.1
 class Shared:
     """What all heliostats of a run share; sent to each worker once.
 
-    Parameters
-    ----------
-    plant : Plant
-        Targets and site.
-    model : HeliostatModel
-        What measurement.toml says.
-    split : str
-        The split that the residuals are told by.
-    free : str
-        Usual choice of free parameters, or "auto".
-    label : str
-        Method of the beams' centres in PAINT's records.
-    folder : Path
-        The measurement's folder; where work is done elsewhere, photos must be found there too.
-    thorough : bool
-        Try the model out on every split, and choose it again for each.
-    population : Population or None
-        What the heliostats of the field have in common; None where each is taken for itself.
+    plant: Targets and site.
+    model: What measurement.toml says.
+    split: The split that the residuals are told by.
+    free: Usual choice of free parameters, or "auto".
+    label: Method of the beams' centres in PAINT's records.
+    folder: The measurement's folder; where work is done elsewhere, photos must be found there too.
+    thorough: Try the model out on every split, and choose it again for each.
+    population: What the heliostats of the field have in common; None where each is taken for itself.
     """
 
     plant: Plant
@@ -83,14 +73,10 @@ class Shared:
 class SkyMap:
     """Predicted uncertainty of the beam on one target, over the sky.
 
-    Parameters
-    ----------
-    target : str
-        Whose centre is aimed at.
-    sigma_beam_rad : ndarray, shape (elevations, azimuths)
-        Expected error of the beam [rad]; NaN where the sun never stands or the drives cannot point.
-    extrapolated : ndarray of bool, shape (elevations, azimuths)
-        Whether the sun stands beyond those that were used.
+    target: Whose centre is aimed at.
+    sigma_beam_rad (elevations, azimuths): Expected error of the beam [rad]; NaN where the sun never stands or the
+        drives cannot point.
+    extrapolated (elevations, azimuths): Whether the sun stands beyond those that were used.
     """
 
     target: str
@@ -102,40 +88,21 @@ class SkyMap:
 class HeliostatResult:
     """A calibrated heliostat.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    nominal : HeliostatDesign
-        As it was known before.
-    seen : Observed
-        All rows with the verdict on each.
-    fit : HeliostatFit
-        To all usable observations.
-    free : str
-        Which parameters were free.
-    choice : ModelChoice or None
-        Why; None where the user said it.
-    split : str
-        The split that the residuals are told by.
-    held : mapping of str to HeldOut
-        What came of each split that could be made: fit to one part, prediction of the other.
-    diagnosis : Diagnosis
-        What is wrong with the heliostat or its records.
-    not_split : mapping of str to str
-        Why the other splits could not be made.
-    sky : SkyMap or None
-        Predicted uncertainty over the sky; thorough runs only.
-    beams : BeamMeasurements or None
-        What was measured in photos; None where no row names one.
-    warnings : tuple of str
-        What makes the numbers doubtful.
-    notes : tuple of str
-        What is good to know besides.
-    properties : str
-        The properties file of PAINT it came from; empty with tables.
-    duration_s : float
-        Time it took [s].
+    nominal: As it was known before.
+    seen: All rows with the verdict on each.
+    fit: To all usable observations.
+    free: Which parameters were free.
+    choice: Why; None where the user said it.
+    split: The split that the residuals are told by.
+    held: What came of each split that could be made: fit to one part, prediction of the other.
+    diagnosis: What is wrong with the heliostat or its records.
+    not_split: Why the other splits could not be made.
+    sky: Predicted uncertainty over the sky; thorough runs only.
+    beams: What was measured in photos; None where no row names one.
+    warnings: What makes the numbers doubtful.
+    notes: What is good to know besides.
+    properties: The properties file of PAINT it came from; empty with tables.
+    duration_s: Time it took [s].
     """
 
     name: str
@@ -164,24 +131,9 @@ class HeliostatResult:
 def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     """Calibrate one heliostat.
 
-    Parameters
-    ----------
-    shared : Shared
-        What all heliostats share.
-    task : HeliostatTask
-        The heliostat.
-
-    Returns
-    -------
-    HeliostatResult
-        Fit, splits, and a verdict on every row.
-
-    Raises
-    ------
-    InputError
-        What is known of it or its observations cannot be meant.
-    EstimationError
-        No row can be used, or they do not determine the answer.
+    Returns: Fit, splits, and a verdict on every row.
+    InputError: What is known of it or its observations cannot be meant.
+    EstimationError: No row can be used, or they do not determine the answer.
     """
     begin = perf_counter()
     nominal, seen, beams = _look(shared, task)
@@ -207,20 +159,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
 
 
 def fit_alone(shared: Shared, task: HeliostatTask) -> HeliostatFit | None:
-    """Fit a heliostat within its own priors: a first look, of which the field's population is made.
-
-    Parameters
-    ----------
-    shared : Shared
-        What all heliostats share.
-    task : HeliostatTask
-        The heliostat.
-
-    Returns
-    -------
-    HeliostatFit or None
-        None where the heliostat or its records are wrong.
-    """
+    """Fit a heliostat within its own priors: a first look, of which the field's population is made."""
     nominal, seen, _ = _look(shared, task)
     if seen.observations is None:
         return None

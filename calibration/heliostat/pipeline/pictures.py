@@ -24,21 +24,9 @@ MOST_REFUSED, MOST_WORST, MOST_TYPICAL = 4, 5, 3
 def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, pictures: bool = True) -> None:
     """Write ``beams.csv`` and pictures ``beam_NN.png`` of a heliostat whose rows name photos; nothing without photos.
 
-    Parameters
-    ----------
-    result : HeliostatResult
-        The heliostat.
-    shared : Shared
-        What all heliostats of the run share.
-    folder : Path
-        Where to.
-    pictures : bool, optional
-        Whether pictures are drawn, 0.3 s each.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written, or the measurement's photos have changed since.
+    shared: What all heliostats of the run share.
+    pictures: Whether pictures are drawn, 0.3 s each.
+    InputError: A file cannot be written, or the measurement's photos have changed since.
     """
     if result.beams is None:
         return
@@ -65,19 +53,11 @@ def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, p
 def telling_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: BoolArray) -> list[tuple[int, str]]:
     """Choose the photos that tell most.
 
-    Parameters
-    ----------
-    residual_mrad : ndarray, shape (n,)
-        Residual of the beam; NaN where there is none [mrad].
-    flags : sequence of str, length n
-        Why a row was left out; empty for those that were used.
-    seen : ndarray of bool, shape (n,)
-        Rows whose beam was measured in a photo.
-
-    Returns
-    -------
-    list of (int, str)
-        Rows and why they were chosen, each row once: some that were left out, the largest residuals, the median.
+    residual_mrad (n,): Residual of the beam; NaN where there is none [mrad].
+    flags length n: Why a row was left out; empty for those that were used.
+    seen (n,): Rows whose beam was measured in a photo.
+    Returns: Rows and why they were chosen, each row once: some that were left out, the largest residuals, the
+        median.
     """
     left_out = np.array([flag != "" for flag in flags], dtype=np.bool_)
     chosen = [(int(row), f"left out ({flags[row]})") for row in np.nonzero(seen & left_out)[0][:MOST_REFUSED]]

@@ -51,12 +51,8 @@ NO_TIME = np.datetime64("NaT", "ms")
 class ColumnError(InputError):
     """A whole column is wrong in one way, so that no number that comes of it would be true.
 
-    Parameters
-    ----------
-    kind : str
-        Which way, by the names of a diagnosis: "units", "sun_convention", "time_offset", "constant_column".
-    text : str
-        What, where, and the remedy.
+    kind: Which way, by the names of a diagnosis: "units", "sun_convention", "time_offset", "constant_column".
+    text: What, where, and the remedy.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -68,18 +64,11 @@ class ColumnError(InputError):
 class Rows:
     """Observations of one heliostat as they were read.
 
-    Parameters
-    ----------
-    ids : tuple of str, length n
-        What a person calls each row: its line, or the number of its file.
-    numbers : mapping of str to ndarray, shape (n,)
-        Columns of numbers; NaN where the cell is empty.
-    texts : mapping of str to tuple of str, length n
-        Columns of texts.
-    times : ndarray of datetime64[ms], shape (n,)
-        Time of each row (UTC); NaT where there is none.
-    flags, reasons : tuple of str, length n
-        Why a row cannot be used (a key of `ROW_FLAGS`), and the sentence; empty where it can.
+    ids length n: What a person calls each row: its line, or the number of its file.
+    numbers (n,): Columns of numbers; NaN where the cell is empty.
+    texts length n: Columns of texts.
+    times (n,): Time of each row (UTC); NaT where there is none.
+    flags, reasons length n: Why a row cannot be used (a key of `ROW_FLAGS`), and the sentence; empty where it can.
     """
 
     ids: tuple[str, ...]
@@ -109,10 +98,7 @@ class Rows:
 class Verdicts:
     """Collects why rows cannot be used; the first reason of a row stays.
 
-    Parameters
-    ----------
-    rows : Rows
-        The rows, with what was found wrong on reading.
+    rows: The rows, with what was found wrong on reading.
     """
 
     def __init__(self, rows: Rows) -> None:
@@ -139,19 +125,9 @@ class Verdicts:
 def check_header(header: Sequence[str], where: str, known: Iterable[str]) -> None:
     """Refuse columns that nobody knows and columns that are there twice.
 
-    Parameters
-    ----------
-    header : sequence of str
-        Names of the columns.
-    where : str
-        The file, for messages.
-    known : iterable of str
-        Names that may be there.
-
-    Raises
-    ------
-    InputError
-        Names the column and the near match.
+    where: The file, for messages.
+    known: Names that may be there.
+    InputError: Names the column and the near match.
     """
     names = list(known)
     for name in header:
@@ -166,17 +142,9 @@ def check_header(header: Sequence[str], where: str, known: Iterable[str]) -> Non
 def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
     """Read lines of a table of observations.
 
-    Parameters
-    ----------
-    header : sequence of str
-        Names of the columns.
-    lines : iterable of (int, str)
-        Number and text of each line.
-
-    Returns
-    -------
-    Rows
-        The rows; cells that cannot be read are flagged.
+    header: Names of the columns.
+    lines: Number and text of each line.
+    Returns: The rows; cells that cannot be read are flagged.
     """
     numbered = list(lines)
     cells, flags, reasons = [], [], []
@@ -228,17 +196,9 @@ def _number(cell: str) -> float:
 def parse_times(texts: Sequence[str], verdicts: Verdicts) -> Times:
     """Read times in ISO 8601 with a zone, as UTC.
 
-    Parameters
-    ----------
-    texts : sequence of str
-        Such as ``2026-06-21T10:00:00Z`` or ``2026-06-21 12:00:00+02:00``; empty for none.
-    verdicts : Verdicts
-        Takes the rows whose time cannot be placed.
-
-    Returns
-    -------
-    ndarray of datetime64[ms], shape (n,)
-        The times.
+    Shapes: result (n,).
+    texts: Such as ``2026-06-21T10:00:00Z`` or ``2026-06-21 12:00:00+02:00``; empty for none.
+    verdicts: Takes the rows whose time cannot be placed.
     """
     times = np.full(len(texts), NO_TIME)
     for row, text in enumerate(texts):
@@ -262,21 +222,10 @@ def rows_of(
 ) -> Rows:
     """Build rows from columns that are read already.
 
-    Parameters
-    ----------
-    ids : sequence of str, length n
-        What a person calls each row.
-    columns : mapping of str to sequence, length n
-        Columns by the names of the table.
-    times : ndarray of datetime64[ms], shape (n,)
-        Times.
-    verdicts : sequence of (str, str), length n
-        Flag and reason of each row.
-
-    Returns
-    -------
-    Rows
-        The rows.
+    Shapes: times (n,).
+    ids length n: What a person calls each row.
+    columns length n: Columns by the names of the table.
+    verdicts length n: Flag and reason of each row.
     """
     numbers = {
         name: np.asarray(freeze(np.array(column, dtype=np.float64)))

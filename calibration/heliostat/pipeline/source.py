@@ -39,22 +39,12 @@ _GEODETIC = ("lat_deg", "lon_deg", "alt_m")
 class HeliostatTask:
     """One heliostat with its observations, as text.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    cells : dict of str to str
-        Its row in the table of heliostats; empty with PAINT.
-    properties : str
-        Its properties file of PAINT; empty with tables.
-    header : tuple of str
-        Columns of the table of observations; empty with PAINT.
-    records : tuple of (str, str)
-        Line number (or number of the calibration record) and text of each observation.
-    times : tuple of str
-        Times of the calibration records of PAINT, empty where not known.
-    fault : str
-        Why nothing can be read of it; empty where all could.
+    cells: Its row in the table of heliostats; empty with PAINT.
+    properties: Its properties file of PAINT; empty with tables.
+    header: Columns of the table of observations; empty with PAINT.
+    records: Line number (or number of the calibration record) and text of each observation.
+    times: Times of the calibration records of PAINT, empty where not known.
+    fault: Why nothing can be read of it; empty where all could.
     """
 
     name: str
@@ -74,16 +64,10 @@ class HeliostatTask:
 class Plant:
     """What all heliostats of a field share.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Latitude [deg], longitude [deg], altitude [m] of the field's frame.
-    site : SiteSection
-        The same with the air above.
-    targets : dict of str to PlaneTarget
-        Targets by name.
-    other_targets : tuple of str
-        Names of targets that are not flat: beams on them cannot be used.
+    origin: Latitude [deg], longitude [deg], altitude [m] of the field's frame.
+    site: The same with the air above.
+    targets: Targets by name.
+    other_targets: Names of targets that are not flat: beams on them cannot be used.
     """
 
     origin: tuple[float, float, float]
@@ -106,20 +90,9 @@ class Source(Protocol):
 def open_source(measurement: HeliostatMeasurement) -> Source:
     """Look at a measurement's tables, or at its PAINT folders.
 
-    Parameters
-    ----------
-    measurement : HeliostatMeasurement
-        From `heliogauge.measurement.load.load_heliostat`.
-
-    Returns
-    -------
-    Source
-        Names of the heliostats and a task for each.
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read, a column or key that is missing or unknown, a heliostat that is listed twice.
+    Returns: Names of the heliostats and a task for each.
+    InputError: A file that cannot be read, a column or key that is missing or unknown, a heliostat that is listed
+        twice.
     """
     return _TableSource(measurement) if measurement.model.paint is None else _PaintSource(measurement)
 
@@ -332,22 +305,8 @@ def _number(file: Path) -> str:
 def position_of(cells: dict[str, str], plant: Plant) -> tuple[float, float, float]:
     """Return east, north, up of a heliostat from its row of the table [m].
 
-    Parameters
-    ----------
-    cells : dict of str to str
-        The row.
-    plant : Plant
-        Gives the origin where the row holds latitude, longitude and altitude.
-
-    Returns
-    -------
-    tuple of float
-        The position.
-
-    Raises
-    ------
-    InputError
-        A cell that is empty or no finite number.
+    plant: Gives the origin where the row holds latitude, longitude and altitude.
+    InputError: A cell that is empty or no finite number.
     """
     names = _POSITION if any(cells.get(name) for name in _POSITION) else _GEODETIC
     values = []

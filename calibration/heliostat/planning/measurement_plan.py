@@ -29,21 +29,11 @@ _MOST_VARIANCE = 1e6
 class Knowledge:
     """What is known of a heliostat now.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        With its estimates as values.
-    names : tuple of str
-        Parameters that are not known exactly.
-    covariance : array_like, shape (k, k)
-        Their covariance; priors alone for a heliostat that was never measured.
-    misfit_rad : float
-        Scatter of the beam per axis that no parameters explain [rad].
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, a name that the design does not have, or a negative misfit.
+    design: With its estimates as values.
+    names: Parameters that are not known exactly.
+    covariance (k, k): Their covariance; priors alone for a heliostat that was never measured.
+    misfit_rad: Scatter of the beam per axis that no parameters explain [rad].
+    InputError: Shapes that do not fit, a name that the design does not have, or a negative misfit.
     """
 
     design: HeliostatDesign
@@ -69,15 +59,7 @@ class Knowledge:
 def knowledge_of(fit: HeliostatFit) -> Knowledge:
     """Return what a fit knows.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        The fit.
-
-    Returns
-    -------
-    Knowledge
-        Estimates, covariance, and the misfit by which estimated sigmas exceed the stated ones.
+    Returns: Estimates, covariance, and the misfit by which estimated sigmas exceed the stated ones.
     """
     free = np.flatnonzero(fit.design.parameters.free)
     factor, sigma = fit.factor[fit.used], fit.residuals.sigma_beam_rad[fit.used]
@@ -91,22 +73,8 @@ def knowledge_of(fit: HeliostatFit) -> Knowledge:
 def knowledge_before(design: HeliostatDesign, misfit_rad: float = 0.0) -> Knowledge:
     """Return what the priors know of a heliostat that was never measured.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        With prior sigmas.
-    misfit_rad : float, optional
-        What is expected to remain per axis [rad of the beam].
-
-    Returns
-    -------
-    Knowledge
-        Values and prior sigmas.
-
-    Raises
-    ------
-    InputError
-        A parameter is free without a prior: nothing could be said of the beam.
+    misfit_rad: What is expected to remain per axis [rad of the beam].
+    InputError: A parameter is free without a prior: nothing could be said of the beam.
     """
     parameters = design.parameters
     unknown = [name for name, sigma in zip(parameters.names, parameters.sigmas, strict=True) if np.isinf(sigma)]
@@ -132,30 +100,11 @@ def beam_candidates(
 ) -> Observations:
     """Return the beams that could be looked at.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        The heliostat.
-    site : Site
-        Where the plant is.
-    targets : mapping
-        Targets by name.
-    times : array_like of datetime64, shape (t,)
-        When it could be measured (UTC).
-    sigma_m : float
-        Of a measured centre, each axis [m].
-    lowest_sun_rad : float, optional
-        No measurements with a lower sun [rad].
-
-    Returns
-    -------
-    Observations
-        One row for each time and target that the heliostat can serve; the misfit is part of the sigmas.
-
-    Raises
-    ------
-    EstimationError
-        It can serve none.
+    times (t,): When it could be measured (UTC).
+    sigma_m: Of a measured centre, each axis [m].
+    lowest_sun_rad: No measurements with a lower sun [rad].
+    Returns: One row for each time and target that the heliostat can serve; the misfit is part of the sigmas.
+    EstimationError: It can serve none.
     """
     positive("sigma_m", sigma_m, "metres")
     instants = np.asarray(times, dtype="datetime64[ms]")
@@ -192,29 +141,13 @@ def drone_candidates(
 ) -> Observations:
     """Return places from which a drone could see a target in the mirror.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        The heliostat.
-    target : Place
-        The point that is seen in the mirror's middle.
-    ranges_m : array_like, shape (r,)
-        Distances from the heliostat; several, because at one range an arm along the normal trades with the target's
-        distance and stays unknown [m].
-    sigma_m : array_like, shape () or (3,)
-        Of the drone's place: east, north, up [m].
-    directions : int, optional
-        Directions over the half sphere at each range.
-
-    Returns
-    -------
-    Observations
-        One row for each place that the heliostat can serve.
-
-    Raises
-    ------
-    EstimationError
-        It can serve none.
+    target: The point that is seen in the mirror's middle.
+    ranges_m (r,): Distances from the heliostat; several, because at one range an arm along the normal trades with
+        the target's distance and stays unknown [m].
+    sigma_m () or (3,): Of the drone's place: east, north, up [m].
+    directions: Directions over the half sphere at each range.
+    Returns: One row for each place that the heliostat can serve.
+    EstimationError: It can serve none.
     """
     ranges = np.atleast_1d(np.asarray(ranges_m, dtype=np.float64))
     count = np.arange(directions) + 0.5
@@ -253,16 +186,11 @@ def _served(possible: BoolArray, normals: FloatArray, sources: FloatArray) -> Bo
 class MeasurementPlan:
     """Measurements in the order of their worth.
 
-    Parameters
-    ----------
-    chosen : ndarray of int, shape (m,)
-        Rows of the candidates.
-    sigma_beam_rad : ndarray, shape (m + 1,)
-        Mean over the year of the beam's sigma before any and after each, misfit included [rad].
-    floor_rad : float
-        What remains with perfect parameters: the misfit, both axes [rad of the beam].
-    goal_rad : float
-        What was asked for [rad of the beam].
+    chosen (m,): Rows of the candidates.
+    sigma_beam_rad (m + 1,): Mean over the year of the beam's sigma before any and after each, misfit included
+        [rad].
+    floor_rad: What remains with perfect parameters: the misfit, both axes [rad of the beam].
+    goal_rad: What was asked for [rad of the beam].
     """
 
     chosen: npt.NDArray[np.intp]
@@ -310,33 +238,13 @@ def plan_measurements(
 ) -> MeasurementPlan:
     """Choose measurements one by one, each the one that helps most after those before it.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        What is known now.
-    candidates : Observations
-        What could be measured; their sigmas hold what a measurement is worth.
-    suns : array_like, shape (y, 3)
-        Suns of the year over which the heliostat shall point.
-    aim_point_m : array_like, shape (3,)
-        Where the beam shall go then [m].
-    goal_rad : float, optional
-        Mean sigma of the beam over the year at which to stop [rad].
-    options : PlanOptions, optional
-        How to choose.
+    knowledge: What is known now.
+    candidates: What could be measured; their sigmas hold what a measurement is worth.
+    suns (y, 3): Suns of the year over which the heliostat shall point.
+    aim_point_m (3,): Where the beam shall go then [m].
+    goal_rad: Mean sigma of the beam over the year at which to stop [rad].
+    EstimationError: The heliostat can serve none of the year's suns.
 
-    Returns
-    -------
-    MeasurementPlan
-        Which, and what each brings.
-
-    Raises
-    ------
-    EstimationError
-        The heliostat can serve none of the year's suns.
-
-    Notes
-    -----
     Greedy I-optimal design: with covariance C, a candidate of whitened derivatives G takes
     ``tr((G C G' + I)^-1 G C W C G')`` from the year's mean variance ``tr(C W)``; D-optimal ("parameters"):
     ``log det(I + G C G')``. Greedy is within 1 - 1 / e of the best of as many for the determinant.
@@ -377,19 +285,9 @@ def plan_measurements(
 class PlanOptions:
     """How to choose measurements.
 
-    Parameters
-    ----------
-    most : int, optional
-        Measurements at most.
-    per_day : int, optional
-        Measurements on one day at most; 0 for any number.
-    criterion : {"pointing", "parameters"}, optional
-        What shall become small: the beam's variance over the year, or that of the parameters as a whole.
-
-    Raises
-    ------
-    InputError
-        A number below 0, or a criterion that does not exist.
+    per_day: Measurements on one day at most; 0 for any number.
+    criterion: What shall become small: the beam's variance over the year, or that of the parameters as a whole.
+    InputError: A number below 0, or a criterion that does not exist.
     """
 
     most: int = 50
@@ -406,24 +304,10 @@ class PlanOptions:
 def sigma_over_year(knowledge: Knowledge, suns: npt.ArrayLike, aim_point_m: npt.ArrayLike) -> FloatArray:
     """Return the beam's sigma at each sun that the heliostat can serve, misfit included.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        What is known.
-    suns : array_like, shape (y, 3)
-        Directions to the sun.
-    aim_point_m : array_like, shape (3,)
-        Where the beam shall go [m].
-
-    Returns
-    -------
-    ndarray, shape (served,)
-        Root of both axes' variances [rad of the beam].
-
-    Raises
-    ------
-    EstimationError
-        It can serve none.
+    Shapes: suns (y, 3).
+    aim_point_m (3,): Where the beam shall go [m].
+    Returns (served,): Root of both axes' variances [rad of the beam].
+    EstimationError: It can serve none.
     """
     year = _year(knowledge, np.asarray(suns, dtype=np.float64), aim_point_m)
     variance = np.einsum("yij,jk,yik->y", year, knowledge.covariance, year)

@@ -40,31 +40,16 @@ _PER_DAY_OF_YEAR = 12
 class NextOptions:
     """What to plan.
 
-    Parameters
-    ----------
-    first_day : datetime.date or None
-        First day of the measurements; today without.
-    days : int
-        How many days there are.
-    goal_rad : float
-        Sigma of the beam over a year that shall be reached [rad].
-    sigma_m : float
-        Of a measured centre of a beam, each axis [m].
-    most : int
-        Measurements of one heliostat at most.
-    per_day : int
-        Heliostats a day at most; 0 for as many as there is room for.
-    slot_minutes : float
-        How long a beam keeps a target busy [min].
-    target : str or None
-        Target whose centre stands for where the beam shall go; the first one if None.
-    force : bool
-        Replace an earlier plan.
-
-    Raises
-    ------
-    InputError
-        Days that cannot be.
+    first_day: First day of the measurements; today without.
+    days: How many days there are.
+    goal_rad: Sigma of the beam over a year that shall be reached [rad].
+    sigma_m: Of a measured centre of a beam, each axis [m].
+    most: Measurements of one heliostat at most.
+    per_day: Heliostats a day at most; 0 for as many as there is room for.
+    slot_minutes: How long a beam keeps a target busy [min].
+    target: Target whose centre stands for where the beam shall go; the first one if None.
+    force: Replace an earlier plan.
+    InputError: Days that cannot be.
     """
 
     first_day: datetime.date | None = None
@@ -92,22 +77,12 @@ class NextOptions:
 class Planned:
     """What one heliostat needs.
 
-    Parameters
-    ----------
-    name : str
-        The heliostat.
-    plan : MeasurementPlan or None
-        Its measurements; None where nothing could be planned.
-    candidates : Observations or None
-        What the plan chose from.
-    reason : str
-        The plan in one sentence, or why there is none.
-    faults : tuple of str
-        Kinds of its faults.
-    error_rad : float
-        Its error of the beam: in rows held out if known, else as predicted; inf if never calibrated [rad].
-    reading_unit : str
-        Unit of its readings.
+    plan: Its measurements; None where nothing could be planned.
+    candidates: What the plan chose from.
+    reason: The plan in one sentence, or why there is none.
+    faults: Kinds of its faults.
+    error_rad: Its error of the beam: in rows held out if known, else as predicted; inf if never calibrated [rad].
+    reading_unit: Unit of its readings.
     """
 
     name: str
@@ -122,24 +97,9 @@ class Planned:
 def run(result: Path, out: Path, options: NextOptions | None = None) -> list[str]:
     """Plan the next measurements of calibrated heliostats.
 
-    Parameters
-    ----------
-    result : Path
-        Folder with ``heliostat.json``, or one with a folder for each heliostat.
-    out : Path
-        Where to.
-    options : NextOptions, optional
-        What.
-
-    Returns
-    -------
-    list of str
-        A sentence for each heliostat, the worst first, and one for the schedule.
-
-    Raises
-    ------
-    InputError
-        No results there, the folder cannot be used, or no such target.
+    result: Folder with ``heliostat.json``, or one with a folder for each heliostat.
+    Returns: A sentence for each heliostat, the worst first, and one for the schedule.
+    InputError: No results there, the folder cannot be used, or no such target.
     """
     options = options or NextOptions()
     contents = list(results_of(result))

@@ -18,20 +18,11 @@ _MINUTE = np.timedelta64(60_000, "ms")
 class Need:
     """How urgent a heliostat's calibration is.
 
-    Parameters
-    ----------
-    name : str
-        The heliostat.
-    error_rad : float
-        Its expected error of the beam now [rad]; inf for one that was never calibrated.
-    measurements : int
-        Beams that are to be looked at.
-    targets : tuple of str
-        Targets that it can serve.
-    drift_rad_per_year : float, optional
-        How fast the error grows until its turn comes [rad per year].
-    reason : str, optional
-        Why it is on the list.
+    error_rad: Its expected error of the beam now [rad]; inf for one that was never calibrated.
+    measurements: Beams that are to be looked at.
+    targets: Targets that it can serve.
+    drift_rad_per_year: How fast the error grows until its turn comes [rad per year].
+    reason: Why it is on the list.
     """
 
     name: str
@@ -46,21 +37,11 @@ class Need:
 class ScheduleOptions:
     """How measurements are spread.
 
-    Parameters
-    ----------
-    slot_minutes : float, optional
-        Time that a beam takes a target: sent there, photographed, sent back [min].
-    per_day : int, optional
-        Heliostats (not beams) a day at most; 0 for any number.
-    apart_rad : float, optional
-        Suns of one heliostat's beams are at least so far from each other [rad].
-    lowest_sun_rad : float, optional
-        No measurements with a lower sun [rad].
-
-    Raises
-    ------
-    InputError
-        A number out of its range.
+    slot_minutes: Time that a beam takes a target: sent there, photographed, sent back [min].
+    per_day: Heliostats (not beams) a day at most; 0 for any number.
+    apart_rad: Suns of one heliostat's beams are at least so far from each other [rad].
+    lowest_sun_rad: No measurements with a lower sun [rad].
+    InputError: A number out of its range.
     """
 
     slot_minutes: float = 3.0
@@ -78,20 +59,11 @@ class ScheduleOptions:
 class Slot:
     """One beam of one heliostat on one target.
 
-    Parameters
-    ----------
-    time : datetime64
-        When its slot begins (UTC).
-    target : str
-        Which target it has to itself.
-    heliostat : str
-        Which heliostat.
-    number : int
-        Which of its beams this is, from 1.
-    sun : ndarray, shape (3,)
-        Direction to the sun.
-    reason : str
-        Why it is on the list.
+    time: When its slot begins (UTC).
+    target: Which target it has to itself.
+    number: Which of its beams this is, from 1.
+    sun (3,): Direction to the sun.
+    reason: Why it is on the list.
     """
 
     time: np.datetime64
@@ -106,12 +78,8 @@ class Slot:
 class Schedule:
     """A proposal.
 
-    Parameters
-    ----------
-    slots : tuple of Slot
-        In the order of time.
-    unserved : dict of str to int
-        Beams of heliostats for which there was no slot.
+    slots: In the order of time.
+    unserved: Beams of heliostats for which there was no slot.
     """
 
     slots: tuple[Slot, ...]
@@ -123,33 +91,14 @@ def propose_schedule(
 ) -> Schedule:
     """Propose when which heliostat is looked at.
 
-    Parameters
-    ----------
-    needs : sequence of Need
-        The heliostats.
-    site : Site
-        Where the plant is.
-    days : array_like of datetime64[D], shape (d,)
-        Days on which there may be measurements, ascending.
-    options : ScheduleOptions, optional
-        How they are spread.
+    days (d,): Days on which there may be measurements, ascending.
+    Returns: A slot for each beam as far as there is room, and what there was no room for.
+    InputError: No heliostat, a name twice, or no day.
 
-    Returns
-    -------
-    Schedule
-        A slot for each beam as far as there is room, and what there was no room for.
-
-    Raises
-    ------
-    InputError
-        No heliostat, a name twice, or no day.
-
-    Notes
-    -----
-    Slot by slot, each target goes to the heliostat with the largest expected error among those that still need a beam,
-    have no other beam at that time, and whose earlier beams had suns far enough away. A heliostat's error counts as
-    divided by the root of one more than its beams so far: the first beams bring most, so that no bad heliostat keeps
-    all others waiting.
+    Slot by slot, each target goes to the heliostat with the largest expected error among those that still need a
+    beam, have no other beam at that time, and whose earlier beams had suns far enough away. A heliostat's error
+    counts as divided by the root of one more than its beams so far: the first beams bring most, so that no bad
+    heliostat keeps all others waiting.
     """
     options = options or ScheduleOptions()
     names = [need.name for need in needs]

@@ -38,25 +38,13 @@ def beam_image_figure(
 ) -> "Figure":
     """Draw a beam on its target as seen from the field: x to the right, y up.
 
-    Parameters
-    ----------
-    image : TargetImage
-        The picture.
-    beam : Beam
-        What was measured in it.
-    aim_m : array_like, shape (2,), optional
-        Where the beam should have been [m].
-    aim_name : str, optional
-        What that place is called.
-    title : str, optional
-        First line above the picture.
-    methods : bool, optional
-        Whether the places of the other methods are drawn.
-
-    Returns
-    -------
-    Figure
-        The picture with centroid, ellipse of twice the widths (D4 sigma), circle of 90 % of the light, aim point.
+    beam: What was measured in it.
+    aim_m (2,): Where the beam should have been [m].
+    aim_name: What that place is called.
+    title: First line above the picture.
+    methods: Whether the places of the other methods are drawn.
+    Returns: The picture with centroid, ellipse of twice the widths (D4 sigma), circle of 90 % of the light, aim
+        point.
     """
     rows, columns = image.values_dn.shape
     edges = image.points_m([[-0.5, rows - 0.5], [columns - 0.5, -0.5]])

@@ -43,15 +43,7 @@ _SKY_RANGE = 8.0
 def all_figures(report: HeliostatReport) -> "dict[str, Figure]":
     """Draw all figures.
 
-    Parameters
-    ----------
-    report : HeliostatReport
-        Results of one heliostat.
-
-    Returns
-    -------
-    dict of str to Figure
-        By the name of the file.
+    report: Results of one heliostat.
     """
     found = {f"target_{name}": target_figure(report, name) for name in targets_hit(report)}
     found |= {f"residual_{name}": figure for name, figure in series_figures(report).items()}
@@ -72,17 +64,8 @@ def targets_hit(report: HeliostatReport) -> tuple[str, ...]:
 def target_figure(report: HeliostatReport, name: str) -> "Figure":
     """Draw each beam's place on a target and, enlarged, by how much the model misses it.
 
-    Parameters
-    ----------
-    report : HeliostatReport
-        Results of one heliostat.
-    name : str
-        The target.
-
-    Returns
-    -------
-    Figure
-        The target as seen from the field; arrows from the measured to the predicted place.
+    report: Results of one heliostat.
+    Returns: The target as seen from the field; arrows from the measured to the predicted place.
     """
     rows, target = report.residuals, report.content["targets"][name]
     x, y = rows.numbers["measured_x_m"], rows.numbers["measured_y_m"]
@@ -120,15 +103,8 @@ def target_figure(report: HeliostatReport, name: str) -> "Figure":
 def series_figures(report: HeliostatReport) -> "dict[str, Figure]":
     """Draw residuals to the right and up against time, the sun's azimuth and its elevation.
 
-    Parameters
-    ----------
-    report : HeliostatReport
-        Results of one heliostat.
-
-    Returns
-    -------
-    dict of str to Figure
-        Keys "time", "azimuth", "elevation"; without times only the latter two, without suns too only "row".
+    report: Results of one heliostat.
+    Returns: Keys "time", "azimuth", "elevation"; without times only the latter two, without suns too only "row".
     """
     rows = report.residuals
     against: dict[str, tuple[str, npt.NDArray[Any]]] = {
@@ -175,15 +151,8 @@ def _series(rows: ResidualTable, title: str, label: str, values: npt.NDArray[Any
 def correlation_figure(correlation: Mapping[str, Any]) -> "Figure":
     """Draw the correlations of the estimated parameters.
 
-    Parameters
-    ----------
-    correlation : mapping
-        ``names`` and ``matrix`` of heliostat.json.
-
-    Returns
-    -------
-    Figure
-        The matrix, from -1 to 1.
+    correlation: ``names`` and ``matrix`` of heliostat.json.
+    Returns: The matrix, from -1 to 1.
     """
     names, matrix = correlation["names"], np.clip(np.array(correlation["matrix"], dtype=np.float64), -1.0, 1.0)
     size = min(0.32 * len(names) + 0.6, WIDTH_IN - 2.3)
@@ -204,15 +173,8 @@ def correlation_figure(correlation: Mapping[str, Any]) -> "Figure":
 def sky_figure(report: HeliostatReport) -> "Figure":
     """Draw the predicted uncertainty of the beam for each place where the sun can stand.
 
-    Parameters
-    ----------
-    report : HeliostatReport
-        Results of one heliostat, with a sky map.
-
-    Returns
-    -------
-    Figure
-        Azimuth and elevation of the sun; dots where it was measured, hatched where the model is extrapolated.
+    report: Results of one heliostat, with a sky map.
+    Returns: Azimuth and elevation of the sun; dots where it was measured, hatched where the model is extrapolated.
     """
     sky, rows = report.content["sky"], report.residuals
     azimuth, elevation = np.array(sky["azimuth_deg"], float), np.array(sky["elevation_deg"], float)
@@ -288,17 +250,9 @@ def _label(axes: "Axes", x: str, y: str) -> None:
 def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatArray) -> "Figure":
     """Draw a field with the error of each heliostat's beam.
 
-    Parameters
-    ----------
-    east_m, north_m : ndarray, shape (n,)
-        Where the heliostats stand [m].
-    beam_mrad : ndarray, shape (n,)
-        RMS of the beam on test positions [mrad]; NaN for a heliostat without a model.
-
-    Returns
-    -------
-    Figure
-        The field from above, north up.
+    Shapes: east_m, north_m (n,).
+    beam_mrad (n,): RMS of the beam on test positions [mrad]; NaN for a heliostat without a model.
+    Returns: The field from above, north up.
     """
     figure = new_figure(4.6)
     box = (0.72, 0.62, WIDTH_IN - 1.6, 3.2)
@@ -325,15 +279,8 @@ def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatAr
 def field_histogram_figure(beam_mrad: FloatArray, normal_mrad: FloatArray) -> "Figure":
     """Draw how many heliostats have which error.
 
-    Parameters
-    ----------
-    beam_mrad, normal_mrad : ndarray, shape (n,)
-        RMS of beam and normal on test positions [mrad].
-
-    Returns
-    -------
-    Figure
-        Sorted errors against the share of heliostats.
+    beam_mrad, normal_mrad (n,): RMS of beam and normal on test positions [mrad].
+    Returns: Sorted errors against the share of heliostats.
     """
     figure, axes = chart_figure(
         "Errors of the field", "on positions that were not fitted", "RMS error [mrad]", "share of heliostats [%]"

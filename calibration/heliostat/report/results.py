@@ -22,14 +22,10 @@ _NUMBERS = (
 class ResidualTable:
     """The rows of residuals.csv.
 
-    Parameters
-    ----------
-    observation, target, split, flag, reason : tuple of str, length n
-        Name of each observation, its target, "train" or "test", why it is left out.
-    time : ndarray of datetime64[ms], shape (n,)
-        When it was taken; NaT where nobody knows.
-    numbers : dict of str to ndarray, shape (n,)
-        Columns of numbers; NaN where a cell is empty.
+    observation, target, split, flag, reason length n: Name of each observation, its target, "train" or "test", why
+        it is left out.
+    time (n,): When it was taken; NaT where nobody knows.
+    numbers (n,): Columns of numbers; NaN where a cell is empty.
     """
 
     observation: tuple[str, ...]
@@ -59,16 +55,9 @@ class ResidualTable:
 class HeliostatReport:
     """What a folder of one heliostat's results holds.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    summary : Summary
-        Headline numbers, warnings, texts.
-    content : dict
-        heliostat.json.
-    residuals : ResidualTable
-        residuals.csv.
+    summary: Headline numbers, warnings, texts.
+    content: heliostat.json.
+    residuals: residuals.csv.
     """
 
     folder: Path
@@ -81,14 +70,7 @@ class HeliostatReport:
 class FieldReport:
     """What a folder of a field's results holds.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    summary : Summary
-        Numbers of the field.
-    rows : dict of str to tuple of str
-        Columns of field.csv, the worst heliostat first.
+    rows: Columns of field.csv, the worst heliostat first.
     """
 
     folder: Path
@@ -103,20 +85,7 @@ class FieldReport:
 def open_heliostat(folder: str | Path = ".") -> HeliostatReport:
     """Read the results of one heliostat.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    HeliostatReport
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     content = read_heliostat(folder)
@@ -126,20 +95,7 @@ def open_heliostat(folder: str | Path = ".") -> HeliostatReport:
 def open_field(folder: str | Path = ".") -> FieldReport:
     """Read the results of a field.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    FieldReport
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     rows = read_table_csv(folder / "field.csv", ("heliostat", "status", "e_m", "n_m", "beam_test_rms_mrad"))
