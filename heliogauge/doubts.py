@@ -1,0 +1,67 @@
+"""What makes a result doubtful, as values: made where it is found, part of the result, shown by terminal and report."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """How much a doubt weighs; the order is that of the weights.
+
+    NOTE: Good to know; every number is what its sigma says.
+    DOUBT: The result is usable, but numbers may be off by more than their sigma: look at what the text names first.
+    SERIOUS: Something is wrong (mirror, set-up or files); numbers it concerns are not to be used before it is set
+        right or explained.
+    """
+
+    NOTE = "note"
+    DOUBT = "doubt"
+    SERIOUS = "serious"
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A finding that makes a result doubtful.
+
+    Decisions are taken on `code` and `numbers`, never on the words of `text`.
+
+    Parameters
+    ----------
+    code : str
+        Which finding, in snake_case: the same in every version and language, one for each kind of finding.
+    text : str
+        The finding as a sentence with its numbers, and what can be done about it.
+    numbers : mapping of str to float
+        What the sentence says in numbers; the names end with their units (`heliogauge.results.folder.UNITS`).
+    severity : Severity
+        How much it weighs.
+
+    Examples
+    --------
+    >>> doubt = Doubt("photos_few", "3 photos only; 12 are better", {"photos_count": 3})
+    >>> print(doubt)
+    3 photos only; 12 are better
+    >>> doubt.severity.value
+    'doubt'
+    """
+
+    code: str
+    text: str
+    numbers: Mapping[str, float] = field(default_factory=dict, hash=False)
+    severity: Severity = Severity.DOUBT
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return self.text
+
+
+def found(*doubts: Doubt | None | Iterable[Doubt]) -> tuple[Doubt, ...]:
+    """Put together what several checks found, each finding once.
+
+    doubts: What each check returned: a doubt, None for nothing found, or several doubts.
+    """
+    every: dict[Doubt, None] = {}
+    for one in doubts:
+        if one is not None:
+            every.update(dict.fromkeys((one,) if isinstance(one, Doubt) else one))
+    return tuple(every)
