@@ -1,6 +1,7 @@
-"""The modules of all packages with their syntax trees, and which of them are numeric."""
+"""The modules of all packages with their syntax trees and imports, the instruments, and which modules are numeric."""
 
 import ast
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -8,24 +9,21 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibration", "data_synth")
 
-#: Modules that open files, draw or talk; everything else is numeric. A prefix ending in _ covers a family.
-_BORDER_NAMES = frozenset({
-    "images", "measurement", "measurement_models", "measurement_writer", "templates", "store", "figures", "report",
-    "folders", "terminal", "commands", "cli", "__main__", "demo", "pipeline", "scale", "video", "video_names",
+#: Rooms, and modules called like them, that open files, draw or talk; everything else is numeric.
+BORDER_ROOMS = frozenset({
+    "cli", "exchange", "files", "images", "instrument", "keys", "measurement", "pipeline", "report", "reporting",
+    "results", "running", "__main__",
 })  # fmt: skip
-_BORDER_FAMILIES = ("store_", "figures_", "report_", "pipeline_", "measurement_")
-#: Readers of other programs' files and writers of whole data sets: a border of their own, one reason each.
-_BORDER_MODULES = {
-    "deflectometry.pipeline.inputs": "turns a measurement folder into the values the numeric modules take",
-    "deflectometry.pipeline.headline": "fills summary.json",
-    "deflectometry.exchange.opencsp": "reads another program's HDF5 and JSON files",
-    "deflectometry.exchange.opencsp_import": "writes a measurement folder from another program's files",
+#: Modules of other rooms at the border, one reason each.
+BORDER_MODULES = {
+    "heliogauge": "opens measurements and results by their path",
+    "heliogauge.instruments": "finds the instruments by name",
     "deflectometry.setup.pattern_files": "writes the frames to display and the tables that describe them",
-    "data_synth.fringes.dataset": "writes a measurement folder",
     "photogrammetry.targets.target_sheets": "writes printable sheets",
-    "data_synth.targets.dataset": "writes a measurement folder",
-    "data_synth.troughs.dataset": "writes a measurement folder",
-    "data_synth.heliostats.dataset": "writes a measurement folder",
+    "photogrammetry.targets.store_ring_codes": "reads tables of codes",
+    "photogrammetry.surface.store_mesh": "reads and writes meshes",
+    "calibration.heliostat.kinematic_model.store_design": "reads and writes designs",
+    "calibration.screen.figures": "draws",
 }
 
 
@@ -41,32 +39,106 @@ class Module:
     def __str__(self) -> str:
         return self.name
 
+    @property
+    def is_face(self) -> bool:
+        return self.path.endswith("__init__.py")
+
+    @property
+    def room(self) -> str:
+        """The folder it stands in, dotted."""
+        return self.name if self.is_face else self.name.rpartition(".")[0]
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import's target: as a module path, and whether it runs when the module is imported."""
+
+    target: str
+    line: int
+    at_import_time: bool
+
 
 @cache
 def all_modules() -> tuple[Module, ...]:
     """Read all modules of all packages."""
-    modules = []
-    for package in PACKAGES:
-        for file in sorted((REPOSITORY / package).rglob("*.py")):
-            relative = file.relative_to(REPOSITORY)
-            parts = relative.with_suffix("").parts
-            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            source = file.read_text(encoding="utf-8")
-            modules.append(Module(name, relative.as_posix(), source, ast.parse(source)))
-    return tuple(modules)
+    return tuple(_read(file) for package in PACKAGES for file in sorted((REPOSITORY / package).rglob("*.py")))
+
+
+def _read(file: Path) -> Module:
+    relative = file.relative_to(REPOSITORY)
+    parts = relative.with_suffix("").parts
+    source = file.read_text(encoding="utf-8")
+    return Module(
+        ".".join(parts[:-1] if parts[-1] == "__init__" else parts), relative.as_posix(), source, ast.parse(source)
+    )
+
+
+@cache
+def instruments() -> tuple[str, ...]:
+    """Names of the instruments: packages, and those of calibration, which stand one level deeper."""
+    flat = ("photogrammetry", "deflectometry", "observer")
+    return flat + tuple(
+        f"calibration.{place.name}"
+        for place in sorted((REPOSITORY / "calibration").iterdir())
+        if (place / "__init__.py").is_file()
+    )
+
+
+def owner(name: str) -> str:
+    """Return the instrument, or else the package, that a module belongs to."""
+    for instrument in instruments():
+        if name == instrument or name.startswith(instrument + "."):
+            return instrument
+    return name.split(".")[0]
 
 
 def is_numeric(name: str) -> bool:
-    """Whether a module must do without files, figures and terminals."""
-    last = name.split(".")[-1]
-    return not (last in _BORDER_NAMES or last.startswith(_BORDER_FAMILIES) or name in _BORDER_MODULES)
+    """Whether a module must do without files, figures and terminals; also for modules that do not exist."""
+    rooms = name.split(".")
+    # data_synth writes measurement folders in modules called dataset, and draws nothing for people.
+    return not (BORDER_ROOMS.intersection(rooms) or name in BORDER_MODULES or rooms[-1] in {"dataset", "plan"})
 
 
-class _NumericNames:
-    """All numeric names, also of modules that do not exist (negative controls ask for those)."""
-
-    def __contains__(self, name: object) -> bool:
-        return is_numeric(str(name))
+def imports_of(tree: ast.Module) -> Iterator[Import]:
+    """Yield what a module imports; ``from a import b`` yields both ``a`` and ``a.b`` (b may be a module)."""
+    yield from _imports(tree.body, at_import_time=True)
 
 
-NUMERIC_MODULES = _NumericNames()
+def _imports(nodes: list[ast.stmt], *, at_import_time: bool) -> Iterator[Import]:
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (Import(alias.name, node.lineno, at_import_time) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            home = node.module or ""
+            yield Import(home, node.lineno, at_import_time)
+            yield from (Import(f"{home}.{alias.name}", node.lineno, at_import_time) for alias in node.names)
+        else:
+            is_typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+            is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            inner = at_import_time and not is_typing_only and not is_function
+            for name in ("body", "orelse", "finalbody"):
+                yield from _imports(
+                    [n for n in getattr(node, name, []) if isinstance(n, ast.stmt)], at_import_time=inner
+                )
+            for handler in getattr(node, "handlers", []):
+                yield from _imports(handler.body, at_import_time=inner)
+
+
+def face_names(tree: ast.Module) -> dict[str, str]:
+    """Return the names of a face with their homes: the dictionary that its ``lazy_face`` is called with."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "lazy_face":
+            homes = node.args[1]
+            if isinstance(homes, ast.Dict):
+                return {
+                    ast.literal_eval(key): ast.literal_eval(value)
+                    for key, value in zip(homes.keys, homes.values, strict=True)
+                    if key
+                }
+    return {}
+
+
+@cache
+def faces() -> dict[str, dict[str, str]]:
+    """Return the names of every package and room that has a face."""
+    return {module.name: names for module in all_modules() if module.is_face and (names := face_names(module.tree))}

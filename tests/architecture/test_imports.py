@@ -1,56 +1,55 @@
 """Who may know whom: ARCHITECTURE.md's import contract, checked on the syntax trees."""
 
 import ast
+import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import pytest
 
-from tests.architecture.source_tree import NUMERIC_MODULES, PACKAGES, Module, all_modules
-
-#: What data_synth may know of an instrument: modules that describe things and estimate nothing.
-DESCRIPTIONS = frozenset(
-    {
-        "calibration.camera.boards",
-        "photogrammetry.targets.coded_targets",
-        "deflectometry.setup.patterns",
-        "deflectometry.setup.bench",
-        "observer.trough.collector",
-        "calibration.heliostat.kinematic_model.design",
-        "calibration.heliostat.kinematic_model.parameters",
-        "calibration.heliostat.kinematic_model.presets",
-    }
+from tests.architecture.source_tree import (
+    PACKAGES,
+    REPOSITORY,
+    Module,
+    all_modules,
+    faces,
+    imports_of,
+    instruments,
+    is_numeric,
+    owner,
 )
 
-#: Kernel modules that stand at the level of a pipeline because they put instruments to work.
-PIPELINE_LEVEL = {"heliogauge.running.demo": "the demo makes synthetic data and measures them, so it knows both sides"}
-
-#: Parts of the kernel that open files or talk to people; numeric modules do without.
-BORDER = frozenset({
-    "heliogauge.images.photos", "heliogauge.measurement.load", "heliogauge.measurement.models", "heliogauge.measurement.writer",
-    "photogrammetry.keys.measurement",
-    "heliogauge.measurement.templates", "heliogauge.results.whole_folder", "heliogauge.results.folder", "heliogauge.reporting.figures", "heliogauge.reporting.build",
-    "heliogauge.running.terminal", "heliogauge.running.commands", "heliogauge.running.cli", "heliogauge.running.demo",
+#: What data_synth may know of an instrument: faces of rooms that describe things and estimate nothing.
+DESCRIPTIONS = frozenset({
+    "calibration.camera", "calibration.heliostat", "calibration.heliostat.kinematic_model", "deflectometry.setup",
+    "observer.trough", "photogrammetry.targets",
 })  # fmt: skip
+
+#: Kernel modules that put instruments to work.
+DEMONSTRATION = "heliogauge.running.demo"
+
+#: Rooms of the kernel that open files or talk to people; numeric modules do without.
+KERNEL_BORDER = ("images", "measurement", "results", "reporting", "running")
+#: Modules of those rooms that hold values alone.
+KERNEL_VALUES = frozenset({"heliogauge.running.progress", "heliogauge.running.threads"})
 
 #: Outside libraries that have no business in a numeric module, with the reason.
 BORDER_LIBRARIES = {
-    "pathlib": "files belong to images, measurement, store, report, pipeline and cli",
+    "pathlib": "files belong to images, measurement, results, files, report, pipeline and cli",
     "os": "files and processes belong to the border",
     "shutil": "files belong to the border",
-    "tomllib": "measurement files belong to heliogauge.measurement.load",
+    "tomllib": "measurement files belong to heliogauge.measurement",
     "logging": "the core neither logs nor prints; it returns values and raises errors",
-    "matplotlib": "figures belong to heliogauge.reporting.figures",
-    "plotly": "figures belong to heliogauge.reporting.figures",
+    "matplotlib": "figures belong to the report rooms",
+    "plotly": "figures belong to the report rooms",
     "rich": "the core never imports the terminal",
     "typer": "commands belong to cli modules",
-    "h5py": "files belong to heliogauge.results.folder and readers",
-    "h5netcdf": "files belong to heliogauge.results.folder",
-    "xarray": "files belong to heliogauge.results.folder",
-    "pydantic": "validated files belong to heliogauge.measurement.models",
+    "h5py": "files belong to heliogauge.results and the exchange rooms",
+    "h5netcdf": "files belong to heliogauge.results",
+    "xarray": "files belong to heliogauge.results",
+    "pydantic": "validated files belong to keys",
 }
 
 #: Too slow to import for a program that answers within a second: only inside the function that needs it.
@@ -58,6 +57,7 @@ LAZY_LIBRARIES = {
     "scipy": "scipy.optimize costs 0.6 s",
     "skimage": "skimage costs 0.4 s",
     "xarray": "xarray costs 0.5 s",
+    "pandas": "pandas costs 0.6 s",
     "matplotlib": "matplotlib costs 0.4 s",
     "plotly": "plotly costs 0.3 s",
     "nbclient": "nbclient costs 0.4 s",
@@ -73,65 +73,42 @@ LAZY_LIBRARIES = {
 }
 
 
-@dataclass(frozen=True)
-class Import:
-    """One import statement's target: as a module path, and whether it runs when the module is imported."""
-
-    target: str
-    line: int
-    at_import_time: bool
-
-
-def imports_of(tree: ast.Module) -> Iterator[Import]:
-    """Yield what a module imports; ``from a import b`` yields both ``a`` and ``a.b`` (b may be a module)."""
-    yield from _imports(tree.body, at_import_time=True)
-
-
-def _imports(nodes: list[ast.stmt], *, at_import_time: bool) -> Iterator[Import]:
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (Import(alias.name, node.lineno, at_import_time) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            home = node.module or ""
-            yield Import(home, node.lineno, at_import_time)
-            yield from (Import(f"{home}.{alias.name}", node.lineno, at_import_time) for alias in node.names)
-        else:
-            is_typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-            is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-            inner = at_import_time and not is_typing_only and not is_function
-            for name in ("body", "orelse", "finalbody"):
-                yield from _imports(
-                    [n for n in getattr(node, name, []) if isinstance(n, ast.stmt)], at_import_time=inner
-                )
-            for handler in getattr(node, "handlers", []):
-                yield from _imports(handler.body, at_import_time=inner)
-
-
 def breach(module: str, target: str) -> str:
     """Return why a module must not import a target; empty if it may."""
-    own, other = module.split(".")[0], target.split(".")[0]
-    last = module.split(".")[-1]
-    # A pipeline that does not fit on a page is split into pipeline_*.py.
-    is_pipeline = last in {"pipeline", "cli"} or last.startswith("pipeline_") or module in PIPELINE_LEVEL
-    if other in PACKAGES and other != own and other != "heliogauge":
-        if own == "data_synth" and any(target == d or target.startswith(d + ".") for d in DESCRIPTIONS):
-            return ""
-        if own == "data_synth" and not any(d.startswith(target + ".") or d == target for d in DESCRIPTIONS):
+    own, other = owner(module), owner(target)
+    if target.split(".")[0] in PACKAGES and own != other and other != "heliogauge":
+        if own == "heliogauge" and module != DEMONSTRATION:
+            return "the kernel knows no instrument; heliogauge.instruments finds them by name"
+        if other == "data_synth" and module != DEMONSTRATION:
+            return "an estimator that knows the simulation can be tuned to it; only tests and the demo use data_synth"
+        home, _, name = target.rpartition(".")
+        if own == "data_synth" and not any(
+            target == d or (home == d and name in faces().get(d, {})) or d.startswith(target + ".")
+            for d in DESCRIPTIONS
+        ):
             return (
                 "synthetic data made with the estimator's own code would agree with its errors; draw it independently"
             )
-        if other == "data_synth" and module not in PIPELINE_LEVEL:
-            return "an estimator that knows the simulation can be tuned to it; only tests and the demo use data_synth"
-        if own == "heliogauge" and module not in PIPELINE_LEVEL:
-            return "the kernel knows no instrument; heliogauge.running.cli mounts packages by name"
-        if own not in {"data_synth", "heliogauge"} and not is_pipeline:
-            return "packages meet only in a pipeline.py; pass values in instead"
-    if module in NUMERIC_MODULES:
-        if other in BORDER_LIBRARIES:
-            return f"numeric module: {BORDER_LIBRARIES[other]}"
-        if any(target == b or target.startswith((b + ".", b + "_")) for b in BORDER):
+        if not _is_of_a_face(target):
+            return "instruments meet at their public faces: import a name that the package's or room's __init__ lists"
+    if is_numeric(module):
+        if (library := target.split(".")[0]) in BORDER_LIBRARIES:
+            return f"numeric module: {BORDER_LIBRARIES[library]}"
+        border = target.split(".")[:2]
+        if (
+            border[0] == "heliogauge"
+            and border[-1] in KERNEL_BORDER
+            and len(target.split(".")) > 2
+            and not any(target == value or target.startswith(value + ".") for value in KERNEL_VALUES)
+        ):
             return "numeric module: it takes values and returns values; files, figures and terminals are the border's"
     return ""
+
+
+def _is_of_a_face(target: str) -> bool:
+    """Whether a target is a package or room with a face, or a name that such a face lists."""
+    home, _, name = target.rpartition(".")
+    return target in faces() or target in PACKAGES or name in faces().get(home, {})
 
 
 @pytest.mark.parametrize("module", all_modules(), ids=str)
@@ -144,10 +121,31 @@ def test_imports_keep_the_contract(module: Module) -> None:
     assert not breaches, "\n".join(breaches)
 
 
+def _outside_imports() -> Iterable[tuple[str, str]]:
+    """Yield file and target of each import in benchmarks, docs and notebooks."""
+    for file in [*(REPOSITORY / "benchmarks").glob("*.py"), REPOSITORY / "docs" / "conf.py"]:
+        for found in imports_of(ast.parse(file.read_text(encoding="utf-8"))):
+            yield file.name, found.target
+    for file in [*(REPOSITORY / "notebooks").glob("*.ipynb")]:
+        for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                for found in imports_of(ast.parse("".join(cell["source"]))):
+                    yield file.name, found.target
+
+
+def test_benchmarks_docs_and_notebooks_use_faces() -> None:
+    breaches = [
+        f"{file} imports {target}: use a name that a public face lists"
+        for file, target in _outside_imports()
+        if owner(target) in {*instruments(), "calibration", "data_synth"} and not _is_of_a_face(target)
+    ]
+    assert not breaches, "\n".join(breaches)
+
+
 @pytest.mark.parametrize("module", all_modules(), ids=str)
 def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None:
-    # figures and reports exist to use these; nobody imports them without wanting a figure.
-    figures = module.name.startswith(("heliogauge.reporting.figures", "heliogauge.reporting.build"))
+    # Figures and reports exist to use these; nobody imports them without wanting a figure.
+    figures = {"reporting", "report"}.intersection(module.name.split(".")) or "figures" in module.name
     breaches = [
         f"{module.path}:{found.line}: import {found.target} inside the function that needs it: {LAZY_LIBRARIES[top]}"
         for found in imports_of(module.tree)
@@ -162,22 +160,23 @@ def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None
         ("deflectometry.shape.slopes", "heliogauge.camera.model", True),
         ("deflectometry.shape.slopes", "deflectometry.setup.bench", True),
         ("deflectometry.shape.slopes", "calibration.screen.response", False),
-        ("deflectometry.pipeline.measure", "calibration.screen.response", True),
-        ("deflectometry.shape.slopes", "data_synth.fringes.truth", False),
-        ("deflectometry.pipeline.measure", "data_synth.fringes.truth", False),
-        ("heliogauge.camera.model", "deflectometry.setup.bench", False),
+        ("deflectometry.pipeline.measure", "calibration.screen.response.ScreenResponse", False),
+        ("deflectometry.pipeline.measure", "calibration.screen", True),
+        ("deflectometry.shape.slopes", "data_synth.fringes", False),
+        ("heliogauge.camera.model", "deflectometry.setup", False),
         ("heliogauge.running.cli", "deflectometry.cli", False),
-        ("heliogauge.running.demo", "data_synth.fringes.dataset", True),
-        ("heliogauge.running.demo", "deflectometry.pipeline.measure", True),
-        ("data_synth.fringes.scene", "deflectometry.setup.patterns", True),
-        ("data_synth.fringes.scene", "deflectometry.setup.patterns.make_pattern", True),
-        ("data_synth.fringes.scene", "deflectometry", True),
+        ("heliogauge.running.demo", "deflectometry", True),
+        ("heliogauge.running.demo", "deflectometry.pipeline.measure.run", False),
+        ("data_synth.fringes.scene", "deflectometry.setup", True),
         ("data_synth.fringes.scene", "deflectometry.shape.slopes", False),
-        ("data_synth.fringes.scene", "calibration.screen.response", False),
+        ("data_synth.fringes.scene", "calibration.screen", False),
+        ("observer.pipeline.photo_network", "photogrammetry.bundle.adjustment", False),
+        ("observer.pipeline.photo_network", "photogrammetry.bundle", True),
         ("heliogauge.camera.model", "pathlib", False),
         ("heliogauge.camera.model", "matplotlib.pyplot", False),
         ("heliogauge.camera.model", "heliogauge.results.folder", False),
-        ("heliogauge.camera.model", "heliogauge.results.json_file.read_json", False),
+        ("observer.slopes.row_spline", "heliogauge.results.json_file.read_json", False),
+        ("observer.slopes.row_spline", "heliogauge.running.progress.Progress", True),
         ("heliogauge.results.folder", "pathlib", True),
     ],
 )
@@ -206,8 +205,48 @@ class K:
     }  # fmt: skip
 
 
-def test_no_module_imports_itself_in_a_circle() -> None:
-    """Every module can be the first one that is imported."""
+def circles(graph: Mapping[str, Iterable[str]]) -> list[list[str]]:
+    """Return the groups of nodes that reach each other (Tarjan's strongly connected components, by two searches)."""
+    reach: dict[str, set[str]] = {}
+    for start in graph:
+        seen: set[str] = set()
+        waiting = list(graph[start])
+        while waiting:
+            node = waiting.pop()
+            if node not in seen:
+                seen.add(node)
+                waiting.extend(graph.get(node, ()))
+        reach[start] = seen
+    groups = {tuple(sorted(b for b in reach[a] if a in reach.get(b, ()))) for a in graph if a in reach[a]}
+    return [list(group) for group in sorted(groups)]
+
+
+def _graph(*, by_owner: bool) -> dict[str, set[str]]:
+    names = {module.name for module in all_modules()}
+    graph: dict[str, set[str]] = {}
+    for module in all_modules():
+        here = owner(module.name) if by_owner else module.name
+        for found in imports_of(module.tree):
+            target = found.target if found.target in names else ""
+            if by_owner and module.name != DEMONSTRATION and found.target.split(".")[0] in PACKAGES:
+                graph.setdefault(here, set()).update({owner(found.target)} - {here})
+            elif not by_owner and found.at_import_time and target and target != here:
+                # A face loads its modules when asked, and every module loads the faces above it: no circle.
+                graph.setdefault(here, set()).add(target)
+    return graph
+
+
+@pytest.mark.parametrize("by_owner", [False, True], ids=["modules", "packages"])
+def test_nothing_imports_in_a_circle(by_owner: bool) -> None:
+    assert circles(_graph(by_owner=by_owner)) == []
+
+
+def test_circles_are_found() -> None:
+    """Negative control."""
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
+
+
+def test_every_module_can_be_imported_first() -> None:
     names = [module.name for module in all_modules() if not module.name.endswith("__main__")]
     program = """
 import sys, importlib

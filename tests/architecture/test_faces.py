@@ -1,0 +1,79 @@
+"""Public faces: few names, loaded when asked for, described in full; what is inside is internal."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+from numpydoc.validate import validate
+
+from tests.architecture.source_tree import REPOSITORY, all_modules, faces, instruments
+
+MOST_NAMES = 10
+#: numpydoc's checks of a docstring that a user reads: sections complete, in order, with types.
+CHECKS = frozenset({
+    "GL03", "GL05", "GL06", "GL07", "GL08", "SS02", "SS03", "SS04", "PR01", "PR02", "PR03", "PR04", "PR05", "PR07",
+    "PR09", "PR10", "RT01", "RT03", "RT05", "SA02", "SA03", "SA04",
+})  # fmt: skip
+
+
+@pytest.mark.parametrize("package", ["heliogauge", "data_synth", *instruments()])
+def test_every_package_has_a_face(package: str) -> None:
+    assert faces().get(package), f"{package}/__init__.py lists no name; see heliogauge.faces.lazy_face"
+
+
+@pytest.mark.parametrize("package", faces())
+def test_a_face_is_small_and_true(package: str) -> None:
+    names = faces()[package]
+    module = import_module(package)
+    assert len(names) <= MOST_NAMES
+    assert sorted(names) == module.__all__
+    for name, home in names.items():
+        # Which of the two it is would depend on what was imported before.
+        inside = {other.name for other in all_modules()}
+        assert home == f"{package}.{name}" or f"{package}.{name}" not in inside, f"{package}.{name} is a module, too"
+        assert getattr(module, name) is not None
+    with pytest.raises(AttributeError, match="no_such_name"):
+        module.no_such_name  # noqa: B018
+
+
+def _public() -> list[str]:
+    modules = {module.name for module in all_modules()}
+    return sorted(
+        {
+            f"{home}.{name}"
+            for names in faces().values()
+            for name, home in names.items()
+            if home not in modules or (f"{home}" != name and not home.endswith(f".{name}"))
+        }
+    )
+
+
+@pytest.mark.parametrize("name", _public())
+def test_what_is_public_is_described(name: str) -> None:
+    home, _, last = name.rpartition(".")
+    value = getattr(import_module(home), last)
+    if not callable(value):
+        return
+    faults = [f"{code} {text}" for code, text in validate(name)["errors"] if code in CHECKS]
+    assert not faults, f"{name}: {faults}"
+
+
+def test_faces_are_lazy() -> None:
+    """Looking at a package loads none of its modules and no library."""
+    program = "import sys, " + ", ".join(["heliogauge", *instruments()]) + "; print('numpy' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert answer.stdout.strip() == "False"
+
+
+def test_only_faces_stand_in_package_files() -> None:
+    """An __init__.py says what the package is and lists its face; code stands in modules."""
+    found = [
+        f"{module.path}:{node.lineno}"
+        for module in all_modules()
+        if module.is_face and module.name != "heliogauge"
+        for node in module.tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+    ]
+    assert not found, f"code in package files: {found}"
