@@ -79,7 +79,8 @@ def test_every_pipeline_is_compared() -> None:
     existing = {
         ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
         for package in PACKAGES
-        for path in (REPOSITORY / package).rglob("pipeline.py")
+        for path in (REPOSITORY / package).rglob("*.py")
+        if path.name == "pipeline.py" or path.parts[-2:] == ("pipeline", "measure.py")
     }
     assert existing == set(PIPELINES)
 

@@ -76,7 +76,7 @@ def test_the_quick_answers_import_next_to_nothing(option: str) -> None:
     """Their time is the time of their imports: 0.1 s with typer alone, above 0.5 s with any of these."""
     program = f"""
 import sys
-from heliogauge import cli
+from heliogauge.running import cli
 try:
     cli.main([{option!r}])
 except SystemExit:
@@ -161,7 +161,7 @@ from types import ModuleType
 import typer
 # A test run started in the background hands down an ignored SIGINT.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from heliogauge import cli, commands
+from heliogauge.running import cli, commands
 app = commands.make_app("A probe.")
 @app.command("run")
 def measure(folder: str) -> None:
