@@ -44,8 +44,12 @@ class HeliostatTargetSection(Section):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        numbers = {"center_m": self.center_m, "width_m": self.width_m, "height_m": self.height_m,
-                   "facing_azimuth_deg": self.facing_azimuth_deg}  # fmt: skip
+        numbers = {
+            "center_m": self.center_m,
+            "width_m": self.width_m,
+            "height_m": self.height_m,
+            "facing_azimuth_deg": self.facing_azimuth_deg,
+        }
         given = [key for key, value in numbers.items() if value is not None]
         if self.corners_m is not None and given:
             raise ValueError(f"the corners say all, and so does {given[0]}; leave one of both out")

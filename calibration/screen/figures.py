@@ -69,9 +69,15 @@ def _draw_readings(axes: "Axes", result: Result) -> None:
     ):
         if chosen.any():
             axes.plot(
-                readings.level[chosen], readings.mean_dn[chosen], color=LINE_Y, linestyle="none", marker=marker,
-                markersize=4, fillstyle="none", label=label,
-            )  # fmt: skip
+                readings.level[chosen],
+                readings.mean_dn[chosen],
+                color=LINE_Y,
+                linestyle="none",
+                marker=marker,
+                markersize=4,
+                fillstyle="none",
+                label=label,
+            )
     axes.set_ylabel("camera reading [DN]", fontsize=8.5, color=INK)
     add_legend(axes, loc="upper left")
 
@@ -80,7 +86,14 @@ def _draw_departure(axes: "Axes", result: Result) -> None:
     departure, sigma = nonlinearity(result.response)
     axes.axhline(0, color=FAINT, linewidth=0.8, linestyle="--")
     axes.errorbar(
-        result.response.display_level, 100 * departure, 100 * sigma, color=LINE_X, linewidth=1.1, marker="o",
-        markersize=3, elinewidth=0.8, capsize=2,
-    )  # fmt: skip
+        result.response.display_level,
+        100 * departure,
+        100 * sigma,
+        color=LINE_X,
+        linewidth=1.1,
+        marker="o",
+        markersize=3,
+        elinewidth=0.8,
+        capsize=2,
+    )
     axes.set_ylabel("departure from the line\n[% of the readings]", fontsize=8.5, color=INK)

@@ -258,12 +258,14 @@ def headline_text(result: Result) -> str:
     response, readings = result.response, result.readings
     departure, sigma = nonlinearity(response)
     at = int(np.argmax(np.abs(departure)))
-    return "\n".join((
-        f"{result.name}: response of camera and display",
-        f"  levels           {response.camera_dn.size} of {readings.level.size} used, "
-        f"{np.count_nonzero(readings.is_saturated)} saturated",
-        f"  readings         {response.camera_dn[0]:.2f} to {response.camera_dn[-1]:.2f} DN",
-        f"  nonlinearity     {100 * departure[at]:+.1f} +- {100 * sigma[at]:.1g} % of the range, at level "
-        f"{response.display_level[at]:.2f}",
-        f"  pixels           {readings.pixels}, brightness spread {readings.gain_spread:.0%}",
-    ))  # fmt: skip
+    return "\n".join(
+        (
+            f"{result.name}: response of camera and display",
+            f"  levels           {response.camera_dn.size} of {readings.level.size} used, "
+            f"{np.count_nonzero(readings.is_saturated)} saturated",
+            f"  readings         {response.camera_dn[0]:.2f} to {response.camera_dn[-1]:.2f} DN",
+            f"  nonlinearity     {100 * departure[at]:+.1f} +- {100 * sigma[at]:.1g} % of the range, at level "
+            f"{response.display_level[at]:.2f}",
+            f"  pixels           {readings.pixels}, brightness spread {readings.gain_spread:.0%}",
+        )
+    )

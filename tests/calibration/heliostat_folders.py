@@ -18,12 +18,14 @@ from heliogauge.results.tables import write_table_csv
 SITE = Site(37.0, -2.0, 500.0)
 TARGET = PlaneTarget.facing("north face", np.array([0.0, 0.0, 40.0]), 0.0, 8.0, 6.0)
 CONTENT: dict[str, Any] = {
-    "kind": "heliostat", "name": "Versuchsfeld Süd",
+    "kind": "heliostat",
+    "name": "Versuchsfeld Süd",
     "site": {"latitude_deg": SITE.latitude_deg, "longitude_deg": SITE.longitude_deg, "altitude_m": SITE.altitude_m},
-    "target": [{"name": TARGET.name, "center_m": [0.0, 0.0, 40.0], "width_m": 8.0, "height_m": 6.0,
-                "facing_azimuth_deg": 0.0}],
+    "target": [
+        {"name": TARGET.name, "center_m": [0.0, 0.0, 40.0], "width_m": 8.0, "height_m": 6.0, "facing_azimuth_deg": 0.0}
+    ],
     "kinematics": {"preset": "azimuth-elevation"},
-}  # fmt: skip
+}
 ERRORS = {"tilt_north": 2e-3, "tilt_east": -1e-3, "azimuth_offset": 4e-3, "elevation_offset": -3e-3}
 ACTUATORS = (
     ActuatorNumbers(0.0137, 0.0757, 0.335308, 0.338095, 154166.6667, False, (0.0, 69001.0)),
@@ -70,9 +72,13 @@ def write_field(
     positions = np.column_stack(
         [rng.uniform(-60, 60, heliostats), rng.uniform(60, 150, heliostats), np.full(heliostats, 2.0)]
     )
-    truths, columns = {}, {name: [] for name in (
-        "heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", "y_m", "sigma_mm",
-    )}  # fmt: skip
+    truths, columns = (
+        {},
+        {
+            name: []
+            for name in ("heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", "y_m", "sigma_mm")
+        },
+    )
     for name, position in zip(names, positions, strict=True):
         nominal = azimuth_elevation(name, position)
         truths[name] = nominal.with_value({key: value * rng.uniform(0.5, 1.5) for key, value in ERRORS.items()})
@@ -87,9 +93,10 @@ def write_field(
         columns["sigma_mm"] += [1e3 * SIGMA_M] * observations
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "measurement.toml").write_text(dump_toml(CONTENT), encoding="utf-8")
-    write_table_csv(folder / "heliostats.csv", {
-        "heliostat": names, "e_m": positions[:, 0], "n_m": positions[:, 1], "u_m": positions[:, 2],
-    })  # fmt: skip
+    write_table_csv(
+        folder / "heliostats.csv",
+        {"heliostat": names, "e_m": positions[:, 0], "n_m": positions[:, 1], "u_m": positions[:, 2]},
+    )
     write_table_csv(folder / "observations.csv", columns)
     return truths
 
@@ -118,12 +125,19 @@ def write_paint(
     corners = TARGET.points([[-4, 3], [4, 3], [4, -3], [-4, -3]])
     places = np.column_stack(geodetic_from_enu(corners, origin)).tolist()
     (folder / "tower").mkdir()
-    write_json(folder / "tower" / "tower_measurements.json", {
-        "power_plant_properties": {"ID": "X", "coordinates": list(origin)},
-        TARGET.name: {"type": "planar", "coordinates": dict(
-            zip(("upper_left", "upper_right", "lower_right", "lower_left"), places, strict=True))},
-        "receiver": {"type": "convex_cylinder", "coordinates": {}},
-    })  # fmt: skip
+    write_json(
+        folder / "tower" / "tower_measurements.json",
+        {
+            "power_plant_properties": {"ID": "X", "coordinates": list(origin)},
+            TARGET.name: {
+                "type": "planar",
+                "coordinates": dict(
+                    zip(("upper_left", "upper_right", "lower_right", "lower_left"), places, strict=True)
+                ),
+            },
+            "receiver": {"type": "convex_cylinder", "coordinates": {}},
+        },
+    )
     write_json(folder / "timestamps.json", stamps)
     return truths
 
@@ -133,18 +147,25 @@ def properties(position_m: np.ndarray) -> dict[str, Any]:
     place = geodetic_from_enu(position_m, (SITE.latitude_deg, SITE.longitude_deg, SITE.altitude_m))
     actuators = [
         {
-            "type_axis": "linear", "min_increment": one.count_limits[0], "max_increment": one.count_limits[1],
-            "increment": one.increment_per_m, "initial_stroke_length": one.initial_stroke_m, "offset": one.offset_m,
-            "pivot_radius": one.pivot_radius_m, "clockwise_axis_movement": int(one.clockwise),
+            "type_axis": "linear",
+            "min_increment": one.count_limits[0],
+            "max_increment": one.count_limits[1],
+            "increment": one.increment_per_m,
+            "initial_stroke_length": one.initial_stroke_m,
+            "offset": one.offset_m,
+            "pivot_radius": one.pivot_radius_m,
+            "clockwise_axis_movement": int(one.clockwise),
             "initial_angle": one.initial_angle_rad,
         }
         for one in ACTUATORS
-    ]  # fmt: skip
+    ]
     return {
-        "heliostat_position": [float(one) for one in place], "height": 2.56, "width": 3.22,
+        "heliostat_position": [float(one) for one in place],
+        "height": 2.56,
+        "width": 3.22,
         "initial_orientation": [0.0, -1.0, 0.0],
         "kinematics_properties": {"actuators": actuators, "concentrator_translation_n": 0.175},
-    }  # fmt: skip
+    }
 
 
 def record(seen: Seen, row: int, spot: np.ndarray) -> dict[str, Any]:
@@ -154,9 +175,11 @@ def record(seen: Seen, row: int, spot: np.ndarray) -> dict[str, Any]:
         "motor_position": dict(
             zip(("axis_1_motor_position", "axis_2_motor_position"), seen.readings[row].tolist(), strict=True)
         ),
-        "target_name": TARGET.name, "sun_elevation": elevation, "sun_azimuth": 180.0 - azimuth,
+        "target_name": TARGET.name,
+        "sun_elevation": elevation,
+        "sun_azimuth": 180.0 - azimuth,
         "focal_spot": {"HeliOS": spot.tolist(), "UTIS": spot.tolist()},
-    }  # fmt: skip
+    }
 
 
 def write_json(file: Path, content: Any) -> None:

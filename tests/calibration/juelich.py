@@ -25,11 +25,16 @@ def heliostat(name):
     said = json.loads((FOLDER / name / f"{name}_properties.json").read_text(encoding="utf-8"))
     actuators = tuple(
         ActuatorNumbers(
-            one["initial_angle"], one["initial_stroke_length"], one["offset"], one["pivot_radius"], one["increment"],
-            one["clockwise_axis_movement"] == 1, (one["min_increment"], one["max_increment"]),
+            one["initial_angle"],
+            one["initial_stroke_length"],
+            one["offset"],
+            one["pivot_radius"],
+            one["increment"],
+            one["clockwise_axis_movement"] == 1,
+            (one["min_increment"], one["max_increment"]),
         )
         for one in said["kinematics_properties"]["actuators"]
-    )  # fmt: skip
+    )
     position = enu_from_geodetic(*said["heliostat_position"], origin)
     return linear_actuators(name, np.ravel(position), actuators), _observations(name, origin)
 

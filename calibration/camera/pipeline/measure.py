@@ -287,9 +287,18 @@ def _result(model: CameraCalibrationModel, solved: _Solved) -> Result:
         for one in examine_intrinsics(bundle)
     )
     return Result(
-        model.name, model.camera.name, camera, tests, photos, {}, shape, quality, sigma_map(camera, distance),
-        radial_profile(camera, pixels), coverage(camera, pixels),
-    )  # fmt: skip
+        model.name,
+        model.camera.name,
+        camera,
+        tests,
+        photos,
+        {},
+        shape,
+        quality,
+        sigma_map(camera, distance),
+        radial_profile(camera, pixels),
+        coverage(camera, pixels),
+    )
 
 
 def write(result: Result, folder: Path) -> None:

@@ -69,11 +69,14 @@ def headline(report: CalibrationReport) -> Html:
         ("RMS of photos held out, only their pose fitted", _pixels(result.held_out_px, "none held out")),
         ("Line of sight, 1 sigma, RMS over the image, best rotation taken out", f"{1e6 * sigma.rms_free_rad:.2g} µrad"),
         ("Projection, 1 sigma, largest in the image", f"{sigma.worst_projection_px:.2g} px"),
-        ("Image covered", f"{result.coverage.share:.0%} of its cells, out to {result.coverage.radius_share:.0%} of "
-                          "the way to its corners"),
+        (
+            "Image covered",
+            f"{result.coverage.share:.0%} of its cells, out to {result.coverage.radius_share:.0%} of "
+            "the way to its corners",
+        ),
         ("Residuals over what the pixels' noise lets expect", f"{quality.sigma_factor_ratio:.2f}"),
         ("Image points used, rejected", f"{sum(int(p.used.sum()) for p in result.photos)}, {len(quality.rejected)}"),
-    ]  # fmt: skip
+    ]
     return Html(f'<div class="headline">{table(("", ""), rows, numbers=(1,)).text}</div>')
 
 
@@ -95,8 +98,15 @@ def intrinsics_table(report: CalibrationReport) -> Html:
             against = "> 99.99 %"
         if against and one.significance < 0.95:
             against += " (not significant)"
-        rows.append((one.name.removesuffix("_px").replace("_", " "), number_text(one.value, one.sigma, unit), against,
-                     one.rival.removesuffix("_px").replace("_", " "), f"{one.correlation:+.3f}"))  # fmt: skip
+        rows.append(
+            (
+                one.name.removesuffix("_px").replace("_", " "),
+                number_text(one.value, one.sigma, unit),
+                against,
+                one.rival.removesuffix("_px").replace("_", " "),
+                f"{one.correlation:+.3f}",
+            )
+        )
     note = (
         "Brown's model on normalised coordinates; pixel (0, 0) is the centre of the top-left pixel. aspect: focal y / "
         "focal x - 1. Significance: probability that the value is not zero. The same camera for OpenCV is in "
@@ -142,15 +152,33 @@ def photo_table(report: CalibrationReport) -> Html:
     for photo in sorted(report.result.photos, key=lambda one: -one.rms_px):
         tilt, roll = np.degrees(tilt_and_roll(photo.cam_from_board)).tolist()
         sigma = np.sqrt(np.diag(photo.covariance))
-        rows.append((
-            photo.name, f"{int(photo.used.sum())}", f"{int((~photo.used).sum())}", f"{photo.rms_px:.4f}",
-            _pixels(photo.kept_apart_px, "-").removesuffix(" px"), f"{tilt:.0f}", f"{roll:.0f}",
-            f"{np.linalg.norm(photo.cam_from_board.translation_m):.3f}",
-            f"{1e3 * float(np.linalg.norm(sigma[:3])):.3g}", f"{1e3 * float(np.linalg.norm(sigma[3:])):.3g}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                photo.name,
+                f"{int(photo.used.sum())}",
+                f"{int((~photo.used).sum())}",
+                f"{photo.rms_px:.4f}",
+                _pixels(photo.kept_apart_px, "-").removesuffix(" px"),
+                f"{tilt:.0f}",
+                f"{roll:.0f}",
+                f"{np.linalg.norm(photo.cam_from_board.translation_m):.3f}",
+                f"{1e3 * float(np.linalg.norm(sigma[:3])):.3g}",
+                f"{1e3 * float(np.linalg.norm(sigma[3:])):.3g}",
+            )
+        )
     long, short = ("m", "mm") if report.result.shape.board.is_metric else ("pitches", "\u2030 pitch")
-    head = ("photo", "points", "rej.", "RMS [px]", "kept apart [px]", "tilt [deg]", "roll [deg]",
-            f"distance [{long}]", "\u03c3 rot. [mrad]", f"\u03c3 place [{short}]")  # fmt: skip
+    head = (
+        "photo",
+        "points",
+        "rej.",
+        "RMS [px]",
+        "kept apart [px]",
+        "tilt [deg]",
+        "roll [deg]",
+        f"distance [{long}]",
+        "\u03c3 rot. [mrad]",
+        f"\u03c3 place [{short}]",
+    )
     return table(head, rows, numbers=range(1, len(head)))
 
 
@@ -170,9 +198,14 @@ def board_section(report: CalibrationReport) -> Html:
     rows = []
     for axis, (name, departure, sigma) in enumerate(zip("xyz", shape.departure_m.T, shape.sigma_m.T, strict=True)):
         said = ("along the rows", "along the columns", "across the board")[axis]
-        rows.append((f"{name}, {said}", f"{factor * float(np.sqrt((departure**2).mean())):.4f}",
-                     f"{factor * float(np.abs(departure).max()):.4f}",
-                     f"{factor * float(np.sqrt((sigma**2).mean())):.4f}"))  # fmt: skip
+        rows.append(
+            (
+                f"{name}, {said}",
+                f"{factor * float(np.sqrt((departure**2).mean())):.4f}",
+                f"{factor * float(np.abs(departure).max()):.4f}",
+                f"{factor * float(np.sqrt((sigma**2).mean())):.4f}",
+            )
+        )
     stretch = _stretch(report.result)
     lines = [(name, number_text(value, None, "")) for name, value in stretch]
     head = (f"departure [{unit}]", "RMS", "largest", "sigma, RMS")

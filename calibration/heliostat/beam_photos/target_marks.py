@@ -305,9 +305,12 @@ def _registration_sigma(
 ) -> float:
     """Carry what the two pictures differ by into the place of the anchor."""
     moved = cv2.warpAffine(
-        window, affine.astype(np.float32), wanted.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        window,
+        affine.astype(np.float32),
+        wanted.shape[::-1],
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
-    ).astype(np.float64)  # fmt: skip
+    ).astype(np.float64)
     gain, offset = np.polyfit(moved.ravel(), wanted.ravel().astype(np.float64), 1)
     model = gain * moved + offset
     difference = wanted - model

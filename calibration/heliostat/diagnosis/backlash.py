@@ -75,9 +75,12 @@ def normals_from_spots(spots_m: npt.ArrayLike, sun_directions: npt.ArrayLike, mi
 
 
 def backlash_from_normals(
-    one_end: npt.ArrayLike, other_end: npt.ArrayLike, *, axis: npt.ArrayLike = (0.0, 0.0, 1.0),
+    one_end: npt.ArrayLike,
+    other_end: npt.ArrayLike,
+    *,
+    axis: npt.ArrayLike = (0.0, 0.0, 1.0),
     sigma_normal_rad: float | None = None,
-) -> Backlash:  # fmt: skip
+) -> Backlash:
     """Evaluate normals of a mirror that was pushed to both ends of its play (Stage-STE 12.6, 2.4).
 
     one_end, other_end (n, 3): Normals at the ends, one row for each repetition.

@@ -74,10 +74,16 @@ class Finding:
     def content(self) -> dict[str, Any]:
         """Return the finding as JSON has it."""
         return {
-            "kind": self.kind, "severity": self.severity, "text": self.text,
-            "evidence": {name: _plain(value) for name, value in self.evidence.items()}, "chance": _plain(self.chance),
-            "rows": list(self.rows), "dates": list(self.dates), "images": list(self.images), "remedy": self.remedy,
-        }  # fmt: skip
+            "kind": self.kind,
+            "severity": self.severity,
+            "text": self.text,
+            "evidence": {name: _plain(value) for name, value in self.evidence.items()},
+            "chance": _plain(self.chance),
+            "rows": list(self.rows),
+            "dates": list(self.dates),
+            "images": list(self.images),
+            "remedy": self.remedy,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +142,7 @@ class Diagnosis:
                 for one in self.checks
             ],
             "significance": self.significance,
-        }  # fmt: skip
+        }
 
 
 _ORDER = {"fault": 0, "rows": 1, "doubt": 2, "hint": 3}

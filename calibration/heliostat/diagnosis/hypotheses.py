@@ -1,7 +1,7 @@
 """What could be wrong with records as a whole, tried out one by one where a fit ends far from the observations."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
 
@@ -45,7 +45,7 @@ class Hypothesis:
     text: str
     design: HeliostatDesign
     change: Callable[[Observations], Observations]
-    evidence: Mapping[str, float]
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
 
 def is_far(fit: HeliostatFit) -> bool:
@@ -115,9 +115,11 @@ def _time_finding(
         f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam."
     )
     evidence = {
-        "offset_s": seconds, "sigma_offset_s": sigma, "median_before_mrad": 1e3 * before,
+        "offset_s": seconds,
+        "sigma_offset_s": sigma,
+        "median_before_mrad": 1e3 * before,
         "median_after_mrad": 1e3 * after,
-    }  # fmt: skip
+    }
     return Finding("time_offset", "fault", text, evidence), corrected
 
 
@@ -173,9 +175,12 @@ def _all(fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | Non
     if site is not None and np.isfinite(fit.observations.sun).any():
         for hours in _HOURS:
             yield Hypothesis(
-                "time_offset", f"times are {hours} h off", fit.nominal,
-                partial(turned_sky, site=site, seconds=3600.0 * hours), {"offset_s": 3600.0 * hours},
-            )  # fmt: skip
+                "time_offset",
+                f"times are {hours} h off",
+                fit.nominal,
+                partial(turned_sky, site=site, seconds=3600.0 * hours),
+                {"offset_s": 3600.0 * hours},
+            )
 
 
 def _suns(fit: HeliostatFit) -> Iterator[Hypothesis]:
@@ -188,14 +193,13 @@ def _suns(fit: HeliostatFit) -> Iterator[Hypothesis]:
         "The sun's azimuth is counted counter-clockwise from east": np.eye(3)[[1, 0, 2]],
     }
     for text, form in forms.items():
-        yield Hypothesis(
-            "sun_convention", text, fit.nominal,
-            partial(with_suns, change=partial(_turned, form)), {},
-        )  # fmt: skip
+        yield Hypothesis("sun_convention", text, fit.nominal, partial(with_suns, change=partial(_turned, form)), {})
     yield Hypothesis(
-        "sun_convention", "The sun's elevation is the angle from the zenith", fit.nominal,
-        partial(with_suns, change=_from_zenith), {},
-    )  # fmt: skip
+        "sun_convention",
+        "The sun's elevation is the angle from the zenith",
+        fit.nominal,
+        partial(with_suns, change=_from_zenith),
+    )
 
 
 def _turned(form: FloatArray, suns: FloatArray) -> FloatArray:
@@ -210,23 +214,31 @@ def _from_zenith(suns: FloatArray) -> FloatArray:
 
 def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
     yield Hypothesis(
-        "swapped_axes", "The readings of the two axes are exchanged", fit.nominal,
-        lambda seen: _with_readings(seen, lambda readings: readings[:, ::-1]), {},
-    )  # fmt: skip
+        "swapped_axes",
+        "The readings of the two axes are exchanged",
+        fit.nominal,
+        lambda seen: _with_readings(seen, lambda readings: readings[:, ::-1]),
+    )
     for axis in (0, 1):
         yield Hypothesis(
-            "inverted_axis", f"Axis {axis + 1} runs the other way than said", _inverted(fit.nominal, axis),
-            lambda seen: seen, {"axis": axis + 1.0},
-        )  # fmt: skip
+            "inverted_axis",
+            f"Axis {axis + 1} runs the other way than said",
+            _inverted(fit.nominal, axis),
+            lambda seen: seen,
+            {"axis": axis + 1.0},
+        )
     drive = fit.nominal.drives[0]
     if isinstance(drive, RotaryDrive):
         # Azimuths from the south, clockwise and not; half a turn of axis 2 as well would be the same pose over the top.
         half = np.array([np.pi / drive.rad_per_reading, 0.0])
         for design, also in ((fit.nominal, ""), (_inverted(fit.nominal, 0), " and runs the other way")):
             yield Hypothesis(
-                "half_turn", f"Axis 1 is read half a turn off{also} (an azimuth from the south?)", design,
-                partial(_with_readings, change=partial(np.add, half)), {"axis": 1.0},
-            )  # fmt: skip
+                "half_turn",
+                f"Axis 1 is read half a turn off{also} (an azimuth from the south?)",
+                design,
+                partial(_with_readings, change=partial(np.add, half)),
+                {"axis": 1.0},
+            )
 
 
 def _inverted(design: HeliostatDesign, axis: int) -> HeliostatDesign:
@@ -245,14 +257,18 @@ def _spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[Hy
     if not used:
         return
     yield Hypothesis(
-        "mirrored_spots", "x on the targets runs to the left as seen from the field", fit.nominal,
-        partial(_with_spots, targets=targets, names={}, sign=-1.0), {},
-    )  # fmt: skip
+        "mirrored_spots",
+        "x on the targets runs to the left as seen from the field",
+        fit.nominal,
+        partial(_with_spots, targets=targets, names={}, sign=-1.0),
+    )
     for one, other in combinations(used, 2):
         yield Hypothesis(
-            "target_names_exchanged", f"The targets {one} and {other} are taken for each other", fit.nominal,
-            partial(_with_spots, targets=targets, names={one: other, other: one}, sign=1.0), {},
-        )  # fmt: skip
+            "target_names_exchanged",
+            f"The targets {one} and {other} are taken for each other",
+            fit.nominal,
+            partial(_with_spots, targets=targets, names={one: other, other: one}, sign=1.0),
+        )
 
 
 def _free_actuators(fit: HeliostatFit) -> Hypothesis | None:

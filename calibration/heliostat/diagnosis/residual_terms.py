@@ -179,10 +179,12 @@ def _looks(model: LinearFit, terms: Sequence[Term]) -> list[_Look]:
     found = []
     for term in terms:
         statistics, freedom = model.scores(term.columns)
-        chances = np.array([
-            1 - chi_square_cdf(float(one), int(free)) if free else 1.0
-            for one, free in zip(statistics, freedom, strict=True)
-        ])  # fmt: skip
+        chances = np.array(
+            [
+                1 - chi_square_cdf(float(one), int(free)) if free else 1.0
+                for one, free in zip(statistics, freedom, strict=True)
+            ]
+        )
         # Where chances are zero to rounding the statistic decides.
         index = int(np.lexsort((statistics, -chances))[-1])
         chance = min(float(chances[index]) * len(statistics), 1.0)
@@ -211,9 +213,7 @@ def _explained(check: Check, look: _Look, extension: Extension) -> Check:
     return Check(check.name, check.chance, extension.explained) if same else check
 
 
-def _finding(
-    fit: HeliostatFit, look: _Look, extension: Extension, severity: Severity, chance: float
-) -> Finding:  # fmt: skip
+def _finding(fit: HeliostatFit, look: _Look, extension: Extension, severity: Severity, chance: float) -> Finding:
     term, values, sigmas = look.term, extension.coefficients, extension.sigmas
     evidence: dict[str, float] = {
         "explained_share": extension.explained,
@@ -261,9 +261,7 @@ def _numbers_text(fit: HeliostatFit, term: Term, shifts: FloatArray, evidence: d
     return f"{DEPARTED[term.kind]}: {', '.join(parts)}"
 
 
-def _sentence(
-    term: Term, look: _Look, values: FloatArray, sigmas: FloatArray, evidence: dict[str, float]
-) -> str:  # fmt: skip
+def _sentence(term: Term, look: _Look, values: FloatArray, sigmas: FloatArray, evidence: dict[str, float]) -> str:
     if term.kind == "backlash":
         plays = ", ".join(f"{1e3 * v:.2f} +- {1e3 * g:.2f} mrad" for v, g in zip(values, sigmas, strict=True))
         return f"{term.name}: the beam depends on the direction of the last move, play {plays}"

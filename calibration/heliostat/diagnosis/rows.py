@@ -122,12 +122,15 @@ def _flagged(records: Records) -> list[Finding]:
             severity: Severity = "fault" if len(rows) >= 2 else "rows"
             findings.append(
                 Finding(
-                    kind, severity, f"{len(rows)} of {len(records.flags)} rows {text}; they are left out.",
-                    {"rows": float(len(rows)), "share": share}, rows=tuple(rows),
+                    kind,
+                    severity,
+                    f"{len(rows)} of {len(records.flags)} rows {text}; they are left out.",
+                    {"rows": float(len(rows)), "share": share},
+                    rows=tuple(rows),
                     dates=dates_of(records.times[rows]),
                     images=tuple(records.images[row] for row in rows if records.images[row]),
                 )
-            )  # fmt: skip
+            )
     return findings
 
 

@@ -61,8 +61,11 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
         "schema_version": SCHEMA,
         "heliostat": result.name,
         "site": {
-            "latitude_deg": plant.origin[0], "longitude_deg": plant.origin[1], "altitude_m": plant.origin[2],
-            "pressure_hpa": plant.site.pressure_hpa, "temperature_c": plant.site.temperature_c,
+            "latitude_deg": plant.origin[0],
+            "longitude_deg": plant.origin[1],
+            "altitude_m": plant.origin[2],
+            "pressure_hpa": plant.site.pressure_hpa,
+            "temperature_c": plant.site.temperature_c,
         },
         "model": _model_content(result),
         "design": design_content(fit.design),
@@ -73,8 +76,12 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
         "rank": fit.rank,
         "n_free": fit.n_free,
         "unobservable": [
-            {"text": one.text, "names": list(one.names), "coefficients": _plain(np.asarray(one.coefficients)),
-             "held_by_prior": bool(one.held_by_prior)}
+            {
+                "text": one.text,
+                "names": list(one.names),
+                "coefficients": _plain(np.asarray(one.coefficients)),
+                "held_by_prior": bool(one.held_by_prior),
+            }
             for one in fit.unobservable
         ],
         "converged": fit.converged,
@@ -90,15 +97,21 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
         "fit_to_all": _angles_of(fit),
         "sun_check_median_mrad": _plain(1e3 * result.seen.sun_check_rad),
         "targets": {
-            name: {"center_m": _plain(one.center_m), "right": _plain(one.right), "up": _plain(one.up),
-                   "width_m": one.width_m, "height_m": one.height_m, "flatness_mm": 1e3 * one.flatness_m}
+            name: {
+                "center_m": _plain(one.center_m),
+                "right": _plain(one.right),
+                "up": _plain(one.up),
+                "width_m": one.width_m,
+                "height_m": one.height_m,
+                "flatness_mm": 1e3 * one.flatness_m,
+            }
             for name, one in plant.targets.items()
         },
         "diagnosis": result.diagnosis.content(),
         "warnings": list(result.warnings),
         "notes": list(result.notes),
         "paint_properties": _properties(result),
-    }  # fmt: skip
+    }
 
 
 def _sky_content(result: HeliostatResult) -> dict[str, Any] | None:
@@ -130,10 +143,15 @@ def _model_content(result: HeliostatResult) -> dict[str, Any]:
     }
     if choice is not None:
         content["candidates"] = [
-            {"name": one.name, "n_free": one.n_free, "blocked_rms_mrad": _plain(1e3 * one.blocked_rms_rad),
-             "fit_rms_mrad": _plain(1e3 * one.fit_rms_rad), "aicc": _plain(one.aicc)}
+            {
+                "name": one.name,
+                "n_free": one.n_free,
+                "blocked_rms_mrad": _plain(1e3 * one.blocked_rms_rad),
+                "fit_rms_mrad": _plain(1e3 * one.fit_rms_rad),
+                "aicc": _plain(one.aicc),
+            }
             for one in choice.table
-        ]  # fmt: skip
+        ]
     return content
 
 
@@ -281,10 +299,15 @@ def heliostat_summary(
     if result.notes:
         texts["notes"] = "; ".join(result.notes)
     return Summary(
-        kind=KIND, name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
-        durations_s=dict(durations_s), input_sha256=dict(input_sha256),
+        kind=KIND,
+        name=result.name,
+        numbers=numbers,
+        texts=texts,
+        warnings=result.warnings,
+        durations_s=dict(durations_s),
+        input_sha256=dict(input_sha256),
         not_determined={key: why for key, value in numbers.items() if value is None},
-    )  # fmt: skip
+    )
 
 
 def split_lines(result: HeliostatResult) -> tuple[str, ...]:
@@ -311,12 +334,18 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
     doubts = [text for text in result.warnings if not text.startswith("split ")]
     return {
-        "heliostat": result.name, "status": _status(result, doubts),
+        "heliostat": result.name,
+        "status": _status(result, doubts),
         "diagnosis": ", ".join(result.diagnosis.named),
-        "e_m": east, "n_m": north, "u_m": up, "model": result.free, **headline(result),
-        "duration_s": round(result.duration_s, 4), "warnings_count": len(result.warnings),
+        "e_m": east,
+        "n_m": north,
+        "u_m": up,
+        "model": result.free,
+        **headline(result),
+        "duration_s": round(result.duration_s, 4),
+        "warnings_count": len(result.warnings),
         "reason": "; ".join(doubts),
-    }  # fmt: skip
+    }
 
 
 def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:

@@ -241,8 +241,9 @@ def _warnings(end: Descended, combinations: tuple[Combination, ...]) -> tuple[st
         found.append(f"{rejected} of {end.used.size} observations rejected: more than outliers should be")
     found += [
         f"sigma of {kind} observations estimated from the residuals: {factor:.2g} times the stated one"
-        for kind, factor in end.factors.items() if factor != 1.0
-    ]  # fmt: skip
+        for kind, factor in end.factors.items()
+        if factor != 1.0
+    ]
     far = _far_rad(end)
     if far > _FAR_RAD:
         found.append(

@@ -77,15 +77,15 @@ def usual_candidates(design: HeliostatDesign) -> tuple[Candidate, ...]:
         all that is not part of a drive, is the last before the parts.
     InputError: None of the design's parameters is one of those that `PRIORS` knows.
     """
+    tilts = ("tilt_1_n", "tilt_2_n", "tilt_north", "tilt_east", "tilt_about_east", "tilt_about_north")
     steps = (
         ("as delivered", ()),
         ("zeros", ("tilt_1_u", "tilt_2_e", "azimuth_offset", "elevation_offset")),
-        ("tilts", ("tilt_1_n", "tilt_2_n", "tilt_north", "tilt_east", "tilt_about_east", "tilt_about_north",
-                   "non_orthogonality", "canting")),
+        ("tilts", (*tilts, "non_orthogonality", "canting")),
         ("place", POSITION),
         ("bending", ("sag_1", "sag_2")),
         ("parts", PARTS),
-    )  # fmt: skip
+    )
     sigmas: dict[str, float] = {}
     found: list[Candidate] = []
     for name, parameters in steps:

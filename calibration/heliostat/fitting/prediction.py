@@ -363,9 +363,17 @@ def _prediction(
     parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     total = covariance + (misfit**2)[:, None, None] * np.eye(2)
     return Prediction(
-        *drives, total, parameters, np.sqrt(2.0) * misfit, np.sqrt(2.0) * noise, leverage, distance, extrapolated,
-        reasons, inflation,
-    )  # fmt: skip
+        *drives,
+        total,
+        parameters,
+        np.sqrt(2.0) * misfit,
+        np.sqrt(2.0) * noise,
+        leverage,
+        distance,
+        extrapolated,
+        reasons,
+        inflation,
+    )
 
 
 def _used_positions(found: HeliostatFit) -> FloatArray:

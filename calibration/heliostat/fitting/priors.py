@@ -31,22 +31,21 @@ _ARM = PriorSigma(0.01, "mirror glued and screwed to its arm: a centimetre")
 
 #: Prior sigmas by the names that the presets give.
 PRIORS: Mapping[str, PriorSigma] = {
-    "tilt_north": _POST, "tilt_east": _POST, "tilt_about_east": _POST, "tilt_about_north": _POST, "tilt_1_n": _POST,
-    "tilt_1_u": _HEADING, "azimuth_offset": _HEADING,
-    "tilt_2_e": _SWITCH, "elevation_offset": _SWITCH, "initial_angle_2": _SWITCH,
-    "tilt_2_n": _AXES, "non_orthogonality": _AXES, "canting": _AXES,
-    "position_e": _PLACE, "position_n": _PLACE, "position_u": _HEIGHT,
-    "sag_1": _WEIGHT, "sag_2": _WEIGHT,
-    "initial_stroke_1": _PART, "initial_stroke_2": _PART, "offset_1": _PART, "offset_2": _PART,
-    "pivot_radius_1": _PART, "pivot_radius_2": _PART,
-    "arm_normal": _ARM, "arm_up": _ARM,
-}  # fmt: skip
+    **dict.fromkeys(("tilt_north", "tilt_east", "tilt_about_east", "tilt_about_north", "tilt_1_n"), _POST),
+    **dict.fromkeys(("tilt_1_u", "azimuth_offset"), _HEADING),
+    **dict.fromkeys(("tilt_2_e", "elevation_offset", "initial_angle_2"), _SWITCH),
+    **dict.fromkeys(("tilt_2_n", "non_orthogonality", "canting"), _AXES),
+    **dict.fromkeys(("position_e", "position_n"), _PLACE),
+    "position_u": _HEIGHT,
+    **dict.fromkeys(("sag_1", "sag_2"), _WEIGHT),
+    **dict.fromkeys(
+        (f"{part}_{axis}" for part in ("initial_stroke", "offset", "pivot_radius") for axis in (1, 2)), _PART
+    ),
+    **dict.fromkeys(("arm_normal", "arm_up"), _ARM),
+}
 
 #: Parts of the drives: free only where the observations prove that they must be.
-PARTS = (
-    "initial_angle_2", "initial_stroke_1", "initial_stroke_2", "offset_1", "offset_2", "pivot_radius_1",
-    "pivot_radius_2", "arm_normal", "arm_up",
-)  # fmt: skip
+PARTS = ("initial_angle_2", *(name for name, prior in PRIORS.items() if prior in (_PART, _ARM)))
 
 
 def with_priors(design: HeliostatDesign, names: tuple[str, ...] | None = None) -> HeliostatDesign:

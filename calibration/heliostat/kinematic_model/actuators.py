@@ -139,9 +139,7 @@ def _rotary_reading(drive: RotaryDrive, numbers: Mapping[str, float], angles_rad
 
 
 def _triangle(drive: LinearActuator, numbers: Mapping[str, float]) -> tuple[float, float, float, float]:
-    return (
-        numbers[drive.initial_stroke], numbers[drive.offset], numbers[drive.pivot_radius], numbers[drive.increment],
-    )  # fmt: skip
+    return (numbers[drive.initial_stroke], numbers[drive.offset], numbers[drive.pivot_radius], numbers[drive.increment])
 
 
 # A fit may try numbers whose triangle is open, or an increment of almost nothing: callers see what is not finite.

@@ -84,18 +84,28 @@ def _step(content: Mapping[str, Any]) -> Step:
 
 def _drive_content(drive: Drive) -> dict[str, Any]:
     terms = {
-        "worm_ratio": drive.terms.worm_ratio, "worm": list(drive.terms.worm), "sag": drive.terms.sag,
-        "sag_zero_rad": drive.terms.sag_zero_rad, "backlash": drive.terms.backlash,
-    }  # fmt: skip
+        "worm_ratio": drive.terms.worm_ratio,
+        "worm": list(drive.terms.worm),
+        "sag": drive.terms.sag,
+        "sag_zero_rad": drive.terms.sag_zero_rad,
+        "backlash": drive.terms.backlash,
+    }
     if isinstance(drive, LinearActuator):
         return {
-            "kind": "linear", **{name: getattr(drive, name) for name in _NAMES}, "clockwise": drive.clockwise,
-            "zero_rad": drive.zero_rad, "terms": terms,
-        }  # fmt: skip
+            "kind": "linear",
+            **{name: getattr(drive, name) for name in _NAMES},
+            "clockwise": drive.clockwise,
+            "zero_rad": drive.zero_rad,
+            "terms": terms,
+        }
     return {
-        "kind": "rotary", "offset": drive.offset, "rad_per_reading": drive.rad_per_reading, "scale": drive.scale,
-        "offset_sign": drive.offset_sign, "terms": terms,
-    }  # fmt: skip
+        "kind": "rotary",
+        "offset": drive.offset,
+        "rad_per_reading": drive.rad_per_reading,
+        "scale": drive.scale,
+        "offset_sign": drive.offset_sign,
+        "terms": terms,
+    }
 
 
 def _drive(content: Mapping[str, Any]) -> Drive:

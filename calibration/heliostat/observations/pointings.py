@@ -148,10 +148,11 @@ class ObservationGroup:
 
 
 #: Fields with one entry per row, by name; all other fields are common to the group.
-_PER_ROW = frozenset({
-    "sun", "spot_m", "covariance_m2", "target", "camera", "sigma_rad", "source_m", "source_covariance_m2", "lamp_m",
-    "lamp", "position", "direction_camera", "normal", "point_mirror_m", "point_m", "point",
-})  # fmt: skip
+_PER_ROW = (
+    frozenset({"sun", "spot_m", "covariance_m2", "target", "camera", "sigma_rad", "source_m", "source_covariance_m2"})
+    | {"lamp_m", "lamp", "position", "direction_camera"}
+    | {"normal", "point_mirror_m", "point_m", "point"}
+)
 
 
 def joined_parameters(parts: Iterable[Parameters]) -> Parameters:

@@ -286,9 +286,13 @@ def _lamp(place: Place, seen: LampSightings, prepared: Prepared) -> Equations:
     by_turn = -cross(from_centre[:, None, :], in_field)
     scaled = 1.0 / prepared.stretch[:, None]
     return Equations(
-        (coordinates - expected) * scaled, by_turn * scaled[..., None], -in_field * scaled[..., None],
-        tuple((own, rows, derivative * scaled[rows][..., None]) for own, rows, derivative in extra), None, length,
-    )  # fmt: skip
+        (coordinates - expected) * scaled,
+        by_turn * scaled[..., None],
+        -in_field * scaled[..., None],
+        tuple((own, rows, derivative * scaled[rows][..., None]) for own, rows, derivative in extra),
+        None,
+        length,
+    )
 
 
 def _left_jacobian(vector: FloatArray) -> FloatArray:

@@ -70,9 +70,14 @@ def rtk_statistics(
     square = np.mean(off**2, axis=0)
     epochs = max(_correlation_epochs(off[:, axis]) for axis in range(3))
     return RtkStatistics(
-        len(positions), positions.mean(axis=0), np.ptp(positions, axis=0), positions.std(axis=0, ddof=1),
-        float(np.sqrt(square[0] + square[1])), float(np.sqrt(square.sum())), interval_s * epochs,
-    )  # fmt: skip
+        len(positions),
+        positions.mean(axis=0),
+        np.ptp(positions, axis=0),
+        positions.std(axis=0, ddof=1),
+        float(np.sqrt(square[0] + square[1])),
+        float(np.sqrt(square.sum())),
+        interval_s * epochs,
+    )
 
 
 def _correlation_epochs(off: FloatArray) -> float:

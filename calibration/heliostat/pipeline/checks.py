@@ -127,9 +127,10 @@ def suns_of(rows: Rows, site: Site, verdicts: Verdicts, needed: BoolArray) -> tu
     suns = np.where(is_told[:, None], suns, computed)
     verdicts.refuse(needed & ~np.isfinite(suns).all(axis=1), "time", "neither a time nor the sun's angles")
     verdicts.refuse(
-        needed & (suns[:, 2] <= 0), "sun",
+        needed & (suns[:, 2] <= 0),
+        "sun",
         lambda row: f"the sun is {-np.rad2deg(np.arcsin(suns[row, 2])):.1f} degrees below the horizon",
-    )  # fmt: skip
+    )
     return suns, median
 
 

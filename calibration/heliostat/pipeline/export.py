@@ -123,10 +123,15 @@ def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
     biases = [drive.offset_sign * numbers[drive.offset] for drive in drives if isinstance(drive, RotaryDrive)]
     east, north, up = design.position_m.tolist()
     return {
-        "heliostat": design.name, **{f"rm{place + 1}": float(one) for place, one in enumerate(rotation.ravel())},
-        "azimuth_bias_rad": biases[0], "elevation_bias_rad": biases[1],
-        "non_orthogonality_rad": numbers["non_orthogonality"], "e_m": east, "n_m": north, "u_m": up,
-    }  # fmt: skip
+        "heliostat": design.name,
+        **{f"rm{place + 1}": float(one) for place, one in enumerate(rotation.ravel())},
+        "azimuth_bias_rad": biases[0],
+        "elevation_bias_rad": biases[1],
+        "non_orthogonality_rad": numbers["non_orthogonality"],
+        "e_m": east,
+        "n_m": north,
+        "u_m": up,
+    }
 
 
 def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> dict[str, Any]:
@@ -144,8 +149,13 @@ def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> di
     if options.date is None:
         raise InputError("--date: a day is needed for the table of corrections")
     place = content["site"]
-    site = Site(place["latitude_deg"], place["longitude_deg"], place["altitude_m"],
-                place.get("pressure_hpa"), place.get("temperature_c", 12.0))  # fmt: skip
+    site = Site(
+        place["latitude_deg"],
+        place["longitude_deg"],
+        place["altitude_m"],
+        place.get("pressure_hpa"),
+        place.get("temperature_c", 12.0),
+    )
     times, suns = _day(options, site)
     readings = []
     for key in ("nominal", "value"):
@@ -157,8 +167,9 @@ def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> di
     azimuth, elevation = angles_from_direction(suns)
     columns: dict[str, Any] = {
         "time_utc": [f"{time}Z" for time in times.astype("datetime64[s]")],
-        "sun_azimuth_deg": np.rad2deg(azimuth), "sun_elevation_deg": np.rad2deg(elevation),
-    }  # fmt: skip
+        "sun_azimuth_deg": np.rad2deg(azimuth),
+        "sun_elevation_deg": np.rad2deg(elevation),
+    }
     for axis in (0, 1):
         columns[f"nominal_{axis + 1}_{unit}"] = readings[0][:, axis]
         columns[f"corrected_{axis + 1}_{unit}"] = readings[1][:, axis]

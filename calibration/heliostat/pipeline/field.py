@@ -178,10 +178,23 @@ def _report(folder: Path, kind: str, progress: Progress) -> None:
 
 def _digest(shared: Shared) -> str:
     plant = shared.plant
-    targets = [(name, one.center_m.tolist(), one.axes.tolist(), one.width_m, one.height_m)
-               for name, one in plant.targets.items()]  # fmt: skip
-    said = (__version__, plant.origin, plant.site, targets, plant.other_targets, shared.model.model_dump_json(),
-            shared.split, shared.free, shared.label, shared.thorough, _common(shared.population))  # fmt: skip
+    targets = [
+        (name, one.center_m.tolist(), one.axes.tolist(), one.width_m, one.height_m)
+        for name, one in plant.targets.items()
+    ]
+    said = (
+        __version__,
+        plant.origin,
+        plant.site,
+        targets,
+        plant.other_targets,
+        shared.model.model_dump_json(),
+        shared.split,
+        shared.free,
+        shared.label,
+        shared.thorough,
+        _common(shared.population),
+    )
     return hashlib.sha256(repr(said).encode()).hexdigest()
 
 

@@ -268,6 +268,12 @@ def field_summary(
         first = max(worst, key=lambda row: float(str(row["beam_test_rms_mrad"])))
         texts["worst"] = f"{first['heliostat']}: {float(str(first['beam_test_rms_mrad'])):.2f} mrad"
     return Summary(
-        kind=FIELD_KIND, name=name, numbers=numbers, texts=texts, warnings=tuple(warnings[:100]),
-        durations_s=durations_s, input_sha256=input_sha256, not_determined=missing,
-    )  # fmt: skip
+        kind=FIELD_KIND,
+        name=name,
+        numbers=numbers,
+        texts=texts,
+        warnings=tuple(warnings[:100]),
+        durations_s=durations_s,
+        input_sha256=input_sha256,
+        not_determined=missing,
+    )

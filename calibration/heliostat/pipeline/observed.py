@@ -182,9 +182,8 @@ class _Building:
         """Return where the drives stood in some rows."""
         approach = np.nan_to_num(self.rows.vector("approach_1", "approach_2")[chosen])
         return Pointings(
-            self.readings[chosen], np.nonzero(chosen)[0], self.rows.times[chosen],
-            approach if approach.any() else None,
-        )  # fmt: skip
+            self.readings[chosen], np.nonzero(chosen)[0], self.rows.times[chosen], approach if approach.any() else None
+        )
 
     def names(self, column: str, chosen: BoolArray) -> tuple[str, ...]:
         """Return a column of texts in some rows."""
@@ -216,8 +215,9 @@ def _beams(building: _Building, plant: Plant, sigma_m: float) -> BeamSpots | Non
     if not chosen.any():
         return None
     names = building.names("target", chosen)
-    flat = np.array([plant.targets[name].coordinates(spot) for name, spot in
-                     zip(names, building.spots_m[chosen], strict=True)])  # fmt: skip
+    flat = np.array(
+        [plant.targets[name].coordinates(spot) for name, spot in zip(names, building.spots_m[chosen], strict=True)]
+    )
     return BeamSpots.on_targets(
         building.pointings(chosen), building.suns[chosen], plant.targets, names, flat, sigma[chosen]
     )

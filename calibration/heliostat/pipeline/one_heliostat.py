@@ -152,10 +152,23 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     doubts, notes = _said(task, seen, result, (held, not_split), shared)
     doubts = tuple(dict.fromkeys((*diagnosis.warnings, *doubts)))
     return HeliostatResult(
-        name=task.name, nominal=nominal, seen=seen, fit=result, free=free, choice=choice, split=shared.split, held=held,
-        not_split=not_split, diagnosis=diagnosis, sky=sky, beams=beams, warnings=doubts, notes=notes,
-        properties=task.properties, duration_s=perf_counter() - begin,
-    )  # fmt: skip
+        name=task.name,
+        nominal=nominal,
+        seen=seen,
+        fit=result,
+        free=free,
+        choice=choice,
+        split=shared.split,
+        held=held,
+        not_split=not_split,
+        diagnosis=diagnosis,
+        sky=sky,
+        beams=beams,
+        warnings=doubts,
+        notes=notes,
+        properties=task.properties,
+        duration_s=perf_counter() - begin,
+    )
 
 
 def fit_alone(shared: Shared, task: HeliostatTask) -> HeliostatFit | None:

@@ -39,12 +39,14 @@ ROW_FLAGS: dict[str, str] = {
 
 TEXT_COLUMNS = ("heliostat", "time_utc", "kind", "target", "camera", "lamp", "position", "point", "image", "split")
 NUMBER_COLUMNS = (
-    "axis_1_counts", "axis_2_counts", "axis_1_deg", "axis_2_deg", "axis_1_rad", "axis_2_rad",
-    "x_m", "y_m", "e_m", "n_m", "u_m", "sigma_mm", "sigma_x_mm", "sigma_y_mm", "sigma_mrad",
-    "drone_e_m", "drone_n_m", "drone_u_m", "sigma_drone_e_mm", "sigma_drone_n_mm", "sigma_drone_u_mm",
-    "normal_e", "normal_n", "normal_u", "point_x_m", "point_y_m", "point_z_m", "lamp_e_m", "lamp_n_m", "lamp_u_m",
-    "direction_x", "direction_y", "direction_z", "sun_azimuth_deg", "sun_elevation_deg", "approach_1", "approach_2",
-)  # fmt: skip
+    *(f"axis_{axis}_{unit}" for unit in ("counts", "deg", "rad") for axis in (1, 2)),
+    *("x_m", "y_m", "e_m", "n_m", "u_m"),
+    *("sigma_mm", "sigma_x_mm", "sigma_y_mm", "sigma_mrad"),
+    *("drone_e_m", "drone_n_m", "drone_u_m", "sigma_drone_e_mm", "sigma_drone_n_mm", "sigma_drone_u_mm"),
+    *("normal_e", "normal_n", "normal_u", "point_x_m", "point_y_m", "point_z_m"),
+    *("lamp_e_m", "lamp_n_m", "lamp_u_m", "direction_x", "direction_y", "direction_z"),
+    *("sun_azimuth_deg", "sun_elevation_deg", "approach_1", "approach_2"),
+)
 NO_TIME = np.datetime64("NaT", "ms")
 
 
@@ -156,9 +158,13 @@ def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
     columns = dict(zip(header, zip(*cells, strict=True), strict=True)) if cells else dict.fromkeys(header, ())
     texts = {name: tuple(cell.strip() for cell in columns[name]) for name in TEXT_COLUMNS if name in columns}
     blank = Rows(
-        tuple(f"line {line}" for line, _ in numbered), {}, texts, np.full(len(cells), NO_TIME), tuple(flags),
+        tuple(f"line {line}" for line, _ in numbered),
+        {},
+        texts,
+        np.full(len(cells), NO_TIME),
+        tuple(flags),
         tuple(reasons),
-    )  # fmt: skip
+    )
     verdicts = Verdicts(blank)
     numbers = {name: _numbers(name, columns[name], verdicts) for name in header if name not in TEXT_COLUMNS}
     times = parse_times(texts["time_utc"], verdicts) if "time_utc" in texts else blank.times

@@ -150,9 +150,12 @@ def _target(section: HeliostatTargetSection) -> PlaneTarget:
     if section.corners_m is not None:
         return PlaneTarget.from_corners(section.name, np.array(section.corners_m))
     return PlaneTarget.facing(
-        section.name, np.array(section.center_m), np.deg2rad(section.facing_azimuth_deg or 0.0),
-        float(section.width_m or 0.0), float(section.height_m or 0.0),
-    )  # fmt: skip
+        section.name,
+        np.array(section.center_m),
+        np.deg2rad(section.facing_azimuth_deg or 0.0),
+        float(section.width_m or 0.0),
+        float(section.height_m or 0.0),
+    )
 
 
 def _read_heliostats(file: Path) -> dict[str, dict[str, str]]:

@@ -179,8 +179,13 @@ def _failed(result: Path) -> Iterator[tuple[str, str]]:
 
 def _site(content: Mapping[str, Any]) -> Site:
     place = content["site"]
-    return Site(place["latitude_deg"], place["longitude_deg"], place["altitude_m"],
-                place.get("pressure_hpa"), place.get("temperature_c", 12.0))  # fmt: skip
+    return Site(
+        place["latitude_deg"],
+        place["longitude_deg"],
+        place["altitude_m"],
+        place.get("pressure_hpa"),
+        place.get("temperature_c", 12.0),
+    )
 
 
 def _target(name: str, one: Mapping[str, Any]) -> PlaneTarget:
@@ -223,8 +228,18 @@ def _scheduled(planned: list[Planned], site: Site, targets: tuple[str, ...], opt
 
 
 def _measurement_columns(planned: list[Planned]) -> dict[str, list[Any]]:
-    names = ("heliostat", "measurement", "time_utc", "target", "sun_azimuth_deg", "sun_elevation_deg", "reading_1",
-             "reading_2", "reading_unit", "sigma_beam_mrad")  # fmt: skip
+    names = (
+        "heliostat",
+        "measurement",
+        "time_utc",
+        "target",
+        "sun_azimuth_deg",
+        "sun_elevation_deg",
+        "reading_1",
+        "reading_2",
+        "reading_unit",
+        "sigma_beam_mrad",
+    )
     rows: list[tuple[Any, ...]] = []
     for one in planned:
         if one.plan is None or one.candidates is None or not one.plan.chosen.size:
@@ -233,11 +248,20 @@ def _measurement_columns(planned: list[Planned]) -> dict[str, list[Any]]:
         azimuth, elevation = (np.rad2deg(angle)[chosen] for angle in angles_from_direction(seen.sun))
         for place, row in enumerate(chosen.tolist()):
             first, second = seen.readings[row].tolist()
-            rows.append((
-                one.name, place + 1, f"{seen.time[row].astype('datetime64[s]')}Z", seen.label[row],
-                round(float(azimuth[place]), 3), round(float(elevation[place]), 3), first, second, one.reading_unit,
-                round(1e3 * float(one.plan.sigma_beam_rad[place + 1]), 4),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    one.name,
+                    place + 1,
+                    f"{seen.time[row].astype('datetime64[s]')}Z",
+                    seen.label[row],
+                    round(float(azimuth[place]), 3),
+                    round(float(elevation[place]), 3),
+                    first,
+                    second,
+                    one.reading_unit,
+                    round(1e3 * float(one.plan.sigma_beam_rad[place + 1]), 4),
+                )
+            )
     return {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
 
@@ -283,8 +307,13 @@ def _schedule_text(schedule: Schedule) -> str:
 
 def _content(planned: list[Planned], schedule: Schedule, options: NextOptions) -> dict[str, Any]:
     return {
-        "first_day": str(options.dates[0]), "days": options.days, "goal_beam_mrad": 1e3 * options.goal_rad,
-        "sigma_mm": 1e3 * options.sigma_m, "heliostats": len(planned), "beams_scheduled": len(schedule.slots),
-        "beams_without_room": schedule.unserved, "schedule": _schedule_text(schedule),
+        "first_day": str(options.dates[0]),
+        "days": options.days,
+        "goal_beam_mrad": 1e3 * options.goal_rad,
+        "sigma_mm": 1e3 * options.sigma_m,
+        "heliostats": len(planned),
+        "beams_scheduled": len(schedule.slots),
+        "beams_without_room": schedule.unserved,
+        "schedule": _schedule_text(schedule),
         "needs": {one.name: one.reason for one in planned},
-    }  # fmt: skip
+    }

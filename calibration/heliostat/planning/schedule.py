@@ -103,8 +103,9 @@ def propose_schedule(
     options = options or ScheduleOptions()
     names = [need.name for need in needs]
     if not names or len(set(names)) != len(names):
-        raise InputError(f"schedule: heliostats with names of their own are needed, not {len(names)} with "
-                         f"{len(set(names))} names")  # fmt: skip
+        raise InputError(
+            f"schedule: heliostats with names of their own are needed, not {len(names)} with {len(set(names))} names"
+        )
     dates = np.unique(np.asarray(days, dtype="datetime64[D]"))
     if not dates.size:
         raise InputError("schedule: at least one day is needed")

@@ -120,9 +120,9 @@ def drawn_beams(
     measured = spots + sigma_m * rng.standard_normal(spots.shape)
     names = (target.name,) * len(spots)
     pointings = Pointings(aimed.readings[served])
-    return Observations((
-        BeamSpots.on_targets(pointings, directions[served], {target.name: target}, names, measured, sigma_m),
-    ))  # fmt: skip
+    return Observations(
+        (BeamSpots.on_targets(pointings, directions[served], {target.name: target}, names, measured, sigma_m),)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,9 +200,13 @@ def drawn_sightings(
     measured = flight.drone_m + sigma * rng.standard_normal(flight.drone_m.shape)
     covariance = np.broadcast_to(np.diag(sigma**2), (len(flight), 3, 3))
     sightings = DroneSightings(
-        Pointings(flight.readings), measured, covariance, (target.name,) * len(flight), (target,),
+        Pointings(flight.readings),
+        measured,
+        covariance,
+        (target.name,) * len(flight),
+        (target,),
         np.asarray(offset_sigma_m, dtype=np.float64),
-    )  # fmt: skip
+    )
     return Observations((sightings,))
 
 
@@ -279,11 +283,14 @@ def monte_carlo(
     index = fits[0].design.parameters.indices(kept)
     figures = [np.zeros(0) if evaluate is None else np.atleast_1d(evaluate(one.design)) for one in fits]
     return MonteCarlo(
-        tuple(kept), truth.parameters.values[truth.parameters.indices(kept)],
-        np.array([one.values[index] for one in fits]), np.array([one.sigma[index] for one in fits]),
+        tuple(kept),
+        truth.parameters.values[truth.parameters.indices(kept)],
+        np.array([one.values[index] for one in fits]),
+        np.array([one.sigma[index] for one in fits]),
         np.array([_chi_square(one, truth) for one in fits]),
-        np.array(figures), tuple(failed),
-    )  # fmt: skip
+        np.array(figures),
+        tuple(failed),
+    )
 
 
 def _chi_square(found: HeliostatFit, truth: HeliostatDesign) -> float:

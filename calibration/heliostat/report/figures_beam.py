@@ -57,9 +57,14 @@ def beam_image_figure(
     known = image.values_dn[np.isfinite(image.values_dn)]
     darkest, brightest = np.quantile(known, (_LOW, _HIGH)) if known.size else (0.0, 1.0)
     axes.imshow(
-        np.ma.masked_invalid(image.values_dn), cmap="gray", vmin=darkest, vmax=max(brightest, darkest + 1e-9),
-        extent=(left, right, low, high), interpolation="nearest", aspect="auto",
-    )  # fmt: skip
+        np.ma.masked_invalid(image.values_dn),
+        cmap="gray",
+        vmin=darkest,
+        vmax=max(brightest, darkest + 1e-9),
+        extent=(left, right, low, high),
+        interpolation="nearest",
+        aspect="auto",
+    )
     axes.set_xlabel("x, right as seen from the field [m]", fontsize=8, color=INK, labelpad=2)
     axes.set_ylabel("y, up [m]", fontsize=8, color=INK, labelpad=2)
     if np.isfinite(beam.spot.position_m).all():
@@ -99,9 +104,14 @@ def _draw_places(axes: "Axes", beam: Beam, *, methods: bool) -> None:
         chosen = np.array_equal(estimate.position_m, beam.spot.position_m)
         if chosen or methods:
             axes.plot(
-                *estimate.position_m, marker=_MARKS[name], color=_SPOT if chosen else _OTHER, linestyle="none",
-                markersize=11 if chosen else 8, markeredgewidth=1.4 if chosen else 1.0, label=_METHOD_TEXTS[name],
-            )  # fmt: skip
+                *estimate.position_m,
+                marker=_MARKS[name],
+                color=_SPOT if chosen else _OTHER,
+                linestyle="none",
+                markersize=11 if chosen else 8,
+                markeredgewidth=1.4 if chosen else 1.0,
+                label=_METHOD_TEXTS[name],
+            )
 
 
 def _numbers(beam: Beam, aim_m: FloatArray | None, aim_name: str) -> list[str]:

@@ -83,9 +83,17 @@ def target_figure(report: HeliostatReport, name: str) -> "Figure":
     axes = axes_in_inches(figure, 0.62, 0.92, width, height)
     for group, color, label in _groups(rows, here):
         axes.quiver(
-            x[group], y[group], factor * dx[group], factor * dy[group], color=color, angles="xy", scale_units="xy",
-            scale=1.0, width=0.0028, label=label,
-        )  # fmt: skip
+            x[group],
+            y[group],
+            factor * dx[group],
+            factor * dy[group],
+            color=color,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.0028,
+            label=label,
+        )
         axes.plot(x[group], y[group], ".", color=color, markersize=2.5)
     left_out = here & ~rows.used
     axes.plot(x[left_out], y[left_out], "x", color=FAINT, markersize=5, label=f"left out ({int(left_out.sum())})")
@@ -197,8 +205,16 @@ def sky_figure(report: HeliostatReport) -> "Figure":
     axes.pcolor(*edges, np.ma.masked_where(~(beyond & np.isfinite(sigma)), sigma), hatch="////", alpha=0.0)
     used = rows.used
     suns = (rows.numbers["sun_azimuth_deg"][used] + turn) % 360.0
-    axes.plot(suns, rows.numbers["sun_elevation_deg"][used], ".", color="white", markeredgecolor=INK,
-              markeredgewidth=0.3, markersize=4, label=f"measured ({int(used.sum())})")  # fmt: skip
+    axes.plot(
+        suns,
+        rows.numbers["sun_elevation_deg"][used],
+        ".",
+        color="white",
+        markeredgecolor=INK,
+        markeredgewidth=0.3,
+        markersize=4,
+        label=f"measured ({int(used.sum())})",
+    )
     ticks = np.arange(45.0, 360.0, 45.0)
     axes.set_xticks(ticks, [f"{(one - turn) % 360:g}" for one in ticks])
     if np.isfinite(sigma).any():
@@ -261,8 +277,17 @@ def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatAr
     high = _robust_end(beam_mrad[known])
     size = float(np.clip(4000 / max(len(east_m), 1), 4, 60))
     axes.plot(east_m[~known], north_m[~known], "x", color=LINE_Y, markersize=5, label="no model")
-    image = axes.scatter(east_m[known], north_m[known], c=beam_mrad[known], s=size, cmap=SEQUENTIAL, vmin=0.0,
-                         vmax=high, edgecolors=INK, linewidths=0.2)  # fmt: skip
+    image = axes.scatter(
+        east_m[known],
+        north_m[known],
+        c=beam_mrad[known],
+        s=size,
+        cmap=SEQUENTIAL,
+        vmin=0.0,
+        vmax=high,
+        edgecolors=INK,
+        linewidths=0.2,
+    )
     axes.plot([0.0], [0.0], "s", color=INK, markersize=6)
     axes.annotate("origin", (0.0, 0.0), textcoords="offset points", xytext=(6, -3), fontsize=7.5, color=INK)
     axes.set_aspect("equal", adjustable="datalim")

@@ -13,9 +13,19 @@ from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 _NUMBERS = (
-    "sun_azimuth_deg", "sun_elevation_deg", "measured_x_m", "measured_y_m", "predicted_x_m", "predicted_y_m",
-    "residual_right_mrad", "residual_up_mrad", "residual_beam_mrad", "residual_normal_mrad", "sigma_mrad", "weight",
-)  # fmt: skip
+    "sun_azimuth_deg",
+    "sun_elevation_deg",
+    "measured_x_m",
+    "measured_y_m",
+    "predicted_x_m",
+    "predicted_y_m",
+    "residual_right_mrad",
+    "residual_up_mrad",
+    "residual_beam_mrad",
+    "residual_normal_mrad",
+    "sigma_mrad",
+    "weight",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -66,8 +66,13 @@ def split_table(report: HeliostatReport) -> Html:
     rows = []
     for name, split in report.content["splits"].items():
         train, test = split["train"], split["test"]
-        angles = (split["predicted_sigma_median_mrad"], test["beam_rms_mrad"], train["beam_rms_mrad"],
-                  test["normal_rms_mrad"], train["normal_rms_mrad"])  # fmt: skip
+        angles = (
+            split["predicted_sigma_median_mrad"],
+            test["beam_rms_mrad"],
+            train["beam_rms_mrad"],
+            test["normal_rms_mrad"],
+            train["normal_rms_mrad"],
+        )
         rows.append((name, f"{split['extrapolated_count']} of {test['n']}", *map(_number, angles), split["note"]))
     rows += [(name, *([""] * 6), f"not made: {why}") for name, why in report.content["splits_not_made"].items()]
     head = ("split", "extrapolated", "expected", "beam predicted", "fitted", "normal predicted", "fitted", "")
@@ -90,8 +95,10 @@ def beam_section(report: HeliostatReport) -> Html:
     if not files:
         return Html("")
     data = [base64.b64encode(file.read_bytes()).decode("ascii") for file in files]
-    images = [f'<figure><img alt="{file.stem}" src="data:image/png;base64,{text}"></figure>'
-              for file, text in zip(files, data, strict=True)]  # fmt: skip
+    images = [
+        f'<figure><img alt="{file.stem}" src="data:image/png;base64,{text}"></figure>'
+        for file, text in zip(files, data, strict=True)
+    ]
     order = "Photos that were left out come first, then the largest residuals, then those around the median; "
     note = _caption(f"{order}beams.csv has all.")
     return join(Html(f'<h3>Beams in the photos</h3><div class="figures">{"".join(images)}</div>'), note)
@@ -135,11 +142,15 @@ def model_section(report: HeliostatReport) -> Html:
         words += " Not observed, held by what is known beforehand: " + "; ".join(map(html.escape, held)) + "."
     parts.append(Html(f"<p>{words}</p>"))
     if model.get("candidates"):
-        rows = [(one["name"], str(one["n_free"]), _milli(one["blocked_rms_mrad"]), _milli(one["fit_rms_mrad"]))
-                for one in model["candidates"]]  # fmt: skip
+        rows = [
+            (one["name"], str(one["n_free"]), _milli(one["blocked_rms_mrad"]), _milli(one["fit_rms_mrad"]))
+            for one in model["candidates"]
+        ]
         head = ("choice of parameters", "parameters", "beam predicted to suns left aside", "beam fitted")
-        parts += [Html(f"<p>{html.escape(model['name'])}: {html.escape(str(model['chosen_because']))}.</p>"),
-                  table(head, rows, numbers=(1, 2, 3))]  # fmt: skip
+        parts += [
+            Html(f"<p>{html.escape(model['name'])}: {html.escape(str(model['chosen_because']))}.</p>"),
+            table(head, rows, numbers=(1, 2, 3)),
+        ]
     if len(content["correlation"]["names"]) > 1:
         parts.append(show(figures.correlation_figure(content["correlation"])))
     return join(*parts)
@@ -165,8 +176,17 @@ def unused_section(report: HeliostatReport) -> Html:
     if not left_out:
         return Html("<p>All observations were used.</p>")
     beam = rows.numbers["residual_beam_mrad"]
-    cells = [(rows.observation[i], "" if np.isnat(rows.time[i]) else f"{str(rows.time[i])[:16]}Z", rows.target[i],
-              rows.flag[i], rows.reason[i], _milli(beam[i])) for i in left_out[:_MOST_ROWS]]  # fmt: skip
+    cells = [
+        (
+            rows.observation[i],
+            "" if np.isnat(rows.time[i]) else f"{str(rows.time[i])[:16]}Z",
+            rows.target[i],
+            rows.flag[i],
+            rows.reason[i],
+            _milli(beam[i]),
+        )
+        for i in left_out[:_MOST_ROWS]
+    ]
     head = ("observation", "time", "target", "flag", "reason", "residual of the beam")
     more = len(left_out) - _MOST_ROWS
     note = _caption(f"{more} more in residuals.csv." if more > 0 else "")
@@ -177,8 +197,10 @@ def note_section(report: HeliostatReport) -> Html:
     """Return how the numbers came about."""
     content = report.content
     notes = [str(note) for note in content["notes"]]
-    notes += [f"sigmas of {kind} observations: {factor:.3g} times the stated ones"
-              for kind, factor in content["sigma_factor"].items()]  # fmt: skip
+    notes += [
+        f"sigmas of {kind} observations: {factor:.3g} times the stated ones"
+        for kind, factor in content["sigma_factor"].items()
+    ]
     if content.get("sun_check_median_mrad") is not None:
         check = content["sun_check_median_mrad"]
         notes.append(f"recorded positions of the sun differ from the computed ones by {check:.3g} mrad (median)")
@@ -248,9 +270,17 @@ def field_table(report: FieldReport) -> Html:
     angles = {name: report.numbers(name) for name in shown}
     found = rows.get("diagnosis", ("",) * count)
     states = [kind.replace("_", " ") or status for kind, status in zip(found, rows["status"], strict=True)]
-    cells = [(rows["heliostat"][i], states[i], rows["model"][i], *(_number(angles[name][i]) for name in shown),
-              f"{rows['used_count'][i]}/{rows['observations_count'][i]}" if rows["used_count"][i] else "",
-              _shortened(rows["reason"][i])) for i in range(min(count, _MOST_ROWS))]  # fmt: skip
+    cells = [
+        (
+            rows["heliostat"][i],
+            states[i],
+            rows["model"][i],
+            *(_number(angles[name][i]) for name in shown),
+            f"{rows['used_count'][i]}/{rows['observations_count'][i]}" if rows["used_count"][i] else "",
+            _shortened(rows["reason"][i]),
+        )
+        for i in range(min(count, _MOST_ROWS))
+    ]
     head = ("heliostat", "", "model", "beam predicted", "fitted", "expected", "normal predicted", "used", "")
     more = f"The worst {_MOST_ROWS} of {count}; all are in field.csv. " if count > _MOST_ROWS else ""
     command = "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat."

@@ -85,8 +85,10 @@ def test_refusals() -> None:
         fit_response(steps[:2])
     with pytest.raises(InputError, match="at least 3 different"):
         fit_response([*steps, steps[0]])
-    swapped = [GreyStep(a.level, b.readings_dn) for a, b in zip(steps, [*steps[:8], steps[12], *steps[9:12], steps[8],
-                                                                         *steps[13:]], strict=True)]  # fmt: skip
+    swapped = [
+        GreyStep(a.level, b.readings_dn)
+        for a, b in zip(steps, [*steps[:8], steps[12], *steps[9:12], steps[8], *steps[13:]], strict=True)
+    ]
     with pytest.raises(EstimationError, match="the reading falls from"):
         fit_response(swapped)
     with pytest.raises(EstimationError, match="raise the exposure"):

@@ -146,8 +146,16 @@ def test_command_line(folder: Path, tmp_path: Path) -> None:
     words = ["camera", str(folder), "-o", str(out), "--no-report", "--no-leave-one-out", "--jobs", "1", "-q"]
     assert CliRunner().invoke(app, words).exit_code == 0
     written = {path.name for path in out.iterdir()}
-    assert {"cameras.json", "camera_opencv.yaml", "cameras_colmap.txt", "points.csv", "board.csv", "photos.csv",
-            "intrinsics.csv", "summary.json"} <= written  # fmt: skip
+    assert {
+        "cameras.json",
+        "camera_opencv.yaml",
+        "cameras_colmap.txt",
+        "points.csv",
+        "board.csv",
+        "photos.csv",
+        "intrinsics.csv",
+        "summary.json",
+    } <= written
     assert "report.html" not in written
     blocked = tmp_path / "file"
     blocked.write_text("", encoding="utf-8")

@@ -30,9 +30,15 @@ TARGETS = {
 }
 POSITION = (30.0, 90.0, 2.0)
 SIGMAS = {
-    "tilt_north": 3e-3, "tilt_east": 3e-3, "azimuth_offset": 5e-3, "elevation_offset": 5e-3, "non_orthogonality": 1e-3,
-    "position_e": 0.03, "position_n": 0.03, "position_u": 0.03,
-}  # fmt: skip
+    "tilt_north": 3e-3,
+    "tilt_east": 3e-3,
+    "azimuth_offset": 5e-3,
+    "elevation_offset": 5e-3,
+    "non_orthogonality": 1e-3,
+    "position_e": 0.03,
+    "position_n": 0.03,
+    "position_u": 0.03,
+}
 SIGMA_M = 0.02
 DAYS = 12
 
@@ -179,10 +185,12 @@ def test_drift_has_its_rate(rng):
     centers = np.stack([TARGETS[name].center_m for name in names])
     readings = aim(nominal(), nominal().parameters.values, suns, centers).readings
     years = (times - times[0]) / np.timedelta64(31_557_600, "s")
-    xy = np.concatenate([
-        hits(truth.with_value({"elevation_offset": 6e-3 * year}), readings[[i]], suns[[i]], names[[i]])
-        for i, year in enumerate(years)
-    ])  # fmt: skip
+    xy = np.concatenate(
+        [
+            hits(truth.with_value({"elevation_offset": 6e-3 * year}), readings[[i]], suns[[i]], names[[i]])
+            for i, year in enumerate(years)
+        ]
+    )
     (finding,) = judged(beams(readings, suns, names, xy + rng.normal(0, SIGMA_M, xy.shape), times)).faults
     assert finding.kind == "drift"
     rate, sigma = (finding.evidence[f"{part}elevation_offset_rad_per_year"] for part in ("", "sigma_"))

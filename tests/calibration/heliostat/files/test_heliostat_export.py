@@ -70,11 +70,15 @@ def designs() -> list[Any]:
 @pytest.mark.parametrize("design", designs(), ids=lambda design: design.name)
 def test_a_design_comes_back_number_for_number(design: Any) -> None:
     rng = np.random.default_rng(1)
-    design = design.with_parameters(design.parameters.with_values(
-        design.parameters.values * rng.uniform(0.999, 1.001, len(design.parameters))
-    ))  # fmt: skip
-    numbers = {name: {"value": value, "unit": unit} for name, value, unit in zip(
-        design.parameters.names, design.parameters.values.tolist(), design.parameters.units, strict=True)}  # fmt: skip
+    design = design.with_parameters(
+        design.parameters.with_values(design.parameters.values * rng.uniform(0.999, 1.001, len(design.parameters)))
+    )
+    numbers = {
+        name: {"value": value, "unit": unit}
+        for name, value, unit in zip(
+            design.parameters.names, design.parameters.values.tolist(), design.parameters.units, strict=True
+        )
+    }
     content = json.loads(json.dumps({"design": design_content(design), "parameters": numbers}))
     back = design_from(content["design"], content["parameters"], key="value")
     middle = np.where(np.isfinite(design.limits).all(axis=1), design.limits.mean(axis=1), 0.1)
@@ -95,10 +99,15 @@ def test_a_damaged_design_is_told(paint: Path) -> None:
 class TestControllers:
     def test_the_closed_form_gives_the_commands(self) -> None:
         """Malan (2014), section 5.4: stored rotation and biases, by an arithmetic of its own."""
-        design = azimuth_elevation("a", [10.0, 80.0, 2.0]).with_value({
-            "tilt_north": 0.013, "tilt_east": -0.005, "azimuth_offset": 0.02, "elevation_offset": -0.01,
-            "non_orthogonality": 0.03,
-        })  # fmt: skip
+        design = azimuth_elevation("a", [10.0, 80.0, 2.0]).with_value(
+            {
+                "tilt_north": 0.013,
+                "tilt_east": -0.005,
+                "azimuth_offset": 0.02,
+                "elevation_offset": -0.01,
+                "non_orthogonality": 0.03,
+            }
+        )
         row = controller_row(design)
         assert row is not None
         suns = direction_from_angles(np.deg2rad([110.0, 150.0, 220.0]), np.deg2rad([20.0, 50.0, 35.0]))
@@ -156,7 +165,7 @@ class TestCorrections:
             (ExportOptions(datetime.date(2026, 3, 20), target="roof"), "--target roof: no such target; there are"),
             (ExportOptions(step_minutes=0.0), "--step-minutes 0: between"),
         ],
-    )  # fmt: skip
+    )
     def test_choices_that_cannot_be(self, paint: Path, tmp_path: Path, options: ExportOptions, wanted: str) -> None:
         with pytest.raises(InputError, match=wanted):
             run(paint, tmp_path / "e", options)

@@ -77,8 +77,9 @@ def test_errors_are_as_large_as_the_sigmas_say(free, priors, options, noise):
     design = heliostat(free)
     design = design.with_parameters(design.parameters.with_sigmas(priors))
     # 60 x 5 squares: the mean is known to 8 %, the sigma to 4 %.
-    mean, _ = honesty(design, trials=60, options=options, spread=PRIORS if priors else dict.fromkeys(ANGLES, 5e-3),
-                      noise_m=noise)  # fmt: skip
+    mean, _ = honesty(
+        design, trials=60, options=options, spread=PRIORS if priors else dict.fromkeys(ANGLES, 5e-3), noise_m=noise
+    )
     assert 0.76 < mean < 1.28
 
 
@@ -98,9 +99,14 @@ def test_scatter_over_sigma_is_one_within_five_percent(free, priors, options, no
     design = heliostat(free)
     design = design.with_parameters(design.parameters.with_sigmas(priors))
     mean, singles = honesty(
-        design, trials=500, options=options, spread=PRIORS if priors else dict.fromkeys(ANGLES, 5e-3), noise_m=noise,
-        outliers=outliers, count=60,
-    )  # fmt: skip
+        design,
+        trials=500,
+        options=options,
+        spread=PRIORS if priors else dict.fromkeys(ANGLES, 5e-3),
+        noise_m=noise,
+        outliers=outliers,
+        count=60,
+    )
     assert 0.95 < np.sqrt(mean) < 1.05
     # Each parameter alone is known to 3.2 % only.
     np.testing.assert_allclose(np.sqrt(singles), 1.0, atol=0.11)

@@ -121,8 +121,9 @@ def test_prediction_sigma_is_the_scatter_within_five_percent():
         _, truth, seen = observed(rng, sun=sun)
         found = fit(design, seen)
         prediction = predict_aim(found, elsewhere, TARGET.center_m)
-        error = tracking_error(found.design, design.with_parameters(design.parameters.with_values(truth)), elsewhere,
-                               TARGET.center_m)  # fmt: skip
+        error = tracking_error(
+            found.design, design.with_parameters(design.parameters.with_values(truth)), elsewhere, TARGET.center_m
+        )
         squares.append((error**2).sum(axis=1))
         expected.append(prediction.sigma_beam_rad**2)
     assert aimed.converged.all()
@@ -217,9 +218,8 @@ def test_choice_finds_the_parameters_that_the_data_need():
     assert ("the usual choice stays" in choice.reason) == (scores[choice.best].blocked_rms_rad > lowest)
     # A model that lacks nothing is not made larger for a hair.
     small = choose_model(
-        design, seen, FitOptions(),
-        [Candidate("tilts", dict.fromkeys(ANGLES, 0.01)), Candidate("as delivered", {})],
-    )  # fmt: skip
+        design, seen, FitOptions(), [Candidate("tilts", dict.fromkeys(ANGLES, 0.01)), Candidate("as delivered", {})]
+    )
     assert small.best == "tilts"
     # Two choices that predict alike: the last is the usual one, and the table alone would not tell why it stays.
     alike = [Candidate("tilts", dict.fromkeys(ANGLES, 0.010)), Candidate("looser", dict.fromkeys(ANGLES, 0.012))]
@@ -248,10 +248,14 @@ def test_field_tells_of_a_heliostat_what_its_own_rows_cannot():
     for k in range(8):
         design = with_priors(azimuth_elevation(f"h{k}", [10.0, 60.0, 1.5]))
         # All posts lean alike to 1 mrad; targets surveyed 1.2 m too low.
-        truth = design.with_value({
-            "tilt_north": 4e-3 + rng.normal(0, 1e-3), "tilt_east": rng.normal(0, 1e-3),
-            "azimuth_offset": rng.normal(0, 0.03), "position_u": 0.3,
-        }).parameters.values  # fmt: skip
+        truth = design.with_value(
+            {
+                "tilt_north": 4e-3 + rng.normal(0, 1e-3),
+                "tilt_east": rng.normal(0, 1e-3),
+                "azimuth_offset": rng.normal(0, 0.03),
+                "position_u": 0.3,
+            }
+        ).parameters.values
         seen = Observations((beams(design, truth, year(60), 0.02, rng),))
         fits.append(fit(design, seen))
         truths.append(truth)

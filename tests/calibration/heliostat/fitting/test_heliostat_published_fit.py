@@ -19,9 +19,15 @@ AIM_M, PLACE_M = np.array([0.0, 0.0, 13.0]), [19.2, -30.8, 1.2]
 ANGLES = ("tilt_north", "tilt_east", "azimuth_offset", "elevation_offset", "non_orthogonality")
 #: Table 6.1 [rad], [m].
 TABLE = {
-    "tilt_north": -13.27e-3, "tilt_east": -4.56e-3, "azimuth_offset": -3.79e-3, "elevation_offset": 1.12e-3,
-    "non_orthogonality": -1.92e-3, "position_e": 20.22, "position_n": -31.33, "position_u": 1.31,
-}  # fmt: skip
+    "tilt_north": -13.27e-3,
+    "tilt_east": -4.56e-3,
+    "azimuth_offset": -3.79e-3,
+    "elevation_offset": 1.12e-3,
+    "non_orthogonality": -1.92e-3,
+    "position_e": 20.22,
+    "position_n": -31.33,
+    "position_u": 1.31,
+}
 
 
 def day(date, count=20, start="05:30", minutes=30):

@@ -89,8 +89,13 @@ def test_printed_tilts_are_the_toward_tilts_to_first_order():
 
 def test_inverse_of_malan_in_closed_form():
     """Spec's formula for readings from a wanted normal, by its own route."""
-    values = {"tilt_north": -13.27e-3, "tilt_east": -4.56e-3, "non_orthogonality": -1.92e-3,
-              "azimuth_offset": -3.79e-3, "elevation_offset": 1.12e-3}  # fmt: skip
+    values = {
+        "tilt_north": -13.27e-3,
+        "tilt_east": -4.56e-3,
+        "non_orthogonality": -1.92e-3,
+        "azimuth_offset": -3.79e-3,
+        "elevation_offset": 1.12e-3,
+    }
     design = azimuth_elevation("prototype", POSITION).with_value(values)
     found = aim(design, design.parameters.values, SUN, AIM)
     north, east, epsilon = values["tilt_north"], values["tilt_east"], values["non_orthogonality"]
@@ -114,9 +119,8 @@ def gouws(target_mm, arm_mm, **angles_deg):
 
 FIRST = gouws((11000, 27000, 4250), (432.5, 240), elevation_offset=3, azimuth_offset=-3)
 CHANGED = gouws(
-    (-1000, 7000, 3000), (300, 300),
-    elevation_offset=-0.5, azimuth_offset=1, tilt_about_north=-1, tilt_about_east=1.5,
-)  # fmt: skip
+    (-1000, 7000, 3000), (300, 300), elevation_offset=-0.5, azimuth_offset=1, tilt_about_north=-1, tilt_about_east=1.5
+)
 DRONE = 32.0 * direction(30.0, 40.0)
 
 
@@ -173,8 +177,14 @@ def test_tracking_rates_of_gouws(declination_deg, azimuth_elevation_mrad_s):
 
 
 def test_six_errors_against_the_reconstructed_equations():
-    angles = {"tilt_north": 4e-3, "tilt_east": -7e-3, "non_orthogonality": 5e-3, "canting": -6e-3,
-              "azimuth_offset": 3e-3, "elevation_offset": -2e-3}  # fmt: skip
+    angles = {
+        "tilt_north": 4e-3,
+        "tilt_east": -7e-3,
+        "non_orthogonality": 5e-3,
+        "canting": -6e-3,
+        "azimuth_offset": 3e-3,
+        "elevation_offset": -2e-3,
+    }
     design = six_error("s", POSITION, arm_normal_m=0.4).with_value(angles)
     found = aim(design, design.parameters.values, SUN, AIM)
     toward = AIM - POSITION
@@ -347,8 +357,11 @@ def test_readings_outside_the_triangle_are_named():
     assert np.isfinite(poses.rotation[0]).all()
     assert np.isnan(poses.rotation[1]).all()
     with pytest.raises(InputError, match="reading 0 of axis 1"):
-        mirror_poses(design.with_value({"offset_1": 0.1}), design.with_value({"offset_1": 0.1}).parameters.values,
-                     [[40000.0, 30000.0]])  # fmt: skip
+        mirror_poses(
+            design.with_value({"offset_1": 0.1}),
+            design.with_value({"offset_1": 0.1}).parameters.values,
+            [[40000.0, 30000.0]],
+        )
     with pytest.raises(InputError, match="row 1: the reading of axis 1 is not a number"):
         mirror_poses(design, values, [[30000.0, 1.0], [np.nan, 1.0]])
 

@@ -151,11 +151,16 @@ def heliostat(plant, name):
     properties = json.loads((folder / name / f"{name}_properties.json").read_text())
     actuators = tuple(
         ActuatorNumbers(
-            axis["initial_angle"], axis["initial_stroke_length"], axis["offset"], axis["pivot_radius"],
-            axis["increment"], axis["clockwise_axis_movement"] == 1, (axis["min_increment"], axis["max_increment"]),
+            axis["initial_angle"],
+            axis["initial_stroke_length"],
+            axis["offset"],
+            axis["pivot_radius"],
+            axis["increment"],
+            axis["clockwise_axis_movement"] == 1,
+            (axis["min_increment"], axis["max_increment"]),
         )
         for axis in properties["kinematics_properties"]["actuators"]
-    )  # fmt: skip
+    )
     design = linear_actuators(name, enu_from_geodetic(*properties["heliostat_position"], origin), actuators)
     files = {file.name.split("_")[0]: file for file in (folder / name / "calibration").glob("*.json")}
     stamped = sorted((stamps[f"{name}_{key}"], key) for key in files if f"{name}_{key}" in stamps)

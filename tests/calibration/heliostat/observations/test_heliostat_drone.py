@@ -46,9 +46,13 @@ def sightings(count, rng, *, radius_m=(32.0, 32.0), noise=1.0, wide=1.0):
     readings = aim(truth(), truth().parameters.values, places, TARGET_M, finite=True).readings
     covariance = np.tile(np.diag(SIGMA_M**2), (count, 1, 1))
     return DroneSightings(
-        Pointings(readings), places + noise * rng.normal(0, 1, places.shape) * SIGMA_M, covariance, ("t",) * count,
-        (Place("t", TARGET_M, wide * TARGET_SIGMA_M),), [0.0, 0.0, OFFSET_SIGMA_M],
-    )  # fmt: skip
+        Pointings(readings),
+        places + noise * rng.normal(0, 1, places.shape) * SIGMA_M,
+        covariance,
+        ("t",) * count,
+        (Place("t", TARGET_M, wide * TARGET_SIGMA_M),),
+        [0.0, 0.0, OFFSET_SIGMA_M],
+    )
 
 
 def yearly_mrad(found):
@@ -96,10 +100,15 @@ def test_yearly_error_is_as_good_as_published(count, radius_m, published):
     rng = np.random.default_rng(count)
     wide = 50.0 if radius_m[0] == 15.0 else 1.0
     errors = [
-        yearly_mrad(fit(heliostat(), Observations((sightings(count, rng, radius_m=radius_m, wide=wide),)),
-                        FitOptions(sigma="stated")))
+        yearly_mrad(
+            fit(
+                heliostat(),
+                Observations((sightings(count, rng, radius_m=radius_m, wide=wide),)),
+                FitOptions(sigma="stated"),
+            )
+        )
         for _ in range(12)
-    ]  # fmt: skip
+    ]
     assert np.mean(errors) < 1.35 * published
     # Normal priors of the same variance know a little more than bounds: at one radius half the error.
     assert np.mean(errors) > 0.35 * published

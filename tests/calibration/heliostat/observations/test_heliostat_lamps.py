@@ -122,9 +122,10 @@ def test_noise_gives_the_published_magnitudes(axes_rad, lamps_m, published_mrad)
     errors, squares = [], []
     for _ in range(40):
         found = fit(
-            nominal(), Observations((sightings(rng, axes_rad=axes_rad, lamps_m=lamps_m, sigma_rad=sigma),)),
+            nominal(),
+            Observations((sightings(rng, axes_rad=axes_rad, lamps_m=lamps_m, sigma_rad=sigma),)),
             FitOptions(sigma="stated"),
-        )  # fmt: skip
+        )
         errors.append(pointing_error_rad(found))
         tilt = found.design.parameters.value("tilt_north") - 0.05
         squares.append(tilt**2 / found.sigma[found.names.index("tilt_north")] ** 2)

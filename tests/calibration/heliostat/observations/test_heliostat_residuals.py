@@ -65,9 +65,13 @@ def groups(design, rng, count=6):
     mounted = MountedCamera(np.array([0.3, 0.2, -0.1]), 0.1, rotation_from_vector([0.2, -0.3, 0.5]), np.inf)
     lines = np.einsum("nji,nj->ni", poses.rotation, rng.normal(0, 20, (count, 3)) + [0, 0, 200.0] - poses.centre_m)
     lamp = LampSightings(
-        pointings, TARGET.center_m + rng.normal(0, 20, (count, 3)), ("L",) * count, 1e-4,
-        position=("p", "q", "p", "q", "p", "q")[:count], camera=replace(mounted, mirror_from_camera=np.eye(3)),
-    )  # fmt: skip
+        pointings,
+        TARGET.center_m + rng.normal(0, 20, (count, 3)),
+        ("L",) * count,
+        1e-4,
+        position=("p", "q", "p", "q", "p", "q")[:count],
+        camera=replace(mounted, mirror_from_camera=np.eye(3)),
+    )
     calibrated = LampSightings(
         pointings, lamp.lamp_m, lamp.lamp, 1e-4, direction_camera=lines @ mounted.mirror_from_camera, camera=mounted
     )
@@ -78,8 +82,12 @@ def groups(design, rng, count=6):
         ),
         "camera": SunInCamera(pointings, sun, ("tower",) * count, (camera,), 1e-3),
         "drone": DroneSightings(
-            pointings, poses.centre_m + 50 * beams + noise(), covariance, ("sun",) * count,
-            (Place("sun", poses.centre_m[0] + distance[0] * sun[0] + noise()[0], 0.05),), 0.006,
+            pointings,
+            poses.centre_m + 50 * beams + noise(),
+            covariance,
+            ("sun",) * count,
+            (Place("sun", poses.centre_m[0] + distance[0] * sun[0] + noise()[0], 0.05),),
+            0.006,
         ),
         "lamp shared": lamp,
         "lamp calibrated": calibrated,
@@ -87,7 +95,7 @@ def groups(design, rng, count=6):
         "point": MirrorPoints(
             pointings, rng.normal(0, 1, (count, 3)), poses.centre_m + noise(), covariance, ("P",) * count
         ),
-    }  # fmt: skip
+    }
 
 
 def extended(design, observations):

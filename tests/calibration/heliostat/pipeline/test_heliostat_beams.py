@@ -67,9 +67,13 @@ def test_photos_without_a_beam_are_reasons(tmp_path: Path) -> None:
     draw(tmp_path / "empty.png", peak_dn=0.0)
     (tmp_path / "broken.png").write_bytes(b"none")
     rows = measured(
-        tmp_path, (TARGET.name, "1.png", ""), (TARGET.name, "empty.png", ""), (TARGET.name, "lost.png", ""),
-        (TARGET.name, "broken.png", ""), ("roof", "1.png", ""),
-    )  # fmt: skip
+        tmp_path,
+        (TARGET.name, "1.png", ""),
+        (TARGET.name, "empty.png", ""),
+        (TARGET.name, "lost.png", ""),
+        (TARGET.name, "broken.png", ""),
+        ("roof", "1.png", ""),
+    )
     assert rows.flags == ("", "image", "image", "image", "image")
     assert "empty.png: " in rows.reasons[1]
     assert "there is no photo 'lost.png'" in rows.reasons[2]

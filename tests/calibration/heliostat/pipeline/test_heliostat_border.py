@@ -102,7 +102,7 @@ class TestRows:
             (lambda t: put(t, "sigma_mm", 3, "1e-30"), "not_finite", "a sigma must be positive, from 1e-6 to 1e6"),
             (lambda t: t.update(kind=["beam"] * 3 + ["baem"] + ["beam"] * 8), "unreadable", "did you mean 'beam'"),
         ],
-    )  # fmt: skip
+    )
     def test_one_wrong_cell_is_one_flagged_row(
         self, changed: Any, change: Callable[[Table], Any], flag: str, reason: str
     ) -> None:
@@ -136,8 +136,10 @@ class TestColumns:
             (lambda t: scale(t, 57.29578, "axis_1_rad", "axis_2_rad"), "are no radians; name the columns axis_1_deg"),
             (lambda t: scale(t, 57.29578, "axis_1_rad"), "let both be degrees"),
             (lambda t: t.update(axis_1_deg=t.pop("axis_1_rad"), axis_2_deg=t.pop("axis_2_rad")), "look like radians"),
-            (lambda t: t.update(axis_1_counts=t.pop("axis_1_rad"), axis_2_counts=t.pop("axis_2_rad")),
-             "say counts_per_turn"),
+            (
+                lambda t: t.update(axis_1_counts=t.pop("axis_1_rad"), axis_2_counts=t.pop("axis_2_rad")),
+                "say counts_per_turn",
+            ),
             (lambda t: t.update(axis_1_rad=["0.5"] * 12), "axis 1 reads 0.5 in all 12 rows"),
             (lambda t: t.update(time_utc=[t["time_utc"][0]] * 12), "the sun stands at the same place in all 12 rows"),
             (lambda t: t.pop("axis_1_rad"), "the readings of both axes are needed in one unit"),
@@ -149,11 +151,15 @@ class TestColumns:
             (lambda t: with_suns(t, lambda a, e: (a - 180, e)), "0 in the south and positive to the west"),
             (lambda t: with_suns(t, lambda a, e: (a, 90 - e)), "it is the zenith angle"),
             (lambda t: with_suns(t, lambda a, e: (np.deg2rad(a), np.deg2rad(e))), "they look like radians"),
-            (lambda t: (with_suns(t, lambda a, e: (a, e)),
-                        t.update(time_utc=[c.replace("T", " ").replace("Z", "-02:00") for c in t["time_utc"]])),
-             r"a zone \+2 h from UTC"),
+            (
+                lambda t: (
+                    with_suns(t, lambda a, e: (a, e)),
+                    t.update(time_utc=[c.replace("T", " ").replace("Z", "-02:00") for c in t["time_utc"]]),
+                ),
+                r"a zone \+2 h from UTC",
+            ),
         ],
-    )  # fmt: skip
+    )
     def test_a_column_that_cannot_be_meant_is_one_message(
         self, changed: Any, change: Callable[[Table], Any], wanted: str
     ) -> None:
@@ -185,9 +191,10 @@ class TestColumns:
 
     def test_a_parameter_of_its_own(self, tmp_path: Path) -> None:
         write_field(tmp_path, observations=12)
-        write_table_csv(tmp_path / "heliostats.csv", {
-            "heliostat": ["H1"], "e_m": [1.0], "n_m": [80.0], "u_m": [2.0], "tilt_nort": [1e-3],
-        })  # fmt: skip
+        write_table_csv(
+            tmp_path / "heliostats.csv",
+            {"heliostat": ["H1"], "e_m": [1.0], "n_m": [80.0], "u_m": [2.0], "tilt_nort": [1e-3]},
+        )
         with pytest.raises(InputError, match="did you mean tilt_north"):
             see(tmp_path)
 
@@ -242,7 +249,7 @@ class TestPaint:
             (lambda r: r["focal_spot"].update(UTIS=[137.0, 2.0, 500.0]), "unreadable", "latitude, longitude, altitude"),
             (lambda r: r["motor_position"].update(axis_2_motor_position=90000), "reading", "beyond the drive's limits"),
         ],
-    )  # fmt: skip
+    )
     def test_a_record_edited_by_hand(
         self, tmp_path: Path, change: Callable[[Any], Any], flag: str, reason: str
     ) -> None:
@@ -289,9 +296,15 @@ class TestProperties:
         today = properties(np.array([10.0, 70.0, 2.0]))
         wanted = parse_properties(json.dumps(today), "f").actuators
         letters = {
-            "increment": "PulseRatio", "initial_stroke": "B", "offset": "C", "pivot_radius": "D",
-            "initial_angle": "AngleK", "clockwise": "Reversed", "lowest": "MinCounts", "highest": "MaxCounts",
-        }  # fmt: skip
+            "increment": "PulseRatio",
+            "initial_stroke": "B",
+            "offset": "C",
+            "pivot_radius": "D",
+            "initial_angle": "AngleK",
+            "clockwise": "Reversed",
+            "lowest": "MinCounts",
+            "highest": "MaxCounts",
+        }
         table = {f"{letters[name]}_axis_{axis}": wanted[axis - 1][name] for name in letters for axis in (1, 2)}
         old = {
             "heliostat_position": today["heliostat_position"],
@@ -316,7 +329,7 @@ class TestProperties:
             (lambda c: actuators(c)[0].update(pivot_radius=-0.3), "a positive number is needed"),
             (lambda c: actuators(c)[0].update(type_axis="ideal"), "linear ones can be read"),
         ],
-    )  # fmt: skip
+    )
     def test_edited_by_hand(self, change: Callable[[Any], Any], wanted: str) -> None:
         content = properties(np.zeros(3))
         change(content)

@@ -129,7 +129,7 @@ class TestOneHeliostat:
             (Options(model="9"), r"no choice of free parameters '9'; known: 2, 5, 8"),
             (Options(only="X*"), r"--only X\*: no heliostat of that name; there are H1"),
         ],
-    )  # fmt: skip
+    )
     def test_choices_that_do_not_exist(self, tmp_path: Path, options: Options, wanted: str) -> None:
         write_field(tmp_path, observations=12)
         with pytest.raises((InputError, EstimationError), match=wanted):
@@ -328,8 +328,10 @@ class TestField:
         with distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
         ) as cluster:
-            ways = {"two": Options(thorough=False, model="5", jobs=2),
-                    "far": Options(thorough=False, model="5", scheduler=cluster.scheduler_address)}  # fmt: skip
+            ways = {
+                "two": Options(thorough=False, model="5", jobs=2),
+                "far": Options(thorough=False, model="5", scheduler=cluster.scheduler_address),
+            }
             for name, options in ways.items():
                 monkeypatch.setitem(pipeline_field.WORTH, False, 1)
                 run_into(load_heliostat(folder), folder.parent / name, options)
@@ -340,7 +342,7 @@ class TestField:
 @pytest.mark.parametrize(
     ("names", "wanted"),
     [(("a/b",), "'a/b': its results need a folder"), (("..",), "need a folder"), (("A1", "a1"), "differ in capitals")],
-)  # fmt: skip
+)
 def test_names_that_are_no_folders(names: tuple[str, ...], wanted: str) -> None:
     with pytest.raises(InputError, match=wanted):
         check_names(names)
@@ -363,8 +365,22 @@ class TestCommand:
     @pytest.mark.slow
     def test_ctrl_c_keeps_what_is_finished(self, tmp_path: Path) -> None:
         write_field(tmp_path / "in", heliostats=300, observations=20)
-        arguments = [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(tmp_path / "in"), "-o",
-                     str(tmp_path / "out"), "--jobs", "2", "--model", "5", "--no-report", "-q"]  # fmt: skip
+        arguments = [
+            sys.executable,
+            "-m",
+            "heliogauge",
+            "calibrate",
+            "heliostat",
+            str(tmp_path / "in"),
+            "-o",
+            str(tmp_path / "out"),
+            "--jobs",
+            "2",
+            "--model",
+            "5",
+            "--no-report",
+            "-q",
+        ]
         # Where the tests run in the background, a shell has told them to ignore Ctrl-C, and children inherit that.
         running = subprocess.Popen(
             arguments,

@@ -60,7 +60,7 @@ def test_every_optional_key_of_the_template_is_a_real_key(tmp_path: Path) -> Non
         (lambda c: c.update(images=[{"target": "target"}]), r"one of whole, .* not nothing"),
         (lambda c: c.update(evaluation={"split": "chronologic"}), r"split = 'chronologic': say"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_name_key_value_and_remedy(content: Content, change: Callable[[Content], Any], wanted: str) -> None:
     change(content)
     with pytest.raises(InputError, match=wanted):

@@ -31,9 +31,15 @@ TARGETS = {
 AIM = np.array([0.0, 0.0, 50.0])
 POSITION = (30.0, 90.0, 2.0)
 SIGMAS = {
-    "tilt_north": 5e-3, "tilt_east": 5e-3, "azimuth_offset": 20e-3, "elevation_offset": 20e-3,
-    "non_orthogonality": 3e-3, "position_e": 0.05, "position_n": 0.05, "position_u": 0.05,
-}  # fmt: skip
+    "tilt_north": 5e-3,
+    "tilt_east": 5e-3,
+    "azimuth_offset": 20e-3,
+    "elevation_offset": 20e-3,
+    "non_orthogonality": 3e-3,
+    "position_e": 0.05,
+    "position_n": 0.05,
+    "position_u": 0.05,
+}
 SUNS = sun_positions_of_year(SITE, 2025, per_day=12)[0]
 
 

@@ -42,9 +42,12 @@ def test_tables(results, tmp_path):
     assert sorted(needs["heliostat"]) == ["H1", "H2", "H3"]
     rows = read_table_csv(tmp_path / "plan" / "measurements.csv")
     for name, planned, now, then in zip(
-        needs["heliostat"], needs["measurements_planned"], needs["sigma_beam_now_mrad"], needs["sigma_beam_then_mrad"],
+        needs["heliostat"],
+        needs["measurements_planned"],
+        needs["sigma_beam_now_mrad"],
+        needs["sigma_beam_then_mrad"],
         strict=True,
-    ):  # fmt: skip
+    ):
         own = [float(x) for x, who in zip(rows["sigma_beam_mrad"], rows["heliostat"], strict=True) if who == name]
         assert len(own) == int(planned)
         assert (np.diff([float(now), *own]) < 0).all()

@@ -27,10 +27,16 @@ TRUE = NOMINAL.with_value({"azimuth_offset": np.radians(-3.0), "elevation_offset
 TARGET = PlaneTarget.facing("tower", TOWER, np.pi, 2.0, 2.0)
 #: Half widths of the thesis' bounds, section 5.5, as sigmas of even distributions.
 BOUNDS = {
-    "position_e": 0.05, "position_n": 0.05, "position_u": 0.05, "arm_normal": 0.01, "arm_up": 0.1,
-    "azimuth_offset": np.radians(10), "elevation_offset": np.radians(10), "tilt_about_east": np.radians(2.5),
+    "position_e": 0.05,
+    "position_n": 0.05,
+    "position_u": 0.05,
+    "arm_normal": 0.01,
+    "arm_up": 0.1,
+    "azimuth_offset": np.radians(10),
+    "elevation_offset": np.radians(10),
+    "tilt_about_east": np.radians(2.5),
     "tilt_about_north": np.radians(2.5),
-}  # fmt: skip
+}
 
 
 def suns(n=12):
