@@ -83,7 +83,7 @@ def report(folder: Path, case: str) -> None:
     row("share of the mirror that can show the tube", f"{seeable:.3f}", "")
     row("  of it measured", f"{measured:.3f}", ">= 0.97")
     row("absorber x, z, RMS error [mm]", f"{off_x:.2f}, {off_z:.2f}", "<= 0.5")
-    for text in result.warnings:
+    for text in result.doubts:
         print(f"  warning: {text}")
 
 

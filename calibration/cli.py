@@ -45,7 +45,7 @@ def response_command(
         out, lambda: run(load_response(folder), Options(jobs=jobs), progress), write, force=force, progress=progress
     )
     tell(
-        result.warnings,
+        result.doubts,
         lambda: headline_text(result),
         f"results: {out}; use it with response_file in [screen] of measurement.toml",
         quiet=quiet,
@@ -93,7 +93,7 @@ def camera_command(
         report=not no_report,
     )
     tell(
-        result.warnings,
+        result.doubts,
         lambda: headline_text(result),
         f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement',
         quiet=quiet,
@@ -145,7 +145,7 @@ def heliostat_command(
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(split, model, label, only, thorough, jobs, scheduler)
     result = run_into(load_heliostat(folder), out, options, progress, force=force, report=not no_report)
-    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 
 @app.command("heliostat-export")

@@ -67,7 +67,7 @@ def run_command(
         progress=progress,
         report=not no_report,
     )
-    tell(result.warnings, lambda: headline_text(read_summary(out)), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(read_summary(out)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-opencsp")

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import isfinite, nan
+from typing import Any
 
 
 class Severity(StrEnum):
@@ -55,7 +57,7 @@ class Doubt:
         return self.text
 
 
-def found(*doubts: Doubt | None | Iterable[Doubt]) -> tuple[Doubt, ...]:
+def gather_doubts(*doubts: Doubt | Iterable[Doubt] | None) -> tuple[Doubt, ...]:
     """Put together what several checks found, each finding once.
 
     doubts: What each check returned: a doubt, None for nothing found, or several doubts.
@@ -65,3 +67,18 @@ def found(*doubts: Doubt | None | Iterable[Doubt]) -> tuple[Doubt, ...]:
         if one is not None:
             every.update(dict.fromkeys((one,) if isinstance(one, Doubt) else one))
     return tuple(every)
+
+
+def doubt_content(doubt: Doubt) -> dict[str, Any]:
+    """Return a doubt as JSON has it; a number that is not finite is null."""
+    numbers = {name: float(value) if isfinite(value) else None for name, value in doubt.numbers.items()}
+    return {"code": doubt.code, "text": doubt.text, "numbers": numbers, "severity": doubt.severity.value}
+
+
+def read_doubt(content: Mapping[str, Any]) -> Doubt:
+    """Return the doubt that `doubt_content` made JSON of.
+
+    KeyError, TypeError, ValueError: It is none.
+    """
+    numbers = {str(name): nan if value is None else float(value) for name, value in content["numbers"].items()}
+    return Doubt(str(content["code"]), str(content["text"]), numbers, Severity(content["severity"]))

@@ -58,7 +58,7 @@ def run_command(
             if not no_report:
                 with progress.stage("report"):
                     build_report(working)
-            warnings, said = result.warnings, headline_text(summarise(result))
+            warnings, said = result.doubts, headline_text(summarise(result))
     tell(warnings, lambda: said, f"results: {out}", quiet=quiet)
 
 
@@ -81,7 +81,7 @@ def align_command(
     result = into_folder(
         out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress(), report=not no_report
     )
-    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 
 @app.command("overview")
@@ -96,7 +96,7 @@ def overview_command(
     from observer.commands.overview import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
-    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
 
 
 @app.command("absorber")
@@ -123,7 +123,7 @@ def absorber_command(
         progress=progress,
         report=not no_report,
     )
-    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("plan")
@@ -145,7 +145,7 @@ def plan_command(
         out, lambda: run(load_observer_plan(folder), progress), write, force=force, progress=progress,
         report=not no_report,
     )  # fmt: skip
-    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("compare")
@@ -162,4 +162,4 @@ def compare_command(
     from observer.commands.compare import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
-    tell(result.warnings, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)

@@ -46,7 +46,7 @@ def run_command(
         progress=progress,
         report=not no_report,
     )
-    tell(result.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-colmap")
@@ -104,7 +104,7 @@ def plan_command(
         progress=progress,
         report=not no_report,
     )
-    tell(result.plan.warnings, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+    tell(result.plan.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command()

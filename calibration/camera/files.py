@@ -202,7 +202,7 @@ def open_calibration(folder: str | Path = ".") -> Result:
         _read_checks(photo_table),
         None if other is None else compare(camera, other),
         other,
-        tuple(summary.warnings),
+        tuple(summary.doubts),
         dict(summary.durations_s),
         dict(summary.input_sha256),
     )

@@ -141,7 +141,7 @@ class Result:
     coverage: Where points were measured.
     held_out: Photos to check with.
     comparison: Against another calibration, if that was asked.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -160,7 +160,7 @@ class Result:
     held_out: tuple[HeldOutPhoto, ...] = ()
     comparison: Comparison | None = None
     compared_with: Camera | None = None
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     durations_s: Mapping[str, float] = field(default_factory=dict)
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 

@@ -59,7 +59,7 @@ class Result:
     name: Name of the measurement.
     response: The look-up; levels as shares of the display's range.
     readings: Readings of all levels, also those left out.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -67,7 +67,7 @@ class Result:
     name: str
     response: ScreenResponse
     readings: GreyReadings
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -247,7 +247,7 @@ def summarise(result: Result) -> Summary:
         name=result.name,
         numbers=numbers,
         texts=texts,
-        warnings=result.warnings,
+        doubts=result.doubts,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
     )

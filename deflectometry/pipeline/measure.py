@@ -81,7 +81,7 @@ class Result:
     assembled_as_measured: The same before anything was removed.
     numbers: Headline numbers of the mirror.
     facets: Headline numbers of each facet; empty for a single one.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -95,7 +95,7 @@ class Result:
     assembled_as_measured: SlopeMap
     numbers: Numbers
     facets: dict[str, Numbers]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -323,7 +323,7 @@ def summarise(result: Result) -> Summary:
         name=result.name,
         numbers=result.numbers,
         texts=texts,
-        warnings=result.warnings,
+        doubts=result.doubts,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
         facets=result.facets,

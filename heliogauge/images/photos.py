@@ -11,10 +11,9 @@ wholeness before they are decoded.
 import os
 import re
 import struct
-import warnings
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.errors import InputError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import InputError
 from heliogauge.images.video import read_frame
 from heliogauge.images.video_names import video_of
 from heliogauge.running.progress import Progress, SilentProgress
@@ -55,11 +55,13 @@ class Frames:
         [DN].
     full_scale_dn: Largest value the files can hold: 255 or 65535 [DN].
     files: Where each photograph comes from.
+    doubts: Whether the camera was turned between them, or a program turned some of them.
     """
 
     images_dn: Image
     full_scale_dn: int
     files: tuple[Path, ...]
+    doubts: tuple[Doubt, ...] = ()
 
 
 def read_image(path: Path) -> Image:
@@ -125,8 +127,6 @@ def read_frames(
     jobs: Threads that decode; as many as there are processors (at most 8) if absent.
     stage: Name of this work for the progress.
     InputError: No paths, a photograph cannot be read, or sizes or depths differ; the odd ones are named.
-    Warns QualityWarning: The photographs carry different orientation tags: the camera was turned, or a program
-        turned some of them.
     """
     if not paths:
         raise InputError("images: at least one file is needed")
@@ -147,15 +147,20 @@ def read_frames(
     _refuse_mixture(paths, [_size_text(image) for image in images], "size")
     depths = [_full_scale(path, image) for path, image in zip(paths, images, strict=True)]
     _refuse_mixture(paths, [f"{depth.bit_length()} bit" for depth in depths], "depth")
-    if len(set(orientations)) > 1:
+    stack = _stack([_grey(image) for image in images])
+    return Frames(stack, depths[0], tuple(paths), tuple(_orientation_doubts(paths, orientations)))
+
+
+def _orientation_doubts(paths: Sequence[Path], orientations: Sequence[int]) -> Iterator[Doubt]:
+    tags = set(orientations)
+    if len(tags) > 1:
         odd = _odd_ones(paths, [str(tag) for tag in orientations])
-        warnings.warn(
+        yield Doubt(
+            "orientation_tags_differ",
             f"photographs with different orientation tags ({odd}); they are used as the sensor took them, "
             "so check that no program has turned them",
-            QualityWarning,
-            stacklevel=2,
+            {"tags_count": len(tags), "photos_count": len(paths)},
         )
-    return Frames(_stack([_grey(image) for image in images]), depths[0], tuple(paths))
 
 
 def write_image(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:

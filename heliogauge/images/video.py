@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.images.video_names import FRAME
 
@@ -31,7 +32,7 @@ class VideoFrames:
     """
 
     files: tuple[Path, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -69,12 +70,14 @@ def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
     doubts = []
     stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     if number < stated:
-        doubts.append(
+        text = (
             f"{video.name}: {number} of the {stated} frames that it claims to have could be decoded; the rest of the "
             "file is missing or damaged: was it copied completely?"
         )
+        doubts.append(Doubt("video_is_incomplete", text, {"frames_count": number, "stated_frames_count": stated}))
     if copies:
-        doubts.append(f"{video.name}: {copies} frames are exact copies of the ones before and were left out")
+        text = f"{video.name}: {copies} frames are exact copies of the ones before and were left out"
+        doubts.append(Doubt("video_frames_repeat", text, {"frames_count": copies}, Severity.NOTE))
     return VideoFrames(tuple(files), tuple(doubts))
 
 

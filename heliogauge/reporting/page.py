@@ -18,6 +18,7 @@ __all__ = [
     "HasSummary",
     "Html",
     "Results",
+    "doubts_box",
     "duration_table",
     "facet_table",
     "flag_table",
@@ -39,7 +40,6 @@ __all__ = [
     "text_table",
     "title",
     "uncertainty_shares",
-    "warnings_box",
 ]
 
 #: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
@@ -65,7 +65,7 @@ LABELS: dict[str, str] = {
 
 
 class HasSummary(Protocol):
-    """Results of any kind: what title, warnings, times and inputs are shown of."""
+    """Results of any kind: what title, doubts, times and inputs are shown of."""
 
     @property
     def summary(self) -> Summary:
@@ -81,13 +81,13 @@ def name_and_line(name: str, line: str) -> Html:
 
 
 def head(results: HasSummary, line: str) -> Html:
-    """Return heading and warnings of a report.
+    """Return heading and doubts of a report.
 
     line: What they are; the version is added.
-    Returns: Name, line and the box of warnings.
+    Returns: Name, line and the box of doubts.
     """
     summary = results.summary
-    return join(name_and_line(summary.name, f"{line}; heliogauge {summary.version}"), warnings_box(results))
+    return join(name_and_line(summary.name, f"{line}; heliogauge {summary.version}"), doubts_box(results))
 
 
 def title(results: Results) -> Html:
@@ -100,14 +100,14 @@ def title(results: Results) -> Html:
     return name_and_line(summary.name, line)
 
 
-def warnings_box(results: HasSummary) -> Html:
-    """Return the warnings, or the statement that there are none."""
-    warnings = results.summary.warnings
-    if not warnings:
+def doubts_box(results: HasSummary) -> Html:
+    """Return the doubts, or the statement that there are none."""
+    doubts = results.summary.doubts
+    if not doubts:
         return Html('<div class="fine">No warnings: every check of the measurement passed.</div>')
-    items = "".join(f"<li>{html.escape(warning)}</li>" for warning in warnings)
-    word = "warning" if len(warnings) == 1 else "warnings"
-    return Html(f'<div class="warnings"><strong>{len(warnings)} {word}</strong><ul>{items}</ul></div>')
+    items = "".join(f'<li class="{one.severity}">{html.escape(one.text)}</li>' for one in doubts)
+    word = "warning" if len(doubts) == 1 else "warnings"
+    return Html(f'<div class="warnings"><strong>{len(doubts)} {word}</strong><ul>{items}</ul></div>')
 
 
 def headline_table(results: Results) -> Html:

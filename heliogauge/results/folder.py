@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge import __version__
+from heliogauge.doubts import Doubt, doubt_content, read_doubt
 from heliogauge.errors import InputError
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.slope_map_file import (
@@ -88,7 +89,7 @@ class Summary:
         standard deviation of ``sdx_rad`` is ``sigma_sdx_rad``. None: not determined, see `not_determined`.
     texts: What must be said beside the numbers: design, removed, reference, frame, mounting orientation, setup,
         pattern.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file that was read.
     not_determined: Why a number is None.
@@ -102,13 +103,18 @@ class Summary:
     name: str
     numbers: Mapping[str, float | int | None]
     texts: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     durations_s: Mapping[str, float] = field(default_factory=dict)
     input_sha256: Mapping[str, str] = field(default_factory=dict)
     not_determined: Mapping[str, str] = field(default_factory=dict)
     facets: Mapping[str, Mapping[str, float | int | None]] = field(default_factory=dict)
     geometry_m: Mapping[str, Any] = field(default_factory=dict)
     version: str = __version__
+
+    def __post_init__(self) -> None:
+        """Until every instrument makes doubts: take sentences for doubts."""
+        both = tuple(Doubt("sentence", one) if isinstance(one, str) else one for one in self.doubts)
+        object.__setattr__(self, "doubts", both)
 
 
 def unit_of(key: str) -> tuple[str, str]:
@@ -144,7 +150,7 @@ def write_summary(path: Path, summary: Summary) -> None:
         "software_version": summary.version,
         "numbers": numbers,
         "not_determined": dict(summary.not_determined),
-        "warnings": list(summary.warnings),
+        "doubts": [doubt_content(one) for one in summary.doubts],
         "texts": dict(summary.texts),
         "facets": facets,
         "geometry_m": dict(summary.geometry_m),
@@ -170,7 +176,11 @@ def read_summary(path: Path) -> Summary:
     if missing:
         raise InputError(f"{path}: the keys {', '.join(missing)} are missing")
     values = {name: content[key] for name, key in keys.items()}
-    return Summary(**{**values, "warnings": tuple(values["warnings"])})
+    try:
+        doubts = tuple(read_doubt(one) for one in values.pop("doubts"))
+    except (TypeError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: doubts cannot be read ({error}); code, text, numbers, severity are needed") from None
+    return Summary(**values, doubts=doubts)
 
 
 def _finite_or_reason(

@@ -7,13 +7,17 @@ have one name, one help text and one meaning.
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperGroup
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.running.progress import Progress
+
+if TYPE_CHECKING:
+    from heliogauge.results.frame import InstrumentResult
 
 _ResultT = TypeVar("_ResultT")
 
@@ -105,10 +109,55 @@ def into_folder(
     return result
 
 
+def deliver(
+    out: Path,
+    job: Callable[[], "InstrumentResult"],
+    progress: Progress,
+    *,
+    force: bool,
+    quiet: bool,
+    report: bool,
+    hint: str = "",
+) -> None:
+    """Do a command's work, write its result into a folder that is whole or not there, and report how it ended.
+
+    Doubts go to standard error, headline and place of the result to standard output.
+
+    job: Does the work; is called when the folder is known to be usable.
+    force: Replace an earlier result.
+    quiet: Only doubts are reported.
+    report: Add ``report.html``.
+    hint: What can be done with the result.
+    InputError: The folder cannot be used, or the job refuses its input.
+    EstimationError: The job's answer is not determined.
+    """
+    from heliogauge.results.folder import ResultFolder
+
+    with ResultFolder(out, force=force) as working:
+        result = job()
+        with progress.stage("write results"):
+            summary = result.write(working)
+        if report:
+            from heliogauge.reporting.build import build_report
+
+            with progress.stage("report"):
+                build_report(working)
+    say_ending(summary.doubts, result.headline(summary), f"results: {out}{hint}", quiet=quiet)
+
+
+def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bool) -> None:
+    """Report how a command ended: doubts on standard error, the numbers and where they are on standard output."""
+    for one in doubts:
+        typer.echo(f"warning: {one.text}", err=True)
+    if not quiet:
+        typer.echo(headline)
+        typer.echo(ending)
+
+
 def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, quiet: bool) -> None:
     """Say how a command ended: warnings on standard error, the numbers and where they are on standard output.
 
-    warnings: What makes the result doubtful; is said even where nothing else is.
+    doubts: What makes the result doubtful; is said even where nothing else is.
     headline: Returns the most important numbers in a few lines.
     ending: The last line: where the results are.
     """

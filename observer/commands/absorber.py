@@ -51,7 +51,7 @@ class Result:
     orientation_rad: Turn of the collector from zenith [rad].
     network: Cameras and targets.
     solution: The tube.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -61,7 +61,7 @@ class Result:
     orientation_rad: float
     network: photogrammetry_pipeline.Result
     solution: AbsorberSolution
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -92,7 +92,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     doubts = absorber_warnings(solution.path, solution, collector, is_design=False)
     return Result(
         model.name, collector, np.radians(model.collector.orientation_deg), network, solution,
-        (*network.warnings, *doubts), dict(progress.durations_s), hashes,
+        (*network.doubts, *doubts), dict(progress.durations_s), hashes,
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def summarise(result: Result) -> Summary:
         "datum": bundle.datum,
     }
     return Summary(
-        kind=KIND, name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
+        kind=KIND, name=result.name, numbers=numbers, texts=texts, doubts=result.doubts,
         durations_s=result.durations_s, input_sha256=result.input_sha256,
     )  # fmt: skip
 

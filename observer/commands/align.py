@@ -44,7 +44,7 @@ class Result:
     mounts_m (n, 2): x and y of the mounts [m].
     absorber: The tube's axis.
     cameras: Photos on which the theoretical image is laid.
-    warnings: What makes the prescription doubtful.
+    doubts: What makes the prescription doubtful.
     input_sha256: Hash of each file read.
     picture: The theoretical image over the photo that the result holds; None where it holds none.
     """
@@ -55,7 +55,7 @@ class Result:
     mounts_m: FloatArray
     absorber: AbsorberPath
     cameras: dict[str, tuple[Camera, PhotoPose]]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     input_sha256: dict[str, str]
     picture: "Figure | None" = None
 
@@ -206,7 +206,7 @@ def summarise(result: Result) -> Summary:
     reasons = {key: "no panel is measured well enough" for key, value in numbers.items() if value is None}
     texts = {"sign": "moves along the mirror's normal, positive towards the absorber; panels turn about their middles"}
     return Summary(
-        kind=KIND, name="panel alignment", numbers=numbers, texts=texts, warnings=result.warnings, durations_s={},
+        kind=KIND, name="panel alignment", numbers=numbers, texts=texts, doubts=result.doubts, durations_s={},
         input_sha256=result.input_sha256, not_determined=reasons,
     )  # fmt: skip
 

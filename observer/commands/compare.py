@@ -55,13 +55,13 @@ class Comparison:
     orientations: In the order given; the first is what the others are compared with.
     sags: For each span; None where fewer than two orientations show it.
     maps: All mirrors on the first one's grid.
-    warnings: What is doubtful.
+    doubts: What is doubtful.
     """
 
     orientations: tuple[OneOrientation, ...]
     sags: tuple[WeightSag | None, ...]
     maps: tuple[SlopeMap | None, ...]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def run(folders: Sequence[Path]) -> Comparison:
@@ -232,7 +232,7 @@ def summarise(result: Comparison) -> Summary:
     inputs = [one.folder / "absorber.csv" for one in result.orientations]
     name = result.orientations[0].summary.name
     return Summary(
-        kind=KIND, name=name, numbers=numbers, warnings=result.warnings,
+        kind=KIND, name=name, numbers=numbers, doubts=result.doubts,
         texts={"results": ", ".join(one.profile.label for one in result.orientations)},
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in enumerate(inputs, 1)},
     )  # fmt: skip

@@ -35,7 +35,7 @@ class Result:
     folders: Results, in the order given.
     labels: What each is called: its folder, as given or relative to the overview's.
     modules: What each says.
-    warnings: Which modules are doubtful.
+    doubts: Which modules are doubtful.
     input_sha256: Hash of each file read.
     name: Name of the flight.
     failed: Modules that could not be measured, with the reason.
@@ -46,7 +46,7 @@ class Result:
     folders: tuple[Path, ...]
     labels: tuple[str, ...]
     modules: tuple[Summary, ...]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     input_sha256: dict[str, str]
     name: str = "overview"
     failed: Mapping[str, str] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Result:
     @property
     def all_warnings(self) -> tuple[str, ...]:
         """What failed first, then what is doubtful."""
-        return (*(f"{name}: not measured: {reason}" for name, reason in self.failed.items()), *self.warnings)
+        return (*(f"{name}: not measured: {reason}" for name, reason in self.failed.items()), *self.doubts)
 
 
 def run(
@@ -76,10 +76,9 @@ def run(
             raise InputError(f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer` are needed')
     labels = tuple(str(folder if base is None else folder.relative_to(base)) for folder in folders)
     doubts = tuple(
-        f"{label}: {f'{len(module.warnings)} warnings, the first: ' if len(module.warnings) > 1 else ''}"
-        f"{module.warnings[0]}"
+        f"{label}: {f'{len(module.doubts)} warnings, the first: ' if len(module.doubts) > 1 else ''}{module.doubts[0]}"
         for label, module in zip(labels, modules, strict=True)
-        if module.warnings
+        if module.doubts
     )
     # All files are called summary.json: the folder tells them apart.
     hashes = {
@@ -102,7 +101,7 @@ def write(result: Result, folder: Path) -> None:
     write_summary(folder / "summary.json", Summary(
         kind=KIND, name=result.name, numbers={"modules_count": len(result.modules), "failed_count": len(result.failed)},
         texts={"sign": "theta_ra and theta_r positive where the mirror's normal is turned towards +x"},
-        warnings=result.all_warnings, durations_s=result.durations_s, input_sha256=result.input_sha256, facets=facets,
+        doubts=result.all_warnings, durations_s=result.durations_s, input_sha256=result.input_sha256, facets=facets,
     ))  # fmt: skip
 
 
@@ -114,7 +113,7 @@ def _table(result: Result) -> dict[str, list[Any]]:
         "result": [*result.labels, *result.failed],
         "name": [*(module.name for module in result.modules), *result.failed],
         "failed": [*([""] * len(result.modules)), *result.failed.values()],
-        "warnings": [*(len(module.warnings) for module in result.modules), *none],
+        "warnings": [*(len(module.doubts) for module in result.modules), *none],
     }
     if result.places_m:
         for k, axis in enumerate("xyz"):
@@ -172,7 +171,7 @@ def headline_text(result: Result) -> str:
         said = [f"theta_r {1e3 * slope:.2f} mrad RMS" if slope is not None else "no slopes"]
         said += [f"theta_ra {1e3 * aimed:.2f} mrad RMS"] if aimed is not None else []
         said += [f"intercept factor {kept:.4f}"] if kept is not None else []
-        said += [f"{len(module.warnings)} warning{'s' if len(module.warnings) > 1 else ''}"] if module.warnings else []
+        said += [f"{len(module.doubts)} warning{'s' if len(module.doubts) > 1 else ''}"] if module.doubts else []
         lines.append(f"{label}: {', '.join(said)}" if label == module.name else
                      f"{label} ({module.name}): {', '.join(said)}")  # fmt: skip
     return "\n".join([*lines, *(f"{name}: not measured" for name in result.failed)])

@@ -147,7 +147,7 @@ def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
         yield
     except EstimationError as error:
         doubt = camera_doubt(network.solved.image_sigma_factor)
-        said = [text for text in (doubt, *network.warnings) if text is not None]
+        said = [text for text in (doubt, *network.doubts) if text is not None]
         if not said:
             raise
         raise EstimationError(f"{error}; before that: {said[0]}") from error

@@ -60,7 +60,7 @@ class InterceptResult:
     measured_share: Share of the mirror that was measured.
     measured_ratio: Intercept factor of that share alone.
     light: Sun and scatter in words.
-    warnings: What makes it doubtful.
+    doubts: What makes it doubtful.
     """
 
     cases: dict[Case, Intercept]
@@ -76,7 +76,7 @@ class InterceptResult:
     measured_share: float
     measured_ratio: float
     light: str
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
     @property
     def assumption(self) -> str:
@@ -163,7 +163,7 @@ def evaluate_intercept(
         measured_share=trough.nodes.measured_share,
         measured_ratio=float(inside @ own.of_nodes()),
         light=profile.words,
-        warnings=tuple(warnings),
+        doubts=tuple(warnings),
     )  # fmt: skip
 
 

@@ -112,7 +112,7 @@ class Result:
     poses: The same as the reflection has refined them, ``cam_from_frame``.
     pose_covariances (n, 6, 6): Of the steps of each [rad, m].
     overlay: One photo with what design and result predict of the reflection.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -133,7 +133,7 @@ class Result:
     poses: tuple[RigidTransform, ...]
     pose_covariances: FloatArray
     overlay: Overlay
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -266,7 +266,7 @@ def evaluate(
     turn = float(np.radians(model.collector.orientation_deg))
     return Result(
         model.name, collector, turn, network, seen, absorber, solution, reflector, slope_map, visible, angles,
-        intercept, photos, poses, pose_covariances, picture, (*network.warnings, *doubts, *intercept.warnings),
+        intercept, photos, poses, pose_covariances, picture, (*network.doubts, *doubts, *intercept.doubts),
         dict(progress.durations_s),
     )  # fmt: skip
 
@@ -389,5 +389,5 @@ def summarise(result: Result) -> Summary:
     }
     return Summary(
         kind="observer", name=result.name, numbers=numbers, not_determined=not_collected, texts=texts,
-        warnings=result.warnings, durations_s=result.durations_s, input_sha256=result.input_sha256,
+        doubts=result.doubts, durations_s=result.durations_s, input_sha256=result.input_sha256,
     )  # fmt: skip

@@ -44,7 +44,7 @@ class PlanResult:
     missing: Share of the mirror that will not be measured, by reason.
     figures: Figures of merit of the first pass.
     spread: Scatter of many simulated measurements; None where not asked.
-    warnings: What is amiss, and where to fly.
+    doubts: What is amiss, and where to fly.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     """
@@ -57,7 +57,7 @@ class PlanResult:
     missing: dict[SampleFlag, float]
     figures: FlightFigures
     spread: MonteCarlo | None
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -310,7 +310,7 @@ def summarise(result: PlanResult) -> Summary:
         "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
     }
     return Summary(
-        kind="observer-plan", name=result.name, numbers=numbers, texts=texts, warnings=result.warnings,
+        kind="observer-plan", name=result.name, numbers=numbers, texts=texts, doubts=result.doubts,
         durations_s=result.durations_s, input_sha256=result.input_sha256,
     )  # fmt: skip
 

@@ -53,7 +53,7 @@ LABELS: dict[str, str] = {
 
 def head(results: TroughResults) -> Html:
     """Return title and warnings."""
-    return join(page.title(results.base), page.warnings_box(results.base))
+    return join(page.title(results.base), page.doubts_box(results.base))
 
 
 def overview(results: TroughResults) -> Html:

@@ -32,12 +32,12 @@ class ImagePointFile:
     points: The image points; the centre of the top-left pixel is (0, 0).
     sigma_assumed: Whether sigmas were missing and one for all was taken: then only their ratios are known, and the
         adjustment should scale its covariance a posteriori.
-    warnings: What is doubtful, to repeat in the report.
+    doubts: What is doubtful, to repeat in the report.
     """
 
     points: ImagePoints
     sigma_assumed: bool
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def read_image_points_csv(

@@ -52,7 +52,7 @@ class Extended:
     ellipses_px2 (m, 2, 2): Their ellipses [px^2].
     names: Names of the points without a code.
     left: Listed targets and doubtful points that were not taken.
-    warnings: What makes the naming doubtful.
+    doubts: What makes the naming doubtful.
     """
 
     solved: Solved
@@ -60,7 +60,7 @@ class Extended:
     ellipses_px2: FloatArray
     names: tuple[str, ...]
     left: tuple[LeftOut, ...]
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +71,7 @@ class _Round:
     names: tuple[str, ...]
     rows: IntArray
     left: tuple[LeftOut, ...]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def add_dots(
@@ -99,7 +99,7 @@ def add_dots(
         if before is not None and np.array_equal(before.matched.point_of_dot, now.matched.point_of_dot):
             break
         if not now.names:
-            return Extended(first, points, ellipses, (), now.left, now.warnings)
+            return Extended(first, points, ellipses, (), now.left, now.doubts)
         table, shapes = _with_dots(points, ellipses, loose, now)
         network = _network(solved, first, table, now)
         solved = solve_from(network, table, shapes, NetworkCameras.of(first.bundle), knowledge, options)
@@ -109,7 +109,7 @@ def add_dots(
     if last is None:
         return Extended(first, points, ellipses, (), ())
     table, shapes = _with_dots(points, ellipses, loose, last)
-    return Extended(solved, table, shapes, last.names, last.left, last.warnings)
+    return Extended(solved, table, shapes, last.names, last.left, last.doubts)
 
 
 def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict[str, float]) -> _Round:

@@ -62,7 +62,7 @@ class Result:
     solved: The adjusted network.
     checks: Scale bars that were not used, to check against.
     lengths: Known lengths against a network that did not use them.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
     input_sha256: Hash of each file read.
     sensors: Of the cameras that were given in millimetres.
@@ -74,7 +74,7 @@ class Result:
     solved: Solved
     checks: tuple[Distance, ...]
     lengths: LengthStatement
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     durations_s: dict[str, float]
     input_sha256: dict[str, str] = field(default_factory=dict)
     sensors: dict[str, Sensor] = field(default_factory=dict)
@@ -167,13 +167,13 @@ def run(
         limit = model.permissible_length_error
         permissible = None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
         lengths = state_length_errors(solved.bundle, checks, permissible)
-        said = (*measured.warnings, *doubts(solved), *length_doubts(lengths))
+        said = (*measured.doubts, *doubts(solved), *length_doubts(lengths))
         said += size_doubts(solved, (measured.points, measured.ellipses_px2), diameter_mm)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):
             surface = measure_surface(model.surface, measurement.folder, solved.bundle)
-            said = (*said, *surface.warnings)
+            said = (*said, *surface.doubts)
     times = dict(progress.durations_s)
     return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
 
@@ -227,7 +227,7 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
             sizes_px=lambda photos: sizes_of_cameras(measurement, photos),
         )
     shapes = np.full((found.points.n, 2, 2), np.nan)
-    return MeasuredPhotos(found.points, shapes, None, (), found.warnings, found.sigma_assumed)
+    return MeasuredPhotos(found.points, shapes, None, (), found.doubts, found.sigma_assumed)
 
 
 def write(result: Result, folder: Path) -> None:
@@ -358,7 +358,7 @@ def summarise(result: Result) -> Summary:
         name=result.name,
         numbers=numbers,
         texts=texts,
-        warnings=result.warnings,
+        doubts=result.doubts,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
         not_determined=missing,

@@ -99,7 +99,7 @@ def _joined(
     points = _both(coded.points, tracks.points)
     ellipses: FloatArray = np.concatenate([coded.ellipses_px2, shapes])
     measured = MeasuredPhotos(
-        points, ellipses, sizes, (*coded.refused, left), (*coded.warnings, _DOUBT), True, coded.loose
+        points, ellipses, sizes, (*coded.refused, left), (*coded.doubts, _DOUBT), True, coded.loose
     )
     return measured, np.concatenate([np.zeros(coded.points.n, dtype=np.intp), kinds + 1])
 

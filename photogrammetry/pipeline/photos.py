@@ -47,7 +47,7 @@ class MeasuredPhotos:
     ellipses_px2 (m, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].
     sizes_px: Width and height of each photo; None where image points were given [px].
     refused: False codes, doubled names, photos without targets.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     sigma_assumed: Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
     loose: Dots without a code, to be matched when the photos' poses are known.
     """
@@ -56,7 +56,7 @@ class MeasuredPhotos:
     ellipses_px2: FloatArray
     sizes_px: dict[str, tuple[int, int]] | None
     refused: tuple[Refused, ...]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     sigma_assumed: bool
     loose: LooseDots | None = None
 

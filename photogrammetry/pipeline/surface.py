@@ -47,7 +47,7 @@ class SurfaceResult:
     compared_with: The other date's folder.
     mesh: The mesh that the points were compared with.
     ply: Whether PLY files are wanted.
-    warnings: What makes the result doubtful.
+    doubts: What makes the result doubtful.
     """
 
     fit: SurfaceFit | None
@@ -59,7 +59,7 @@ class SurfaceResult:
     compared_with: str
     mesh: MeshSurface | None
     ply: bool
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult) -> SurfaceResult:
@@ -82,7 +82,7 @@ def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult)
     if section.has_design or section.mesh is not None:
         cameras = np.mean([one.inverse().translation_m for one in bundle.cam_from_world], axis=0)
         result = _against_surface(section, folder, points, cameras, result)
-    return replace(result, warnings=(*warnings, *result.warnings))
+    return replace(result, doubts=(*warnings, *result.doubts))
 
 
 def _against_surface(
@@ -106,7 +106,7 @@ def _against_surface(
         slopes=slopes,
         cantings=tuple(facet_canting(fit, one) for one in facets) if section.facet else (),
         mesh=mesh,
-        warnings=(*open_words, *missing_words, *_fit_doubts(fit, placed=bool(section.reference))),
+        doubts=(*open_words, *missing_words, *_fit_doubts(fit, placed=bool(section.reference))),
     )
 
 

@@ -36,7 +36,7 @@ def with_uncoded(
     """
     if measured.loose is None or not len(measured.loose.dots):
         missing = () if listed is None else (f"{len(listed)} targets without a code are listed, but no dot was found",)
-        return replace(measured, warnings=(*measured.warnings, *missing)), solved
+        return replace(measured, doubts=(*measured.doubts, *missing)), solved
     loose = replace(measured.loose, listed=listed)
     found = add_dots(solved, (measured.points, measured.ellipses_px2), loose, cameras, knowledge, options)
     refused = tuple(Refused(one.name, one.reason) for one in found.left)
@@ -45,7 +45,7 @@ def with_uncoded(
         points=found.points,
         ellipses_px2=found.ellipses_px2,
         refused=(*measured.refused, *refused),
-        warnings=(*measured.warnings, *found.warnings),
+        doubts=(*measured.doubts, *found.doubts),
     )
     return extended, found.solved
 

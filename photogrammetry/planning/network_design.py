@@ -93,14 +93,14 @@ class Plan:
     best: The network with the fewest photos that reaches the goal, or the best one of all where none does.
     reached: Whether it reaches the goal.
     q: Its factor of the planning rule, see `photogrammetry.planning.planned_network.q_factor`.
-    warnings: What is weak in it.
+    doubts: What is weak in it.
     """
 
     best: Trial
     reached: bool
     trials: tuple[Trial, ...]
     q: float
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def plan_network(

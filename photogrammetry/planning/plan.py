@@ -266,7 +266,7 @@ def summarise(result: PlanResult) -> Summary:
         name=result.name,
         numbers={key: None if key in missing else value for key, value in numbers.items()},
         texts=texts,
-        warnings=plan.warnings,
+        doubts=plan.doubts,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
         not_determined=missing,

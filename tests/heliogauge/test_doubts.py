@@ -2,18 +2,19 @@
 
 import pickle
 
-from heliogauge.doubts import Doubt, Severity, found
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 
 
 def test_doubts_are_values() -> None:
     first = Doubt("photos_few", "3 photos", {"photos_count": 3})
     again = Doubt("photos_few", "3 photos", {"photos_count": 3.0})
     other = Doubt("photos_few", "3 photos", {"photos_count": 4})
-    assert first == again and hash(first) == hash(again)
+    assert first == again
+    assert hash(first) == hash(again)
     assert first != other
     assert pickle.loads(pickle.dumps(first)) == first
 
 
-def test_found_keeps_order_and_each_once() -> None:
+def test_gathered_doubts_keep_order_and_each_once() -> None:
     one, two = Doubt("one", "1"), Doubt("two", "2", severity=Severity.SERIOUS)
-    assert found(None, two, [one, two], (), one) == (two, one)
+    assert gather_doubts(None, two, [one, two], (), one) == (two, one)

@@ -67,7 +67,7 @@ def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tm
             image[dark] = noise
             cv2.imwrite(str(path), image)
     result = run(load_measurement(tmp_path / "m"))
-    assert any("facet_0_1 was not measured" in text for text in result.warnings)
+    assert any("facet_0_1 was not measured" in text for text in result.doubts)
     (tmp_path / "out").mkdir()
     write(result, tmp_path / "out")
     stored = open_results(tmp_path / "out")

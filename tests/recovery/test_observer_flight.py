@@ -57,4 +57,4 @@ def test_a_row_that_is_not_there_is_told_beside_the_others(flown):
     assert table["failed"][:2] == ["", ""]
     assert "0 targets of the list are beside it" in table["failed"][2]
     assert not (results / "absent").exists()
-    assert any(text.startswith("absent: not measured") for text in read_summary(results).warnings)
+    assert any(one.text.startswith("absent: not measured") for one in read_summary(results).doubts)

@@ -23,8 +23,8 @@ GROSS, CURL, TURN, SHAPE = (
 
 def warnings_of(folder) -> str:
     result = run(load_measurement(folder))
-    assert summarise(result).warnings == result.warnings
-    return "\n".join(text for text in result.warnings if "no sigma is given" not in text)
+    assert summarise(result).doubts == result.doubts
+    return "\n".join(text for text in result.doubts if "no sigma is given" not in text)
 
 
 def refused(folder) -> str:

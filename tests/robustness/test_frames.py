@@ -18,7 +18,7 @@ from heliogauge.measurement.load import load_measurement
 def said(folder) -> tuple[str, ...]:
     """What the evaluation warns of, without the missing sigmas of every synthetic measurement."""
     result = run(load_measurement(folder))
-    return tuple(text for text in result.warnings if "no sigma is given" not in text)
+    return tuple(text for text in result.doubts if "no sigma is given" not in text)
 
 
 def refused(folder) -> str:

@@ -123,7 +123,7 @@ def run(
         left_out=left_out,
         comparison=comparison,
         compared_with=other,
-        warnings=tuple(said),
+        doubts=tuple(said),
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )

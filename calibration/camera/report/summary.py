@@ -76,7 +76,7 @@ def summarise(result: Result) -> Summary:
         name=result.name,
         numbers=numbers,
         texts=_texts(result),
-        warnings=result.warnings,
+        doubts=result.doubts,
         durations_s=result.durations_s,
         input_sha256=result.input_sha256,
         not_determined=missing,

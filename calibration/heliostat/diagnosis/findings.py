@@ -129,7 +129,7 @@ class Diagnosis:
         return tuple(dict.fromkeys(one.kind for one in self.findings if one.severity in ("fault", "doubt")))
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[str, ...]:
         """Faults, wrong rows and doubts as sentences with their remedy."""
         return tuple(f"{one.text} {one.remedy}" for one in self.findings if one.severity != "hint")
 

@@ -108,7 +108,7 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
             for name, one in plant.targets.items()
         },
         "diagnosis": result.diagnosis.content(),
-        "warnings": list(result.warnings),
+        "warnings": list(result.doubts),
         "notes": list(result.notes),
         "paint_properties": _properties(result),
     }
@@ -223,7 +223,7 @@ def _split_content(held: HeldOut) -> dict[str, Any]:
     prediction = held.prediction
     # What must be known before the numbers are read stands before them.
     return {
-        "warnings": list(held.warnings),
+        "warnings": list(held.doubts),
         "note": held.split.note,
         "extrapolated_count": int(np.count_nonzero(prediction.extrapolated)),
         "predicted_sigma_median_mrad": _plain(1e3 * _median(prediction.sigma_beam_rad)),
@@ -303,7 +303,7 @@ def heliostat_summary(
         name=result.name,
         numbers=numbers,
         texts=texts,
-        warnings=result.warnings,
+        doubts=result.doubts,
         durations_s=dict(durations_s),
         input_sha256=dict(input_sha256),
         not_determined={key: why for key, value in numbers.items() if value is None},
@@ -314,7 +314,7 @@ def split_lines(result: HeliostatResult) -> tuple[str, ...]:
     """Say what came of each split in a line, what to expect before what was found."""
     lines = []
     for name, held in result.held.items():
-        asked = next((text for text in held.warnings if text.startswith("split ")), f"split {name}: {held.split.note}")
+        asked = next((text for text in held.doubts if text.startswith("split ")), f"split {name}: {held.split.note}")
         train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
         lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
     return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
@@ -325,14 +325,14 @@ def _status(result: HeliostatResult, doubts: Sequence[str]) -> str:
         return "faulty"
     # Single rows that were wrong and left out make a heliostat no worse.
     too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
-    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.warnings) else "ok"
+    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.doubts) else "ok"
 
 
 def field_row(result: HeliostatResult) -> dict[str, Any]:
     """Return a heliostat's row of ``field.csv``."""
     east, north, up = result.fit.design.position_m.tolist()
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
-    doubts = [text for text in result.warnings if not text.startswith("split ")]
+    doubts = [text for text in result.doubts if not text.startswith("split ")]
     return {
         "heliostat": result.name,
         "status": _status(result, doubts),
@@ -343,7 +343,7 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         "model": result.free,
         **headline(result),
         "duration_s": round(result.duration_s, 4),
-        "warnings_count": len(result.warnings),
+        "warnings_count": len(result.doubts),
         "reason": "; ".join(doubts),
     }
 

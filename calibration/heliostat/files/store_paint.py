@@ -88,7 +88,7 @@ class PaintProperties:
     translations_m: East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
     tilts_rad: Tilts of both joints by the names of the chain; 0 where not told [rad].
     size_m: Width and height of the mirror [m]; NaN where not told.
-    warnings: What was assumed.
+    doubts: What was assumed.
     """
 
     position: tuple[float, float, float]
@@ -96,7 +96,7 @@ class PaintProperties:
     translations_m: dict[str, tuple[float, float, float]]
     tilts_rad: dict[str, float]
     size_m: tuple[float, float]
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
     content: dict[str, Any]
 
 
@@ -219,7 +219,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
         translations_m=translations,
         tilts_rad={name: _finite(kinematics.get(key, 0.0), f"{where}: {key}") for name, key in TILT_KEYS.items()},
         size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
-        warnings=tuple(warnings),
+        doubts=tuple(warnings),
         content=content,
     )
 

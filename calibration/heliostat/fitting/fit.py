@@ -204,7 +204,7 @@ def _result(end: Descended, tried: int) -> HeliostatFit:
         sigma0=end.scatter(),
         unobservable=combinations,
         basins=tried,
-        warnings=_warnings(end, combinations),
+        doubts=_warnings(end, combinations),
     )
 
 

@@ -70,7 +70,7 @@ class HeliostatFit:
     sigma0: Scatter of the residuals over the stated sigmas by kind; NaN without redundancy.
     unobservable: Combinations that the priors decide.
     basins: Starts tried.
-    warnings: What a user must know before believing the numbers.
+    doubts: What a user must know before believing the numbers.
     """
 
     design: HeliostatDesign
@@ -87,7 +87,7 @@ class HeliostatFit:
     sigma0: Mapping[str, float]
     unobservable: tuple[Combination, ...]
     basins: int
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ class HeldOut:
     test: Of all test rows that can be computed, outliers included: nobody knows them beforehand.
     residuals: Of all rows at the values of the fit.
     prediction: What was predicted of the test rows, with sigma and warning, before they were looked at.
-    warnings: What must be known before the numbers are read.
+    doubts: What must be known before the numbers are read.
     """
 
     split: Split
@@ -81,7 +81,7 @@ class HeldOut:
     test: AngleSummary
     residuals: Residuals
     prediction: Prediction
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def make_split(
@@ -169,7 +169,7 @@ def held_out(
     used[np.flatnonzero(split.train)[found.used]] = True
     tested = split.test[place] & some.computable
     summaries = AngleSummary.of(some, used[place]), AngleSummary.of(some, tested)
-    warnings = (*_beforehand(split, prediction), *found.warnings)
+    warnings = (*_beforehand(split, prediction), *found.doubts)
     return HeldOut(split, found, *summaries, evaluate(found.design, found.values, both), prediction, warnings)
 
 

@@ -61,9 +61,9 @@ class FieldResult:
     splits: tuple[str, ...] = ()
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[str, ...]:
         """What makes the result doubtful, as much of it as one reads in a terminal."""
-        said = () if self.summary is None else tuple(self.summary.warnings)
+        said = () if self.summary is None else tuple(self.summary.doubts)
         rest = len(said) - _MOST_SAID
         return said if rest <= 0 else (*said[:_MOST_SAID], f"... and {rest} more in summary.json and field.csv")
 

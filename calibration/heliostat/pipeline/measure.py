@@ -85,11 +85,11 @@ class Result:
     input_sha256: dict[str, str] = field(default_factory=dict)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[str, ...]:
         """What makes the numbers doubtful; with the heliostat in front where there are several."""
         if len(self.heliostats) == 1 and not self.failures:
-            return self.heliostats[0].warnings
-        return tuple(f"{one.name}: {text}" for one in self.heliostats for text in one.warnings)
+            return self.heliostats[0].doubts
+        return tuple(f"{one.name}: {text}" for one in self.heliostats for text in one.doubts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,7 +272,7 @@ def field_summary(
         name=name,
         numbers=numbers,
         texts=texts,
-        warnings=tuple(warnings[:100]),
+        doubts=tuple(warnings[:100]),
         durations_s=durations_s,
         input_sha256=input_sha256,
         not_determined=missing,

@@ -99,7 +99,7 @@ class HeliostatResult:
     not_split: Why the other splits could not be made.
     sky: Predicted uncertainty over the sky; thorough runs only.
     beams: What was measured in photos; None where no row names one.
-    warnings: What makes the numbers doubtful.
+    doubts: What makes the numbers doubtful.
     notes: What is good to know besides.
     properties: The properties file of PAINT it came from; empty with tables.
     duration_s: Time it took [s].
@@ -117,7 +117,7 @@ class HeliostatResult:
     not_split: Mapping[str, str] = field(default_factory=dict)
     sky: SkyMap | None = None
     beams: "BeamMeasurements | None" = None
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     properties: str = ""
     duration_s: float = 0.0
@@ -150,7 +150,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=site_of(shared.plant.site), records=records)
     sky = _sky(result, shared, None if main is None else main.prediction.inflation) if shared.thorough else None
     doubts, notes = _said(task, seen, result, (held, not_split), shared)
-    doubts = tuple(dict.fromkeys((*diagnosis.warnings, *doubts)))
+    doubts = tuple(dict.fromkeys((*diagnosis.doubts, *doubts)))
     return HeliostatResult(
         name=task.name,
         nominal=nominal,
@@ -164,7 +164,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         diagnosis=diagnosis,
         sky=sky,
         beams=beams,
-        warnings=doubts,
+        doubts=doubts,
         notes=notes,
         properties=task.properties,
         duration_s=perf_counter() - begin,
@@ -319,7 +319,7 @@ def _said(
     doubts: list[str] = []
     notes: list[str] = []
     if task.properties:
-        doubts += list(parse_properties(task.properties, task.name).warnings)
+        doubts += list(parse_properties(task.properties, task.name).doubts)
     beyond = ~result.residuals.computable
     if np.count_nonzero(beyond) > _FEW_BEYOND * len(beyond):
         doubts.append(
@@ -346,13 +346,13 @@ def _said(
             f"{len(empty)} of {len(rows)} rows have no sigma_mm beside others that have one, the first: {empty[0]}: "
             f"{shared.model.evaluation.spot_sigma_mm:g} mm is taken for them"
         )
-    for text in result.warnings:
+    for text in result.doubts:
         # That the scale of the sigmas is estimated is no fault of the heliostat.
         (notes if text.startswith("sigma of ") else doubts).append(text)
     main = held.get(shared.split)
     if main is not None:
         # Extrapolation is told before any number; the rest are warnings of the fit to the train rows.
-        doubts = [text for text in main.warnings if text.startswith("split ")] + doubts
+        doubts = [text for text in main.doubts if text.startswith("split ")] + doubts
     elif shared.split in not_split:
         notes.append(f"nothing was held out: {not_split[shared.split]}")
     return tuple(dict.fromkeys(doubts)), tuple(dict.fromkeys(notes))

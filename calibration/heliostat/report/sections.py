@@ -225,7 +225,7 @@ def field_doubts(report: FieldReport) -> Html:
     """Return how many heliostats failed or need a second look, or the statement that none does."""
     numbers = report.summary.numbers
     failed, faulty, doubtful = (int(numbers.get(f"{kind}_count") or 0) for kind in ("failed", "faulty", "doubtful"))
-    warnings = [html.escape(str(text)) for text in report.summary.warnings]
+    warnings = [html.escape(str(text)) for text in report.summary.doubts]
     if not (failed or faulty or doubtful or warnings):
         return Html('<div class="fine">No warnings: every check of every heliostat passed.</div>')
     count = numbers["heliostats_count"]

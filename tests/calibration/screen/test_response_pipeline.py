@@ -91,7 +91,7 @@ def test_the_display_is_found_and_the_room_left_out(folder: Path) -> None:
     result = evaluate(folder)
     assert result.readings.pixels == pytest.approx(47 * 35, rel=0.01)
     assert result.readings.gain_spread < 0.05
-    assert result.warnings == ()
+    assert result.doubts == ()
     assert result.response.display_level[[0, -1]] == pytest.approx([0.0, 1.0])
 
 
@@ -99,7 +99,7 @@ def test_a_region_is_used_as_it_is_and_doubted_where_it_shows_the_room(folder: P
     change(folder, 'grey = "grey_*.png"', 'grey = "grey_*.png"\nregion_px = [30, 20, 49, 29]')
     assert evaluate(folder).readings.pixels == 200
     change(folder, "[30, 20, 49, 29]", "[0, 0, 79, 59]")
-    assert any("differ in brightness by" in text for text in evaluate(folder).warnings)
+    assert any("differ in brightness by" in text for text in evaluate(folder).doubts)
     change(folder, "[0, 0, 79, 59]", "[0, 0, 80, 59]")
     with pytest.raises(InputError, match=r"80 x 60 px, so the last pixel is \(79, 59\)"):
         evaluate(folder)
@@ -108,7 +108,7 @@ def test_a_region_is_used_as_it_is_and_doubted_where_it_shows_the_room(folder: P
 def test_saturated_steps_are_named_and_left_out(tmp_path: Path) -> None:
     photographs = Photographs(gain_dn=330.0)
     result = evaluate(photographs.write(tmp_path / "grey"))
-    (warning,) = result.warnings
+    (warning,) = result.doubts
     dropped = np.flatnonzero(result.readings.is_saturated)
     assert dropped.size == 3
     assert warning.startswith("3 of 17 grey steps are saturated (pixels at 255 DN) and left out: grey_14.png, grey_15")
@@ -244,4 +244,4 @@ def test_doubts_are_kept_in_the_summary(tmp_path: Path) -> None:
     write(result, tmp_path / "out")
     content = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert content["numbers"]["saturated_levels_count"] == 3
-    assert "saturated" in content["warnings"][0]
+    assert "saturated" in content["doubts"][0]["text"]

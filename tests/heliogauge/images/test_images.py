@@ -2,7 +2,6 @@
 
 import io
 import struct
-import warnings
 from pathlib import Path
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from heliogauge.errors import InputError, QualityWarning
+from heliogauge.errors import InputError
 from heliogauge.images.photos import orientation_tag, read_channel, read_frames, read_image, read_luma, write_image
 from heliogauge.running.progress import SilentProgress
 
@@ -246,18 +245,17 @@ class TestOrientation:
         (tmp_path / "turned.jpg").write_bytes(turned)
         np.testing.assert_array_equal(read_image(tmp_path / "turned.jpg"), read_image(tmp_path / "plain.jpg"))
 
-    def test_mixture_is_warned_of(self, tmp_path: Path, rng: np.random.Generator) -> None:
+    def test_mixture_is_doubtful(self, tmp_path: Path, rng: np.random.Generator) -> None:
         jpeg = encoded(".jpg", picture(rng, 8, 16))
         (tmp_path / "plain.jpg").write_bytes(jpeg)
         (tmp_path / "turned.jpg").write_bytes(with_orientation(jpeg, 6))
-        with pytest.warns(QualityWarning, match=r"different orientation tags .*turned\.jpg: 6|plain\.jpg: 1"):
-            read_frames([tmp_path / "plain.jpg", tmp_path / "turned.jpg"])
+        (doubt,) = read_frames([tmp_path / "plain.jpg", tmp_path / "turned.jpg"]).doubts
+        assert doubt.code == "orientation_tags_differ"
+        assert "turned.jpg: 6" in doubt.text
 
-    def test_one_orientation_is_no_cause_for_a_warning(self, tmp_path: Path, rng: np.random.Generator) -> None:
+    def test_one_orientation_is_no_cause_for_doubt(self, tmp_path: Path, rng: np.random.Generator) -> None:
         (tmp_path / "a.jpg").write_bytes(with_orientation(encoded(".jpg", picture(rng, 8, 16)), 3))
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            read_frames([tmp_path / "a.jpg", tmp_path / "a.jpg"])
+        assert read_frames([tmp_path / "a.jpg", tmp_path / "a.jpg"]).doubts == ()
 
     def test_damaged_tags_say_nothing(self, rng: np.random.Generator) -> None:
         jpeg = with_orientation(encoded(".jpg", picture(rng, 8, 8)), 6)

@@ -61,7 +61,7 @@ def test_copies_are_left_out_and_said(tmp_path):
     video = film(tmp_path / "pass.avi", "MJPG", [0, 1, 1, 1, 2])
     frames = list_frames(video)
     assert [file.name[-1] for file in frames.files] == ["0", "1", "4"]
-    assert "2 frames are exact copies" in frames.doubts[0]
+    assert "2 frames are exact copies" in frames.doubts[0].text
 
 
 def test_video_cut_off(tmp_path):
@@ -72,7 +72,7 @@ def test_video_cut_off(tmp_path):
     video.write_bytes(content[: (start + len(content)) // 2])
     frames = list_frames(video)
     assert 5 < len(frames.files) < 20
-    assert "of the 20 frames that it claims to have" in frames.doubts[0]
+    assert "of the 20 frames that it claims to have" in frames.doubts[0].text
 
 
 @pytest.mark.parametrize("content", [b"", b"this is no video" * 50])

@@ -12,6 +12,7 @@ import pytest
 from jupyter_client.kernelspec import KernelSpecManager
 
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
@@ -31,7 +32,7 @@ from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slopes.statistics import statistics
 
 FOCAL_M = 10.0
-WARNING = "2.0 % of the mirror was not measured <saturated>"
+WARNING = Doubt("measured_share_low", "2.0 % of the mirror was not measured <saturated>")
 
 
 def make_map() -> SlopeMap:
@@ -62,7 +63,7 @@ def make_summary(slope_map: SlopeMap) -> Summary:
             "measured_share": slope_map.measured_share, "focal_length_x_m": None,
         },
         texts={"mounting orientation": "hanging, face down"},
-        warnings=(WARNING,),
+        doubts=(WARNING,),
         durations_s={"read images": 0.4, "slopes": 0.3},
         input_sha256={"fringe_00.png": "ab" * 32},
         not_determined={"focal_length_x_m": "left out here"},
@@ -215,9 +216,9 @@ def test_numbers_are_printed_to_the_digits_of_their_sigma(
 def test_no_warnings_are_said_too(tmp_path: Path) -> None:
     write_results(tmp_path)
     results = page.open_results(tmp_path)
-    assert "1 warning<" in page.warnings_box(results).text
-    calm = replace(results, summary=replace(results.summary, warnings=()))
-    assert "No warnings" in page.warnings_box(calm).text
+    assert "1 warning<" in page.doubts_box(results).text
+    calm = replace(results, summary=replace(results.summary, doubts=()))
+    assert "No warnings" in page.doubts_box(calm).text
 
 
 def test_shares_of_the_uncertainty_add_up() -> None:

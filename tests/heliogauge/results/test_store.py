@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from heliogauge import __version__
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
@@ -182,7 +183,7 @@ def make_summary(**changes: object) -> Summary:
         "name": "facet 7",
         "numbers": {"sdx_rad": 1.25e-3, "sigma_sdx_rad": 2e-6, "facets_count": 1, "focal_x_m": None},
         "texts": {"design": "paraboloid, f = 10 m", "frame": "\u00b5"},
-        "warnings": ("3 frames saturated",),
+        "doubts": (Doubt("frames_saturated", "3 frames saturated", {"frames_count": 3.0}, Severity.NOTE),),
         "durations_s": {"read images": 0.123456},
         "input_sha256": {"a.png": "00"},
         "not_determined": {"focal_x_m": "the facet is flat"},
@@ -194,7 +195,7 @@ def test_the_summary_comes_back(tmp_path: Path) -> None:
     write_summary(tmp_path / "summary.json", make_summary())
     for path in (tmp_path, tmp_path / "summary.json"):
         back = read_summary(path)
-        for name in ("kind", "name", "numbers", "texts", "warnings", "input_sha256", "not_determined", "version"):
+        for name in ("kind", "name", "numbers", "texts", "doubts", "input_sha256", "not_determined", "version"):
             assert getattr(back, name) == getattr(make_summary(), name)
         assert back.durations_s == {"read images": 0.1235}
     assert json.loads((tmp_path / "summary.json").read_text())["numbers"]["focal_x_m"] is None
@@ -417,3 +418,14 @@ def test_results_that_appeared_meanwhile_are_not_overwritten(tmp_path: Path) -> 
         be_overtaken(target)
     assert (target / "summary.json").read_text() == "first"
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_doubts_that_are_none_are_refused(tmp_path: Path) -> None:
+    write_summary(tmp_path / "summary.json", make_summary())
+    content = json.loads((tmp_path / "summary.json").read_text())
+    assert content["doubts"][0]["code"] == "frames_saturated"
+    assert content["doubts"][0]["severity"] == "note"
+    del content["doubts"][0]["code"]
+    (tmp_path / "summary.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="code"):
+        read_summary(tmp_path)

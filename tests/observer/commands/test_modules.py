@@ -95,7 +95,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
 
     def write(result, folder):
         write_summary(folder / "summary.json", Summary(
-            "observer", result.name, {"rms_theta_r_rad": 3e-3}, warnings=("a doubt",),
+            "observer", result.name, {"rms_theta_r_rad": 3e-3}, doubts=("a doubt",),
             input_sha256=result.input_sha256,
         ))  # fmt: skip
 

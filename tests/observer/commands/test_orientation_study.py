@@ -144,7 +144,7 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
     again = result_at(tmp_path / "again", 0.0, with_map=False)
     found = run([one, again])
     assert found.sags == (None,)
-    assert "10 degrees apart" in found.warnings[0]
+    assert "10 degrees apart" in found.doubts[0]
 
 
 def test_a_turned_mirror_is_a_tilt() -> None:

@@ -12,10 +12,10 @@ from observer.commands.overview import MAPS, headline_text, run, write, write_ma
 from observer.report.figures_modules import ModuleMap, modules_figure
 
 
-def result_of(folder, kind="observer", warnings=(), **numbers):
+def result_of(folder, kind="observer", doubts=(), **numbers):
     folder.mkdir()
     write_summary(folder / "summary.json", Summary(
-        kind=kind, name=folder.name.upper(), numbers=numbers, texts={}, warnings=warnings, durations_s={},
+        kind=kind, name=folder.name.upper(), numbers=numbers, texts={}, doubts=doubts, durations_s={},
         input_sha256={}, not_determined={key: "unseen" for key, value in numbers.items() if value is None},
     ))  # fmt: skip
     return folder
@@ -23,7 +23,7 @@ def result_of(folder, kind="observer", warnings=(), **numbers):
 
 def test_a_row_for_each_module(tmp_path):
     first = result_of(tmp_path / "a1", rms_theta_r_rad=3e-3, rms_theta_ra_rad=2.5e-3)
-    second = result_of(tmp_path / "a2", warnings=("a doubt",), rms_theta_r_rad=None, edges_used_count=12)
+    second = result_of(tmp_path / "a2", doubts=("a doubt",), rms_theta_r_rad=None, edges_used_count=12)
     result = run([first, second])
     (tmp_path / "out").mkdir()
     write(result, tmp_path / "out")
@@ -32,7 +32,7 @@ def test_a_row_for_each_module(tmp_path):
     assert [float(table["rms_theta_r_rad"][0]), table["rms_theta_r_rad"][1]] == [3e-3, ""]
     assert table["edges_used_count"] == ["", "12"]
     assert table["warnings"] == ["0", "1"]
-    assert result.warnings == (f"{second}: a doubt",)
+    assert result.doubts == (f"{second}: a doubt",)
     assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in headline_text(result)
     assert len(result.input_sha256) == 2
 

@@ -138,7 +138,7 @@ def test_an_absorber_away_from_the_light_is_said() -> None:
     mirror = slope_map(gaussian_errors(1e-3, (20, 40)))
     found = evaluate_intercept(GaussianSun(2.73e-3), OpticsSection(), mirror, absorber(0.09, 1.71), SOLTRACE)
     numbers, why = intercept_numbers(found)
-    assert found.warnings != ()
+    assert found.doubts != ()
     assert numbers["best_tracking_offset_rad"] is None
     assert "warnings" in why["best_tracking_offset_rad"]
 

@@ -77,8 +77,8 @@ def test_a_plan_is_written_whole(tmp_path: Path) -> None:
     assert len(read_table_csv(out / "monte_carlo.csv")["x_m"]) > 200
     assert "24 photos" in headline_text(summarise(result))
     # Two runs do not settle anything, and the ends of the mirror cannot be seen from the middle.
-    assert any("has not settled" in text for text in result.warnings)
-    assert any("beyond the tube's ends" in text for text in result.warnings)
+    assert any("has not settled" in text for text in result.doubts)
+    assert any("beyond the tube's ends" in text for text in result.doubts)
     results = report.open_plan(out)
     assert "beyond the tube&#x27;s ends" in report.head(results).text
     assert "95 % of the points are below" in report.overview(results).text
@@ -95,7 +95,7 @@ def test_a_plan_is_written_whole(tmp_path: Path) -> None:
 def test_a_pass_that_is_too_short_is_told_how_far_to_fly(tmp_path: Path) -> None:
     result = run(load_observer_plan(planned(tmp_path / "plan", reach=1.5)))
     assert result.missing[SampleFlag.NOT_COVERED] > 0.2
-    assert any("fly from -2." in text for text in result.warnings)
+    assert any("fly from -2." in text for text in result.doubts)
 
 
 def test_targets_decide_what_the_cameras_are_worth(tmp_path: Path) -> None:

@@ -39,9 +39,9 @@ def test_corner_origin_and_missing_sigma(tmp_path):
     assert found.sigma_assumed
     # What is done by default is said as done, with the key that undoes it.
     assert 'the residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"' in "".join(
-        found.warnings
+        found.doubts
     )
-    assert "2 of 2" in found.warnings[0]
+    assert "2 of 2" in found.doubts[0]
     some = read_image_points_csv(written(tmp_path, HEADER + "a,1,1,2,0.3,\na,2,3,4,,\n"))
     np.testing.assert_allclose(some.points.covariance_px2, np.broadcast_to(np.eye(2) * 0.09, (2, 2, 2)))
 

@@ -151,7 +151,7 @@ def test_length_errors_have_their_file_and_their_limits(points_folder: Path, tmp
     assert summary.numbers["length_errors_outside_count"] == 1
     assert "exceeded by 1 of 1 length" in summary.texts["permissible_length_error"]
     assert "1 length kept apart on 1 measuring line," in summary.texts["length_check"]
-    assert any("kept apart, is off by -1.0" in text for text in summary.warnings)
+    assert any("kept apart, is off by -1.0" in one.text for one in summary.doubts)
 
 
 def test_contradictory_scale_bar_is_named(points_folder: Path, tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_contradictory_scale_bar_is_named(points_folder: Path, tmp_path: Path) -
         content["scale_bar"][1]["length_m"] += 0.002
 
     result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", lengthen)))
-    assert any("distance 33 - 40 contradicts the rest" in text and " mm" in text for text in result.warnings)
+    assert any("distance 33 - 40 contradicts the rest" in text and " mm" in text for text in result.doubts)
 
 
 def test_a_bar_in_millimetres_is_refused_by_name(points_folder: Path, tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_a_bar_in_millimetres_is_refused_by_name(points_folder: Path, tmp_path: 
 
 def test_no_scale_is_said(points_folder: Path, tmp_path: Path) -> None:
     result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", lambda content: content.pop("scale_bar"))))
-    assert any("there is no scale" in text for text in result.warnings)
+    assert any("there is no scale" in text for text in result.doubts)
 
 
 def test_bar_to_an_unknown_target_is_not_fatal(points_folder: Path, tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_bar_to_an_unknown_target_is_not_fatal(points_folder: Path, tmp_path: Pa
         content["scale_bar"].append({"a": "1", "b": "999", "length_m": 1.0, "sigma_mm": 0.1})
 
     result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", add)))
-    assert any("999 is not in the network" in text for text in result.warnings)
+    assert any("999 is not in the network" in text for text in result.doubts)
 
 
 def test_false_image_point_is_rejected_by_name(points_folder: Path, tmp_path: Path) -> None:
@@ -305,7 +305,7 @@ def test_published_calibration(shared_data: Path, tmp_path: Path) -> None:
     assert result.solved.bundle.redundancy == 3725
     assert result.solved.bundle.sigma0 / 10 == pytest.approx(0.161480, abs=5e-7)
     assert result.refused == ()
-    assert any("1.61 times what the stated sigmas say" in text for text in result.warnings)
+    assert any("1.61 times what the stated sigmas say" in text for text in result.doubts)
 
 
 @pytest.mark.slow

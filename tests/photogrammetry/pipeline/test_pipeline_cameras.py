@@ -65,7 +65,7 @@ def test_two_cameras_each_with_its_own_intrinsics(tmp_path):
     folder = write_job(tmp_path / "in", points, camera=cameras, scale_bar=[bar(truth, 0, 1), bar(truth, 2, 3)])
     assert command(folder, tmp_path / "out") == 0
     summary = summary_of(tmp_path / "out")
-    assert summary["warnings"] == []
+    assert summary["doubts"] == []
     found, poses = read_cameras_json(tmp_path / "out" / "cameras.json")
     assert {name: pose.camera for name, pose in poses.items()} == {
         name: "wide" if name.startswith("a") else "small" for name in points.photos
@@ -170,7 +170,7 @@ def test_millimetres_in_are_millimetres_out(tmp_path, form):
     table = read_table_csv(tmp_path / "out" / "camera_millimetres.csv")
     assert tuple(table["name"]) == SENSOR_NAMES[LensForm(form)]
     np.testing.assert_allclose([float(cell) for cell in table["value"]], given, rtol=1e-9, atol=1e-15)
-    assert summary_of(tmp_path / "out")["warnings"] == []
+    assert summary_of(tmp_path / "out")["doubts"] == []
 
 
 def exif(focal, order="<"):

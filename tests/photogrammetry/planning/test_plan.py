@@ -169,11 +169,11 @@ def test_an_object_larger_than_the_image_is_divided() -> None:
 )
 def test_weak_plans_say_so(changes, layouts, words) -> None:
     plan = plan_network(task_of(6e-5, **changes), layouts)
-    assert any(words in text for text in plan.warnings)
+    assert any(words in text for text in plan.doubts)
 
 
 def test_a_strong_plan_has_no_warnings() -> None:
-    assert plan_network(task_of(), LAYOUTS).warnings == ()
+    assert plan_network(task_of(), LAYOUTS).doubts == ()
 
 
 def test_nothing_to_see_is_refused() -> None:

@@ -131,7 +131,7 @@ def test_photos_that_fail_are_named_and_left_out(boards: dict[str, Path], tmp_pa
     assert set(result.left_out) == {first[0].name, first[2].name}
     assert "is a copy of" in result.left_out[first[2].name]
     assert "no chessboard of 9 x 6" in result.left_out[first[0].name]
-    assert sum("photo left out" in text for text in result.warnings) == 2
+    assert sum("photo left out" in text for text in result.doubts) == 2
 
 
 def test_bad_folders(boards: dict[str, Path], tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ def test_a_board_that_looks_the_same_turned(board_photos: Callable[[str], Path])
     # Counted upright in every photo, the board's shape is a mixture: 0.1 px and wrong by a hundred sigma.
     assert result.quality.rms_px < 0.01
     assert chi_square_share(result, folder) < 3.5
-    said = [text for text in result.warnings if "looks the same turned" in text]
+    said = [text for text in result.doubts if "looks the same turned" in text]
     assert len(said) == 1
     assert "surely in all of them" in said[0]
 
@@ -249,7 +249,7 @@ def test_six_real_photos(shared_data: Path, tmp_path: Path) -> None:
     assert result.quality.rms_px < 0.012
     assert result.kept_apart_px < 0.06
     assert 0.15 < result.quality.rms_as_drawn_px < 0.20
-    assert any(text.startswith("no roll") for text in result.warnings)
+    assert any(text.startswith("no roll") for text in result.doubts)
 
 
 def own_codes_folder(folder: Path) -> Path:

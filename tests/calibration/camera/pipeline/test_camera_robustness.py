@@ -89,13 +89,13 @@ def test_a_mirrored_photo_is_noticed_and_left_out(folder: Path, good: Result) ->
 
 @pytest.mark.slow
 def test_repeated_and_saturated_photos_are_warned_of(folder: Path, good: Result) -> None:
-    assert not any("repeat" in text or "saturated" in text for text in good.warnings)
+    assert not any("repeat" in text or "saturated" in text for text in good.doubts)
     repeated = cv2.imread(str(folder / "photo_002.png"), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(folder / "photo_003.png"), np.roll(repeated, 1, axis=1))
     changed(folder, lambda image: np.clip(image.astype(float) * 1.6, 0, 255).astype(np.uint8), 5)
     result = run(load_camera_calibration(folder), QUICK)
-    assert any("photo_003.png and photo_002.png" in text for text in result.warnings)
-    assert any("saturated" in text and "photo_005.png" in text for text in result.warnings)
+    assert any("photo_003.png and photo_002.png" in text for text in result.doubts)
+    assert any("saturated" in text and "photo_005.png" in text for text in result.doubts)
 
 
 def test_photos_held_out_are_predicted(folder: Path) -> None:

@@ -165,7 +165,7 @@ class TestField:
         summary = read_summary(out)
         assert summary.kind == "heliostat-field"
         assert (summary.numbers["calibrated_count"], summary.numbers["failed_count"]) == (5, 1)
-        assert any(text.startswith("H3 failed") for text in summary.warnings)
+        assert any(one.text.startswith("H3 failed") for one in summary.doubts)
         assert result.resumed == 0
 
     def test_what_is_wrong_with_a_whole_column_is_the_diagnosis(self, folder: Path) -> None:
@@ -500,4 +500,4 @@ def test_a_row_without_a_sigma_beside_rows_that_have_one_is_told(tmp_path: Path)
     table["sigma_mm"][5] = ""
     write_table_csv(tmp_path / "observations.csv", table)
     (one,) = run(load_heliostat(tmp_path), QUICK).heliostats
-    assert any("1 of 30 rows have no sigma_mm" in text and "50 mm" in text for text in one.warnings)
+    assert any("1 of 30 rows have no sigma_mm" in text and "50 mm" in text for text in one.doubts)

@@ -1,0 +1,80 @@
+"""What the result of any instrument has, and what is done with all of them alike."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from heliogauge.doubts import Doubt
+from heliogauge.results.folder import SUMMARY_FILE, Summary, write_summary
+
+#: Headline numbers by name with unit; None where one is not determined.
+Numbers = Mapping[str, float | int | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class InstrumentResult(ABC):
+    """Result of a command that measures, plans or compares: the base of each instrument's own.
+
+    An instrument's result adds what it measured, names its `kind`, and says how that becomes files, headline numbers
+    and lines on a terminal.
+
+    Parameters
+    ----------
+    name : str
+        Name of what was measured.
+    doubts : tuple of Doubt
+        What makes the result doubtful.
+    durations_s : mapping of str to float
+        Wall time of each stage [s].
+    input_sha256 : mapping of str to str
+        Hash of each file that was read.
+    """
+
+    kind: ClassVar[str]
+    name: str
+    doubts: tuple[Doubt, ...] = ()
+    durations_s: Mapping[str, float] = field(default_factory=dict)
+    input_sha256: Mapping[str, str] = field(default_factory=dict)
+
+    @abstractmethod
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+
+    @abstractmethod
+    def write_files(self, folder: Path) -> None:
+        """Write everything but ``summary.json`` into an existing folder."""
+
+    @abstractmethod
+    def headline(self, summary: Summary) -> str:
+        """Return the most important numbers in a few lines for the terminal.
+
+        summary: What `summarise` returned.
+        """
+
+    def write(self, folder: Path) -> Summary:
+        """Write all files into an existing folder, usually that of `heliogauge.results.folder.ResultFolder`.
+
+        Returns: What ``summary.json`` holds.
+        """
+        self.write_files(folder)
+        summary = self.summarise()
+        write_summary(folder / SUMMARY_FILE, summary)
+        return summary
+
+    def _summary(self, numbers: Numbers, texts: Mapping[str, str], **more: Mapping[str, Any]) -> Summary:
+        """Return a summary with what every result has.
+
+        more: `Summary.not_determined`, `Summary.facets`, `Summary.geometry_m`.
+        """
+        return Summary(
+            self.kind,
+            self.name,
+            numbers,
+            texts,
+            self.doubts,
+            self.durations_s,
+            self.input_sha256,
+            **more,
+        )
