@@ -160,5 +160,5 @@ def test_flights_that_cannot_be_are_refused(tmp_path: Path, change: tuple[str, s
 
 
 def test_a_flight_is_no_single_measurement(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="observer.commands.modules"):
+    with pytest.raises(InputError, match=r"observer\.commands\.modules"):
         pipeline.run(load_observer(flight(tmp_path)))
