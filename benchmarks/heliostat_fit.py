@@ -15,10 +15,10 @@ from scipy.optimize import least_squares
 
 sys.path.insert(0, str(ROOT))
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.model_choice import with_priors
 from calibration.heliostat.fitting.population import Population, with_population
 from calibration.heliostat.fitting.priors import PRIORS
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import make_split
 from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, linear_actuators
 from calibration.heliostat.observations.observations import BeamSpots, Observations, Pointings

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from _measure import ROOT, row, title
 
-from calibration.heliostat.beam_photos.background import background_around
-from calibration.heliostat.beam_photos.beam_image import measure_beam
-from calibration.heliostat.beam_photos.target_marks import CORNERS, MarkTemplate, mark_corner, template_corners
-from calibration.heliostat.beam_photos.target_view import Rectifier, view_from_points, whole_image
+from calibration.heliostat.beam_photos.light.background import background_around
+from calibration.heliostat.beam_photos.light.beam_image import measure_beam
+from calibration.heliostat.beam_photos.target.marks import CORNERS, MarkTemplate, mark_corner, template_corners
+from calibration.heliostat.beam_photos.target.view import Rectifier, view_from_points, whole_image
 from heliogauge.images.photos import read_channel
 
 FOLDER = ROOT.parent / "shared" / "data" / "csp" / "juelich_beam_images"

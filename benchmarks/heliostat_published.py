@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation, with_drive_terms
 from calibration.heliostat.planning.simulate import Control, commanded_offsets, drawn_beams, monte_carlo

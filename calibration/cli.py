@@ -77,8 +77,8 @@ def camera_command(
     verbose: Verbose = False,
 ) -> None:
     """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
+    from calibration.camera.files.summary import headline_text
     from calibration.camera.pipeline.measure import Options, run, write
-    from calibration.camera.report.summary import headline_text
     from heliogauge.measurement.load import load_camera_calibration
     from heliogauge.running.terminal import terminal_progress
 

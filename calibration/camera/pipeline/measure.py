@@ -6,19 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.boards import Board, CircleGrid, TargetField
-from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.judgement.checks import (
-    fit_any_turn,
-    fit_pose,
-    known_from_all,
-    known_from_others,
-    mirrored_rms_px,
-)
-from calibration.camera.judgement.comparison import compare
-from calibration.camera.judgement.network import coverage, network_warnings, photo_warnings
-from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
-from calibration.camera.pipeline.adjustment import (
+from calibration.camera.adjustment.board_adjustment import (
     LEAST_PHOTOS,
     Adjusted,
     BoardNetwork,
@@ -27,10 +15,16 @@ from calibration.camera.pipeline.adjustment import (
     counted_alike,
     with_true_centers,
 )
-from calibration.camera.pipeline.inputs import described_board, different_photos, known_codes
-from calibration.camera.pipeline.photos import FoundBoards, UnknownField, search_photos
-from calibration.camera.pipeline.target_field import started_from_targets
-from calibration.camera.result import (
+from calibration.camera.adjustment.other_photos import (
+    fit_any_turn,
+    fit_pose,
+    known_from_all,
+    known_from_others,
+    mirrored_rms_px,
+)
+from calibration.camera.boards import Board, CircleGrid, TargetField
+from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.files.result import (
     BoardShape,
     HeldOutPhoto,
     Intrinsic,
@@ -40,8 +34,14 @@ from calibration.camera.result import (
     rms_length,
     sigma_of_shape,
 )
+from calibration.camera.judgement.comparison import compare
+from calibration.camera.judgement.network import coverage, network_warnings, photo_warnings
+from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
+from calibration.camera.pipeline.inputs import described_board, different_photos, known_codes
+from calibration.camera.pipeline.photos import FoundBoards, UnknownField, search_photos
 from calibration.camera.start_values.intrinsics import homography, start_camera, start_pose
 from calibration.camera.start_values.orientation import Orientations
+from calibration.camera.start_values.target_field import started_from_targets
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.load import CameraCalibrationMeasurement
 from heliogauge.measurement.models import CameraCalibrationModel
@@ -306,7 +306,7 @@ def write(result: Result, folder: Path) -> None:
 
     folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
-    from calibration.camera.files import write_tables
+    from calibration.camera.files.result_folder import write_tables
     from calibration.camera.report.figures import all_figures
     from heliogauge.reporting.canvas import png_of
 

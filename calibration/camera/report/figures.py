@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.camera.result import PhotoResult, Result
+from calibration.camera.files.result import PhotoResult, Result
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.reporting.canvas import (
     FAINT,

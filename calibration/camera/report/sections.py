@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.files import open_calibration
+from calibration.camera.files.result import Result
+from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.files.summary import comparison_lines, verdict_text
 from calibration.camera.report import figures
-from calibration.camera.report.summary import comparison_lines, verdict_text
-from calibration.camera.result import Result
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join, show, table

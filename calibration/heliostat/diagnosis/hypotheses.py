@@ -10,8 +10,8 @@ import numpy as np
 from calibration.heliostat.diagnosis.findings import Finding
 from calibration.heliostat.diagnosis.linear_model import linear_fit
 from calibration.heliostat.diagnosis.terms import Terms, turned_sky, with_suns
-from calibration.heliostat.fitting.fit import fit as fit_heliostat
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.fitting.robust_fit import fit as fit_heliostat
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator, PlaneTarget, RotaryDrive
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.beam_observations import BeamSpots

@@ -8,9 +8,9 @@ import numpy as np
 
 from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.terms import actuator_names
-from calibration.heliostat.fitting.fit import fit as refit
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales
+from calibration.heliostat.fitting.robust_fit import fit as refit
 from calibration.heliostat.kinematic_model.design import POSITION
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray

@@ -42,7 +42,7 @@ def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summa
     write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
     if result.beams is not None:
         # OpenCV and matplotlib cost 0.5 s, which only photos are worth.
-        from calibration.heliostat.pipeline.pictures import write_beam_files
+        from calibration.heliostat.pipeline.beam_pictures import write_beam_files
 
         write_beam_files(result, shared, folder, pictures=shared.thorough)
     write_summary(folder / "summary.json", summary)

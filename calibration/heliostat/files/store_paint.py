@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.heliostat.keys import properties_files
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
-from calibration.heliostat.pipeline.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
+from calibration.heliostat.observations.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from heliogauge.measurement.files import natural_order

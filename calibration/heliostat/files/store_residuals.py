@@ -17,7 +17,7 @@ from heliogauge.validate import FloatArray
 def final_flags(result: HeliostatResult) -> tuple[list[str], list[str]]:
     """Return flag and reason of every row, those that the fit refused included.
 
-    Returns: Flags, keys of `calibration.heliostat.pipeline.rows.ROW_FLAGS`.
+    Returns: Flags, keys of `calibration.heliostat.observations.rows.ROW_FLAGS`.
     """
     rows, fit = result.seen.rows, result.fit
     flags, reasons = list(rows.flags), list(rows.reasons)

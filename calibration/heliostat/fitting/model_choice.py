@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_model import FitModel, descend
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.prediction import sky_blocks
 from calibration.heliostat.fitting.priors import PARTS, prior_sigma, with_bending, with_priors
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import POSITION, HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from heliogauge.errors import EstimationError, InputError

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
 from calibration.heliostat.fitting.prediction import Prediction, predict_rows
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.heliostat.files.field_folder import FieldFolder
+from calibration.heliostat.files.sources import HeliostatTask
 from calibration.heliostat.files.store_heliostat import (
     FIELD_KIND,
     KIND,
@@ -22,7 +24,6 @@ from calibration.heliostat.files.store_heliostat import (
 )
 from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.keys import HeliostatMeasurement
-from calibration.heliostat.pipeline.folder import FieldFolder
 from calibration.heliostat.pipeline.measure import (
     WORTH,
     Chosen,
@@ -35,7 +36,6 @@ from calibration.heliostat.pipeline.measure import (
     write,
 )
 from calibration.heliostat.pipeline.one_heliostat import Shared, calibrate_one
-from calibration.heliostat.pipeline.source import HeliostatTask
 from heliogauge import __version__
 from heliogauge.results.folder import ResultFolder, Summary, hash_files, write_summary
 from heliogauge.running.progress import Progress, SilentProgress

@@ -7,6 +7,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import get_args
 
+from calibration.heliostat.files.field_folder import check_names
+from calibration.heliostat.files.sources import Source, open_source
 from calibration.heliostat.files.store_heliostat import (
     FIELD_KIND,
     failed_row,
@@ -19,10 +21,8 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
 from calibration.heliostat.keys import HeliostatMeasurement, Label, Split
-from calibration.heliostat.pipeline.design_from_files import told_free
-from calibration.heliostat.pipeline.folder import check_names
+from calibration.heliostat.pipeline.nominal_design import told_free
 from calibration.heliostat.pipeline.one_heliostat import AUTO, HeliostatResult, Shared, calibrate_one, fit_alone
-from calibration.heliostat.pipeline.source import Source, open_source
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import Summary, hash_files, write_summary
 from heliogauge.running.progress import Progress, SilentProgress

@@ -8,26 +8,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.diagnose import Diagnosis, Records, diagnose
+from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis, Records, diagnose
+from calibration.heliostat.files.sources import HeliostatTask, Plant
 from calibration.heliostat.files.store_paint import parse_calibrations, parse_properties
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice, choose_model, with_priors
 from calibration.heliostat.fitting.population import Population, with_population
 from calibration.heliostat.fitting.prediction import predict_aim
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import SPLIT_NAMES, HeldOut, held_out, make_split
 from calibration.heliostat.keys import HeliostatModel
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
-from calibration.heliostat.pipeline.design_from_files import nominal_design, told_free
-from calibration.heliostat.pipeline.observed import Observed, observed, site_of
-from calibration.heliostat.pipeline.rows import Rows, parse_rows
-from calibration.heliostat.pipeline.source import HeliostatTask, Plant
+from calibration.heliostat.observations.observed import Observed, observed, site_of
+from calibration.heliostat.observations.rows import Rows, parse_rows
+from calibration.heliostat.pipeline.nominal_design import nominal_design, told_free
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import direction_from_angles
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 if TYPE_CHECKING:
-    from calibration.heliostat.pipeline.images import BeamMeasurements
+    from calibration.heliostat.beam_photos.pipeline.measure import BeamMeasurements
 
 AUTO = "auto"
 #: Name of the model in which values and priors come from the other heliostats of the field.
@@ -198,7 +198,7 @@ def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements 
         if not shared.model.images:
             return rows, None
         # OpenCV costs 0.1 s, which only photos are worth.
-        from calibration.heliostat.pipeline.beams import with_measured_beams
+        from calibration.heliostat.pipeline.photo_beams import with_measured_beams
 
         return with_measured_beams(rows, shared.folder, shared.plant, shared.model)
     return parse_calibrations(task.records, task.times, label=shared.label, origin=shared.plant.origin), None

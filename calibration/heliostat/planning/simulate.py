@@ -11,8 +11,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files import opencv_yaml
+from calibration.camera.files.result_folder import opencv_yaml
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import photo_warnings, same_views
 from calibration.camera.judgement.projection_sigma import covariance_root

@@ -5,10 +5,10 @@ import pytest
 
 from calibration.camera.boards import Chessboard
 from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.files.result import sigma_of_shape
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import coverage, network_warnings
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
-from calibration.camera.result import sigma_of_shape
 from calibration.camera.start_values.intrinsics import homography, start_camera, start_pose, tilt_and_roll
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera

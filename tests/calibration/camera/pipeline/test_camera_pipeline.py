@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.camera.files.result import Result
+from calibration.camera.files.summary import headline_text
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.measure import Options, run, write
 from calibration.camera.pipeline.photos import search_photos
-from calibration.camera.report.summary import headline_text
-from calibration.camera.result import Result
 from data_synth.targets.board_scene import board_scene, board_table
 from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
 from heliogauge.camera.model import PARAMETER_NAMES

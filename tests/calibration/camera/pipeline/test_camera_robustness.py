@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calibration.camera.files import open_calibration
+from calibration.camera.files.result import Result
+from calibration.camera.files.result_folder import open_calibration
 from calibration.camera.pipeline.measure import Options, run, write
-from calibration.camera.result import Result
 from calibration.cli import app
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.targets.presets import target_scene

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.beam_image import measure_beam
-from calibration.heliostat.report.figures_beam import beam_image_figure
+from calibration.heliostat.beam_photos.light.beam_image import measure_beam
+from calibration.heliostat.beam_photos.pipeline.figures import beam_image_figure
 from heliogauge.reporting.canvas import png_of
 from tests.calibration.beam_pictures import gaussian, picture, sky_light
 

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.heliostat.beam_photos.background import TargetSurface, empty_target
-from calibration.heliostat.beam_photos.beam_centroids import CENTROID_METHODS
-from calibration.heliostat.beam_photos.beam_flags import BEAM_FLAG_TEXTS, BeamFlag, beam_reason
-from calibration.heliostat.beam_photos.beam_image import BeamSettings, measure_beam
-from calibration.heliostat.beam_photos.target_view import whole_image
+from calibration.heliostat.beam_photos.light.background import TargetSurface, empty_target
+from calibration.heliostat.beam_photos.light.beam_centroids import CENTROID_METHODS
+from calibration.heliostat.beam_photos.light.beam_flags import BEAM_FLAG_TEXTS, BeamFlag, beam_reason
+from calibration.heliostat.beam_photos.light.beam_image import BeamSettings, measure_beam
+from calibration.heliostat.beam_photos.target.view import whole_image
 from heliogauge.errors import InputError
 from tests.calibration.beam_pictures import CORNERS_M, gaussian, grid_m, picture, sky_light
 

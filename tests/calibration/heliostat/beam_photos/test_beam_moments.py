@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.heliostat.beam_photos.beam_moments import beam_moments, encircled_diameters_m
+from calibration.heliostat.beam_photos.light.beam_moments import beam_moments, encircled_diameters_m
 from heliogauge.errors import EstimationError, InputError
 from tests.calibration.beam_pictures import gaussian, grid_m
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.heliostat.beam_photos.spot_statistics import (
+from calibration.heliostat.beam_photos.light.spot_statistics import (
     daily_tracking,
     drift_and_oscillation,
     repeatability,

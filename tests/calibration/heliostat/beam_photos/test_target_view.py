@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.heliostat.beam_photos.beam_image import measure_beam
-from calibration.heliostat.beam_photos.target_marks import (
+from calibration.heliostat.beam_photos.light.beam_image import measure_beam
+from calibration.heliostat.beam_photos.target.marks import (
     CORNERS,
     MarkTemplate,
     dark_corners,
     mark_corner,
     template_corners,
 )
-from calibration.heliostat.beam_photos.target_view import Rectifier, TargetImage, view_from_points, whole_image
+from calibration.heliostat.beam_photos.target.view import Rectifier, TargetImage, view_from_points, whole_image
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError

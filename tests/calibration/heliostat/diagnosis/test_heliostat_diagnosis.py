@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.heliostat.diagnosis.diagnose import Records, diagnose
 from calibration.heliostat.diagnosis.drift import change_dates
 from calibration.heliostat.diagnosis.findings import REMEDIES
+from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
 from calibration.heliostat.diagnosis.linear_model import linear_fit
 from calibration.heliostat.diagnosis.terms import Terms
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.files.store_heliostat import read_heliostat
 from calibration.heliostat.files.store_paint import parse_properties
 from calibration.heliostat.keys import SiteSection
@@ -21,11 +22,10 @@ from calibration.heliostat.kinematic_model.presets import (
     with_drive_terms,
 )
 from calibration.heliostat.kinematic_model.store_design import design_content, design_from
-from calibration.heliostat.pipeline.design_from_files import paint_design
 from calibration.heliostat.pipeline.export import ExportOptions, controller_row, correction_columns, run
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
-from calibration.heliostat.pipeline.source import Plant
+from calibration.heliostat.pipeline.nominal_design import paint_design
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import reflect
 from heliogauge.geometry.sun import direction_from_angles

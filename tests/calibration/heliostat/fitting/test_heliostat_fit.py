@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_model import FitModel, descend
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import POSITION
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.heliostat.fitting.fit import fit
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation
 from calibration.heliostat.observations.observations import Observations
 from tests.calibration.heliostat_days import beams, year

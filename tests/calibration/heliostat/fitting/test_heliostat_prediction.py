@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.model_choice import Candidate, choose_model, usual_candidates
 from calibration.heliostat.fitting.population import Population, with_population
@@ -18,6 +17,7 @@ from calibration.heliostat.fitting.prediction import (
     yearly_evaluation,
 )
 from calibration.heliostat.fitting.priors import PARTS, PRIORS, with_bending, with_priors
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import SPLIT_NAMES, held_out, make_split
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.prediction import tracking_error
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import POSITION
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.model_choice import with_priors
 from calibration.heliostat.fitting.population import Population, with_population
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import held_out, make_split
 from calibration.heliostat.observations.residuals import evaluate
 from tests.calibration.juelich import FAULTY, FOLDER, SOUND, heliostat

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_model import FitModel, descend
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.prediction import yearly_evaluation
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.presets import drone_heliostat
 from calibration.heliostat.observations.observations import BeamSpots, DroneSightings, Observations, Place, Pointings

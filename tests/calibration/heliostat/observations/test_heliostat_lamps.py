@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation
 from calibration.heliostat.observations.observations import LampSightings, MountedCamera, Observations, Pointings

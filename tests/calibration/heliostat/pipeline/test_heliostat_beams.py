@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.keys import SiteSection
-from calibration.heliostat.pipeline.beams import beam_frames, with_measured_beams
-from calibration.heliostat.pipeline.rows import parse_rows
-from calibration.heliostat.pipeline.source import Plant
+from calibration.heliostat.observations.rows import parse_rows
+from calibration.heliostat.pipeline.photo_beams import beam_frames, with_measured_beams
 from heliogauge.errors import InputError
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import parse_measurement

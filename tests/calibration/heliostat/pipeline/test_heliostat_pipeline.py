@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibration.heliostat.files.field_folder import JOURNAL_FILE, check_names
 from calibration.heliostat.pipeline import field as pipeline_field
 from calibration.heliostat.pipeline import measure as pipeline
 from calibration.heliostat.pipeline.field import FieldResult, run_into
-from calibration.heliostat.pipeline.folder import JOURNAL_FILE, check_names
 from calibration.heliostat.pipeline.measure import Options, run, write
 from calibration.heliostat.pipeline.one_heliostat import FIELD, calibrate_one
 from heliogauge.errors import EstimationError, InputError

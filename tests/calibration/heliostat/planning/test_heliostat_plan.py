@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.fitting.fit import fit
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.prediction import sun_positions_of_year
+from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation, drone_heliostat
 from calibration.heliostat.observations.observations import Place

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.beam_image import Beam
-from calibration.heliostat.beam_photos.target_view import TargetImage
+from calibration.heliostat.beam_photos.light.beam_image import Beam
+from calibration.heliostat.beam_photos.target.view import TargetImage
 from heliogauge.reporting.canvas import INK, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
 from heliogauge.validate import FloatArray
 

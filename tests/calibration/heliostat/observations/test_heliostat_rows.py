@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.pipeline.rows import NUMBER_COLUMNS, ROW_FLAGS, TEXT_COLUMNS, check_header, parse_rows
+from calibration.heliostat.observations.rows import NUMBER_COLUMNS, ROW_FLAGS, TEXT_COLUMNS, check_header, parse_rows
 from heliogauge.errors import InputError
 
 HEADER = ("heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", "y_m")

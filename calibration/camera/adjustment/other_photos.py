@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calibration.camera.adjustment.board_adjustment import Adjusted, BoardNetwork, posed, turned
 from calibration.camera.boards import Board, Chessboard, CircleGrid
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.pipeline.adjustment import Adjusted, BoardNetwork, posed, turned
-from calibration.camera.result import rms_length
+from calibration.camera.files.result import rms_length
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.beam_centroids import CENTROID_METHODS
-from calibration.heliostat.beam_photos.beam_flags import REJECTED_BEAM, beam_reason
-from calibration.heliostat.beam_photos.beam_image import Beam, BeamSettings
-from calibration.heliostat.beam_photos.target_view import TargetImage
-from calibration.heliostat.pipeline.target_frames import (
+from calibration.heliostat.beam_photos.light.beam_centroids import CENTROID_METHODS
+from calibration.heliostat.beam_photos.light.beam_flags import REJECTED_BEAM, beam_reason
+from calibration.heliostat.beam_photos.light.beam_image import Beam, BeamSettings
+from calibration.heliostat.beam_photos.pipeline.target_frames import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
@@ -23,6 +22,7 @@ from calibration.heliostat.pipeline.target_frames import (
     TargetFrame,
     WholeImage,
 )
+from calibration.heliostat.beam_photos.target.view import TargetImage
 from heliogauge.errors import InputError
 from heliogauge.results.folder import write_table_csv
 from heliogauge.running.progress import Progress, SilentProgress

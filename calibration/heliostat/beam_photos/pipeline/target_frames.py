@@ -6,10 +6,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.background import TargetSurface, empty_target
-from calibration.heliostat.beam_photos.beam_flags import BeamFlag
-from calibration.heliostat.beam_photos.beam_image import Beam, BeamSettings, measure_beam, no_beam
-from calibration.heliostat.beam_photos.target_marks import (
+from calibration.heliostat.beam_photos.light.background import TargetSurface, empty_target
+from calibration.heliostat.beam_photos.light.beam_flags import BeamFlag
+from calibration.heliostat.beam_photos.light.beam_image import Beam, BeamSettings, measure_beam, no_beam
+from calibration.heliostat.beam_photos.target.marks import (
     CORNERS,
     MarkTemplate,
     TargetCorners,
@@ -17,7 +17,7 @@ from calibration.heliostat.beam_photos.target_marks import (
     mark_corner,
     template_corners,
 )
-from calibration.heliostat.beam_photos.target_view import Rectifier, TargetImage, view_from_points, whole_image
+from calibration.heliostat.beam_photos.target.view import Rectifier, TargetImage, view_from_points, whole_image
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Image, read_channel

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
-from calibration.heliostat.pipeline.rows import ColumnError, Rows, Verdicts
+from calibration.heliostat.observations.rows import ColumnError, Rows, Verdicts
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, direction_from_angles, sun_directions
 from heliogauge.validate import BoolArray, FloatArray

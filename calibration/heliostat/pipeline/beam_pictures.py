@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.beam_image import BeamSettings
+from calibration.heliostat.beam_photos.light.beam_image import BeamSettings
+from calibration.heliostat.beam_photos.pipeline.figures import beam_image_figure
+from calibration.heliostat.beam_photos.pipeline.measure import write_beams
+from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
 from calibration.heliostat.files.store_residuals import residual_columns
-from calibration.heliostat.pipeline.beams import beam_frames
-from calibration.heliostat.pipeline.images import write_beams
 from calibration.heliostat.pipeline.one_heliostat import HeliostatResult, Shared
-from calibration.heliostat.pipeline.target_frames import TargetFinder
-from calibration.heliostat.report.figures_beam import beam_image_figure
+from calibration.heliostat.pipeline.photo_beams import beam_frames
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.reporting.canvas import png_of
 from heliogauge.validate import BoolArray, FloatArray

@@ -7,10 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.heliostat.beam_photos.beam_flags import BeamFlag
-from calibration.heliostat.beam_photos.target_marks import CORNERS
-from calibration.heliostat.beam_photos.target_view import view_from_points
-from calibration.heliostat.pipeline.images import (
+from calibration.heliostat.beam_photos.light.beam_flags import BeamFlag
+from calibration.heliostat.beam_photos.pipeline.measure import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
@@ -21,6 +19,8 @@ from calibration.heliostat.pipeline.images import (
     target_image,
     write_beams,
 )
+from calibration.heliostat.beam_photos.target.marks import CORNERS
+from calibration.heliostat.beam_photos.target.view import view_from_points
 from heliogauge.errors import InputError
 from tests.calibration.beam_pictures import CORNERS_M, gaussian, sky_light
 

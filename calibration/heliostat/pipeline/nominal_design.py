@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.heliostat.files.sources import HeliostatTask, Plant, position_of
 from calibration.heliostat.files.store_paint import PaintProperties, parse_properties
 from calibration.heliostat.keys import KinematicsSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
@@ -18,7 +19,6 @@ from calibration.heliostat.kinematic_model.presets import (
     two_axes,
     with_drive_terms,
 )
-from calibration.heliostat.pipeline.source import HeliostatTask, Plant, position_of
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic
 

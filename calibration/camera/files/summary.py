@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from calibration.camera.files.result import Result
 from calibration.camera.judgement.comparison import Comparison
-from calibration.camera.result import Result
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary
 

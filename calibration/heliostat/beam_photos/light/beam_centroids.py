@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.heliostat.beam_photos.background import area_resized
+from calibration.heliostat.beam_photos.light.background import area_resized
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
 

@@ -6,6 +6,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.keys import HeliostatCameraSection, HeliostatModel, SiteSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.observations.observations import (
@@ -20,9 +21,8 @@ from calibration.heliostat.observations.observations import (
     Pointings,
     SunInCamera,
 )
-from calibration.heliostat.pipeline.checks import readings_of, refuse_constants, refuse_repeats, suns_of
-from calibration.heliostat.pipeline.rows import Rows, Verdicts
-from calibration.heliostat.pipeline.source import Plant
+from calibration.heliostat.observations.row_checks import readings_of, refuse_constants, refuse_repeats, suns_of
+from calibration.heliostat.observations.rows import Rows, Verdicts
 from heliogauge.geometry.sun import Site
 from heliogauge.validate import BoolArray, FloatArray
 

@@ -25,7 +25,7 @@ from calibration.heliostat.files.store_paint import (
 )
 from calibration.heliostat.keys import HeliostatMeasurement, HeliostatTargetSection, SiteSection
 from calibration.heliostat.kinematic_model.design import PlaneTarget
-from calibration.heliostat.pipeline.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header
+from calibration.heliostat.observations.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic
 from heliogauge.results.json_file import read_json

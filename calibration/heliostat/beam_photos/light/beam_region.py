@@ -6,7 +6,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from calibration.heliostat.beam_photos.background import Background, area_resized, background_around, shadow_steps
+from calibration.heliostat.beam_photos.light.background import Background, area_resized, background_around, shadow_steps
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
 

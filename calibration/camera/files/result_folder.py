@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from calibration.camera.boards import TargetField
+from calibration.camera.files.result import BoardShape, HeldOutPhoto, Intrinsic, PhotoResult, Quality, Result
+from calibration.camera.files.summary import summarise
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
-from calibration.camera.report.summary import summarise
-from calibration.camera.result import BoardShape, HeldOutPhoto, Intrinsic, PhotoResult, Quality, Result
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.camera.formats import to_colmap, to_opencv
 from heliogauge.camera.model import PARAMETER_NAMES, Camera

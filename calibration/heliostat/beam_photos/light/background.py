@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.beam_photos.shadow_edge import strongest_edge
+from calibration.heliostat.beam_photos.light.shadow_edge import strongest_edge
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibration.heliostat.files.sources import open_source
 from calibration.heliostat.files.store_paint import parse_calibrations, parse_properties
+from calibration.heliostat.observations.observed import Observed, observed
 from calibration.heliostat.observations.residuals import evaluate
-from calibration.heliostat.pipeline.design_from_files import nominal_design
-from calibration.heliostat.pipeline.observed import Observed, observed
-from calibration.heliostat.pipeline.rows import parse_rows
-from calibration.heliostat.pipeline.source import open_source
+from calibration.heliostat.observations.rows import parse_rows
+from calibration.heliostat.pipeline.nominal_design import nominal_design
 from heliogauge.errors import InputError
 from heliogauge.measurement.load import load_heliostat
 from heliogauge.results.tables import read_table_csv, write_table_csv

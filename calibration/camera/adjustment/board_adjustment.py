@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from calibration.camera.boards import Board, Chessboard, CircleGrid, TargetField, renumbering
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.result import rms_length
+from calibration.camera.files.result import rms_length
 from calibration.camera.start_values.orientation import Orientations, find_orientations
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError

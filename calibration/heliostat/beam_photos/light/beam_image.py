@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calibration.heliostat.beam_photos.background import TargetSurface, area_resized
-from calibration.heliostat.beam_photos.beam_centroids import (
+from calibration.heliostat.beam_photos.light.background import TargetSurface, area_resized
+from calibration.heliostat.beam_photos.light.beam_centroids import (
     CENTROID_METHODS,
     Centroid,
     PixelNoise,
@@ -18,11 +18,11 @@ from calibration.heliostat.beam_photos.beam_centroids import (
     super_gaussian_centroid,
     threshold_centroid,
 )
-from calibration.heliostat.beam_photos.beam_flags import REJECTED_BEAM, BeamFlag, beam_reason
-from calibration.heliostat.beam_photos.beam_lumps import count_lumps
-from calibration.heliostat.beam_photos.beam_moments import BeamMoments, beam_moments, encircled_diameters_m
-from calibration.heliostat.beam_photos.beam_region import BeamRegion, find_beam_region
-from calibration.heliostat.beam_photos.target_view import TargetImage
+from calibration.heliostat.beam_photos.light.beam_flags import REJECTED_BEAM, BeamFlag, beam_reason
+from calibration.heliostat.beam_photos.light.beam_lumps import count_lumps
+from calibration.heliostat.beam_photos.light.beam_moments import BeamMoments, beam_moments, encircled_diameters_m
+from calibration.heliostat.beam_photos.light.beam_region import BeamRegion, find_beam_region
+from calibration.heliostat.beam_photos.target.view import TargetImage
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 

@@ -4,11 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.keys import BeamImagesSection, HeliostatModel
-from calibration.heliostat.pipeline.images import BeamMeasurements, measure_beams
-from calibration.heliostat.pipeline.rows import Rows, Verdicts
-from calibration.heliostat.pipeline.source import Plant
-from calibration.heliostat.pipeline.target_frames import (
+from calibration.heliostat.beam_photos.pipeline.measure import BeamMeasurements, measure_beams
+from calibration.heliostat.beam_photos.pipeline.target_frames import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
@@ -17,6 +14,9 @@ from calibration.heliostat.pipeline.target_frames import (
     TargetFrame,
     WholeImage,
 )
+from calibration.heliostat.files.sources import Plant
+from calibration.heliostat.keys import BeamImagesSection, HeliostatModel
+from calibration.heliostat.observations.rows import Rows, Verdicts
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files
 from heliogauge.results.folder import read_camera_json

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from calibration.camera.adjustment.board_adjustment import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.boards import TargetField
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.pipeline.adjustment import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.pipeline.photos import FoundBoards, UnknownField
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.heliostat.pipeline import pictures as pipeline_pictures
+from calibration.heliostat.pipeline import beam_pictures as pipeline_pictures
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.report import sections as report_sections

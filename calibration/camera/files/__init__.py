@@ -1,0 +1,1 @@
+"""Results of a camera calibration: what they hold, their files, their summary."""

@@ -1,0 +1,1 @@
+"""Photos of beams, one after the other, to places on their targets."""
