@@ -11,6 +11,7 @@ from heliogauge.errors import InputError
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
 FlagArray = npt.NDArray[np.uint32]
 AnyFloatArray = npt.NDArray[np.float64] | npt.NDArray[np.float32]
 

@@ -7,9 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, float_array
-
-IntArray = npt.NDArray[np.intp]
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

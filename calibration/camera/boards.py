@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, float_array, freeze, positive
+from heliogauge.validate import FloatArray, IntArray, float_array, freeze, positive
 
 #: Fewer points than this do not determine a homography with anything to spare.
 LEAST_POINTS = 6
@@ -250,7 +249,7 @@ class TargetField:
         return f"field of {len(self.names)} coded targets, {self.dictionary}"
 
 
-def renumbering(board: Chessboard | CircleGrid, quarter_turns: int) -> npt.NDArray[np.intp]:
+def renumbering(board: Chessboard | CircleGrid, quarter_turns: int) -> IntArray:
     """Return the new number of each point when the board is counted from another corner.
 
     Returns (n,): ``points_m[new]`` is ``points_m`` turned by so many quarter turns from x to y.

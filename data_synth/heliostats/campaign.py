@@ -11,7 +11,7 @@ from calibration.heliostat.kinematic_model.design import PlaneTarget
 from data_synth.heliostats.mechanics import Poses, TrueHeliostat, rotation_about
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 
 Times: TypeAlias = npt.NDArray[np.datetime64]
 #: RTK-GPS at rest of Gouws (2018), table 3.1, in the order east, north, up [m].
@@ -171,7 +171,7 @@ class Beams:
     times: Times
     noted: Times
     sun: FloatArray
-    target: npt.NDArray[np.int64]
+    target: IntArray
     readings: FloatArray
     logged: FloatArray
     approach: FloatArray

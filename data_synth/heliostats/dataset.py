@@ -32,7 +32,7 @@ from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.tables import write_camera_json, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 _Array: TypeAlias = npt.NDArray[Any]
 HELIOSTATS_FILE, OBSERVATIONS_FILE = "heliostats.csv", "observations.csv"
@@ -69,7 +69,7 @@ class HeliostatTruth:
     """
 
     parameters: Mapping[str, Any]
-    heliostat: npt.NDArray[np.int64]
+    heliostat: IntArray
     spot_m: FloatArray
     normal: FloatArray
     outlier: BoolArray

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from data_synth.optics.surface_errors import SurfaceErrors
 from heliogauge.errors import InputError
-from heliogauge.validate import Float32Array, FloatArray, float_array
+from heliogauge.validate import Float32Array, FloatArray, IntArray, float_array
 from observer.trough.collector import Collector
 
 # Arrays of a block of rays: float32 for photos, float64 as the reference in tests.
@@ -189,7 +189,7 @@ class Rays(NamedTuple):
     dy: RayArray
     dz: RayArray
 
-    def take(self, index: npt.NDArray[np.intp]) -> "Rays":
+    def take(self, index: IntArray) -> "Rays":
         """Return some of the rays, by ascending numbers without repetition."""
         if index.size == self.x.size:
             return self

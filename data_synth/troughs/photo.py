@@ -5,7 +5,6 @@ from math import ceil
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from data_synth.optics.photo import draw_sheets
 from data_synth.optics.pinhole import PinholeCamera
@@ -16,9 +15,7 @@ from data_synth.troughs.field import FieldTracer
 from data_synth.troughs.mirror import RayArray, Rays
 from data_synth.troughs.scene import TroughScene, TroughView
 from data_synth.troughs.trace import Labels, Seen, Tracer
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
-
-Indices = npt.NDArray[np.intp]
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 
 #: Rays of one block: its arrays stay in a second-level cache of 2 MiB.
 _BLOCK_RAYS = 16384
@@ -136,12 +133,12 @@ class Photographer:
         return light, label
 
     def _crossed_cells(
-        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", cells: Float32Array, pixels: tuple[Indices, Indices]
-    ) -> tuple[Indices, Indices, Indices, Indices]:
+        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", cells: Float32Array, pixels: tuple[IntArray, IntArray]
+    ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
         """Look at the corners of all cells of some pixels, fill in even cells and return where the others are."""
         n = self._cells + 1
         share: RayArray = np.linspace(0, 1, n, dtype=self._dtype)
-        found: list[tuple[Indices, ...]] = []
+        found: list[tuple[IntArray, ...]] = []
         step = _BLOCK_RAYS // n**2
         for start in range(0, pixels[0].size, step):
             row, column = (axis[start : start + step] for axis in pixels)
@@ -156,7 +153,7 @@ class Photographer:
         return tuple(np.concatenate([none, *axes]) for axes in zip(*found, strict=True)) if found else (none,) * 4  # type: ignore[return-value]
 
     def _look_into(
-        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", where: tuple[Indices, ...], rng: np.random.Generator
+        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", where: tuple[IntArray, ...], rng: np.random.Generator
     ) -> Float32Array:
         """Return the mean light of cells, by row of the pixel, row within it, column, column within it, shape (n,)."""
         row, down, column, right = where
@@ -183,7 +180,7 @@ class _RowPoses:
         self._rotation: RayArray = np.array([pose.rotation for pose in poses]).astype(dtype)
         self._position: RayArray = np.array([pose.inverse().translation_m for pose in poses]).astype(dtype)
 
-    def rays(self, x: RayArray, y: RayArray, row: npt.NDArray[np.intp]) -> Rays:
+    def rays(self, x: RayArray, y: RayArray, row: IntArray) -> Rays:
         """Return rays in the trough's frame for directions (x, y, 1) of the camera."""
         if self._still:
             r, position = self._rotation[0], self._position[0]
@@ -231,7 +228,7 @@ def _between_corners(corner: Float32Array, cells: int) -> Float32Array:
     return fine.reshape(height * cells, width * cells)
 
 
-def _within(corners: RayArray, row: Indices, column: Indices, across: RayArray, down: RayArray) -> RayArray:
+def _within(corners: RayArray, row: IntArray, column: IntArray, across: RayArray, down: RayArray) -> RayArray:
     """Return directions at shares of pixels: over one pixel the lens is straight within 1e-9 rad."""
     extra = (slice(None), *(None for _ in range(np.broadcast(across, down).ndim - 1)))
     a, b, c, d = (corners[row + below, column + right][extra] for below in (0, 1) for right in (0, 1))

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from data_synth.troughs.mirror import RayArray, Rays
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, float_array
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 from observer.trough.collector import Collector
 
 #: Points of the table that rays use: joined by straight lines, a sag of 10 mm over 4 m is right within 10 nm.
@@ -124,7 +124,7 @@ class Passage(NamedTuple):
     sin_along (n,): Sine of the angle between ray and transverse plane.
     """
 
-    which: npt.NDArray[np.intp]
+    which: IntArray
     y: RayArray
     impact: RayArray
     ux: RayArray
@@ -133,7 +133,7 @@ class Passage(NamedTuple):
     axis_z: RayArray
     sin_along: RayArray
 
-    def take(self, index: npt.NDArray[np.intp]) -> "Passage":
+    def take(self, index: IntArray) -> "Passage":
         """Return some of the rays."""
         return Passage(*(part[index] for part in self._arrays()))
 
@@ -281,7 +281,7 @@ class ReceiverTable:
         back = np.copysign(self._dtype(np.pi), passage.impact) - 2 * np.arcsin(np.clip(outer, -1, 1))
         return self.leave(passage, back, rays)
 
-    def meet_arms(self, rays: Rays) -> npt.NDArray[np.intp]:
+    def meet_arms(self, rays: Rays) -> IntArray:
         """Return which rays end on the arms between the vertex and the supports."""
         if not self._has_arms:
             return np.zeros(0, dtype=np.intp)

@@ -12,7 +12,7 @@ from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import BoolArray, FlagArray, FloatArray, freeze
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, freeze
 
 #: Points along one side: beyond that, neighbours share the same pixels and add time, not knowledge.
 MAX_POINTS_PER_SIDE = 256
@@ -34,7 +34,7 @@ class OutlinePoints:
     points_m: FloatArray
     corner_distance_m: FloatArray
     corner_sharpness: FloatArray
-    facet_index: npt.NDArray[np.intp]
+    facet_index: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from deflectometry.pose.mirror_outline import OutlinePoints, beside_another, project_outline, sample_outlines
 from deflectometry.pose.pose_observations import KnownPoints
@@ -13,7 +12,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 
 #: Search ranges of the passes, as a share of a facet's size: a polygon around pixels is off by a few per cent at most.
 _REACHES = (0.06, 0.03, 0.02)
@@ -39,10 +38,10 @@ class OutlineEdges:
     points_m: FloatArray
     image_px: FloatArray
     normals: FloatArray
-    place: npt.NDArray[np.intp]
+    place: IntArray
     points_per_side: int
-    facet_of_side: npt.NDArray[np.intp]
-    expected_on_side: npt.NDArray[np.intp]
+    facet_of_side: IntArray
+    expected_on_side: IntArray
     width_px: float
     floor_px: float
 

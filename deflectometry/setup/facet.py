@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array, freeze
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray, float_array, freeze
 
 #: A mirror must stand out from its surroundings by this many times the noise of one pixel.
 MIN_CONTRAST_TO_NOISE = 8.0
@@ -310,7 +310,7 @@ def _profiles(
     return upper * (1 - down) + lower * down, inside.all(axis=1)
 
 
-def _steepest_fall(profile: FloatArray, half_window: float) -> tuple[npt.NDArray[np.intp], FloatArray]:
+def _steepest_fall(profile: FloatArray, half_window: float) -> tuple[IntArray, FloatArray]:
     """Return the sample at which each profile falls most steeply, and the fall per sample there."""
     margin = round(half_window * _SAMPLES_PER_PIXEL)
     fall = 0.5 * (profile[:, :-2] - profile[:, 2:])
@@ -321,7 +321,7 @@ def _steepest_fall(profile: FloatArray, half_window: float) -> tuple[npt.NDArray
     return best + margin, np.take_along_axis(within, best[:, None], axis=1)[:, 0]
 
 
-def _equal_area(profile: FloatArray, center: npt.NDArray[np.intp], half_window: float) -> tuple[FloatArray, FloatArray]:
+def _equal_area(profile: FloatArray, center: IntArray, half_window: float) -> tuple[FloatArray, FloatArray]:
     half = round(half_window * _SAMPLES_PER_PIXEL)
     window = np.take_along_axis(profile, center[:, None] + np.arange(-half, half + 1), axis=1)
     level = _SAMPLES_PER_PIXEL

@@ -4,14 +4,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from deflectometry.setup.bench import Setup
 from deflectometry.shape.slopes import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.slopes.map import CommonModes, monomials
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array, FloatArray, IntArray
 
 #: Degree of the polynomials that hold a mode: what pose, lens and screen do to a map is smooth, a cubic leaves
 #: less than 2 % of it on the setups tried.
@@ -32,7 +31,7 @@ class PixelSamples:
     v: Float32Array | FloatArray
 
 
-def spread_indices(count: int, most: int) -> npt.NDArray[np.intp]:
+def spread_indices(count: int, most: int) -> IntArray:
     """Pick indices spread evenly over all, but not in step with any row length.
 
     One from each of `most` equal parts, its place within the part from the golden ratio. Every k-th pixel would do

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from deflectometry.shape.slope_image import SlopeImage
 from deflectometry.shape.slopes import FittedSurface
@@ -16,7 +15,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.slopes.integration import integrate_slopes
 from heliogauge.slopes.map import CommonModes, SlopeMap
-from heliogauge.validate import BoolArray, FlagArray, FloatArray
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray
 
 #: Larger maps cost more to store and draw than they show.
 MOST_NODES = 1_000_000
@@ -169,7 +168,7 @@ def _sample(
     return residual, sigma, flags
 
 
-def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[npt.NDArray[np.intp], BoolArray]:
+def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[IntArray, BoolArray]:
     """Return the flat index of the nearest pixel of an image, and whether there is one."""
     column, row = np.rint(pixels[:, 0]).astype(np.intp), np.rint(pixels[:, 1]).astype(np.intp)
     inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])

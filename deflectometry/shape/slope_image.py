@@ -4,14 +4,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.setup.bench import Setup
 from deflectometry.shape.slopes import FittedSurface, slope_sensitivity, slopes_at
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, IntArray
 
 #: Pixels worked on at a time: a dozen float64 buffers of this size stay in a 2 MiB second-level cache.
 BLOCK_PIXELS = 16384
@@ -57,7 +56,7 @@ def bounding_box(region: BoolArray) -> tuple[slice, slice]:
     )
 
 
-def pixel_blocks(region: BoolArray) -> Iterator[npt.NDArray[np.intp]]:
+def pixel_blocks(region: BoolArray) -> Iterator[IntArray]:
     """Yield the flat indices of true pixels, some rows at a time."""
     indices = np.flatnonzero(region)
     for start in range(0, indices.size, BLOCK_PIXELS):

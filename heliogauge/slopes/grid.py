@@ -8,7 +8,7 @@ import numpy.typing as npt
 from heliogauge.errors import InputError
 from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.slopes.removal import fit_modes
-from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, float_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +167,7 @@ def _cell_area(x_m: FloatArray, y_m: FloatArray) -> float:
     return float(np.prod([np.ptp(grid) / (grid.size - 1) if grid.size > 1 else 1.0 for grid in (x_m, y_m)]))
 
 
-def _locate(grid_m: FloatArray, positions_m: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+def _locate(grid_m: FloatArray, positions_m: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the cell of each position and the fraction within it."""
     if grid_m.size == 1:
         return np.zeros(positions_m.size, dtype=np.intp), np.zeros(positions_m.size)

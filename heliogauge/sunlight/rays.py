@@ -13,7 +13,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.sunlight.sun_shapes import SunShape
-from heliogauge.validate import Float32Array, FloatArray, float_array
+from heliogauge.validate import Float32Array, FloatArray, IntArray, float_array
 
 # Rays of one block: 64 KiB for each float32 array, so that the two dozen of a block stay in a 2 MiB second-level
 # cache.
@@ -165,7 +165,7 @@ class _Tracer:
         self._origins = np.empty((3, _BLOCK), dtype=np.float32)
         self._directions = np.empty((3, _BLOCK), dtype=np.float32)
 
-    def block(self, index: npt.NDArray[np.int64], rng: np.random.Generator) -> RayBlock:
+    def block(self, index: IntArray, rng: np.random.Generator) -> RayBlock:
         count = index.size
         uniform = self._uniform[:, :count]
         for row in uniform:

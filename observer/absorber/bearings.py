@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliogauge.geometry.surfaces import Quadric, quadric
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, rectified_strip
 from observer.photo_edges.reflection_edges import Expectation, Shot
 from observer.photo_edges.silhouette import level_edges
 from observer.slopes.observation_equation import Sights, beside_axis
-from observer.slopes.row_spline import IntArray
 from observer.trough.glass import turned_rad
 
 #: How far from its expected place the tube is searched [m].

@@ -11,13 +11,12 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import skew
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.absorber.bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
 from observer.doubts.forgotten_glass import Widening, widening
 from observer.selection.select_and_solve import Photos
 from observer.slopes.common_elimination import inverse_of, root_of, solve_with
 from observer.slopes.pose_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
-from observer.slopes.row_spline import IntArray
 from observer.trough.absorber_path import AbsorberPath
 
 #: Where the tube may be beside its design, as prior [m].

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.reflection_edges import design_misfit
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
@@ -130,7 +129,7 @@ def panel_tilts(
 
 def mount_moves(
     tilts: PanelTilts, mounts_m: FloatArray, collector: Collector
-) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray]:
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Prescribe by how much each mount is to be moved so that its panel's mean angle becomes zero.
 
     Shapes: panel (n,).

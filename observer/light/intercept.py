@@ -15,19 +15,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.light.beam_profile import BeamProfile
 from observer.slopes.observation_equation import Sights, misfit
 from observer.trough.absorber_path import AbsorberPath
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-IntArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

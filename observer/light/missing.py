@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import FloatArray
-
-IntArray = npt.NDArray[np.intp]
+from heliogauge.validate import FloatArray, IntArray
 
 #: Blocks along the trough whose means show how much the mirror varies: about as many as a module has panels.
 _BLOCKS = 6

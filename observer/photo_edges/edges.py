@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array, FloatArray, IntArray
 from observer.photo_edges.rectify import Strip
-from observer.slopes.row_spline import IntArray
 
 #: Width of the derivative filter in samples. Below one it follows the pixel grid, above two neighbouring edges mix.
 _FILTER_SAMPLES = 1.2

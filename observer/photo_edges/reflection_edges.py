@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, rectified_strip
 from observer.slopes.observation_equation import Misfit, Sights, beside_axis, misfit
-from observer.slopes.row_spline import IntArray
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 

@@ -7,10 +7,9 @@ import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.absorber.bearings import Bearings, bearing
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
-from observer.slopes.row_spline import IntArray
 
 View = tuple[Camera, RigidTransform]
 

@@ -16,9 +16,8 @@ tube is read beside the metal. Bisectors of all photos from one side were wrong 
 import cv2
 import numpy as np
 
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array, FloatArray, IntArray
 from observer.photo_edges.rectify import Strip
-from observer.slopes.row_spline import IntArray
 
 #: Share of the way from the tube's brightness to the background's.
 _LEVEL = 0.5

@@ -11,14 +11,14 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.tables import read_table_csv
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.pipeline.inputs import AXES, target_constraints
 from observer.planning.keys import ObserverPlanModel
 from observer.planning.simulated_edges import View, in_image
 from observer.planning.simulated_flight import Believed
 from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
 from photogrammetry.bundle.constraints import Constraint, Coordinate, Distance
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.measurement import CoordinateSection, DatumSection, PhotogrammetryModel
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.pipeline.cameras import build_cameras

@@ -12,10 +12,9 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, is_on_panels, joined, sees_tube
 from observer.slopes.observation_equation import Sights, misfit
-from observer.slopes.row_spline import IntArray
 from observer.trough.typical_mirror import Mirror
 
 View = tuple[Camera, RigidTransform]

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.banded_cholesky import factorise
-from observer.slopes.row_spline import IntArray
 
 #: A value further than this from what its neighbours along the trough say is wrong, in standard deviations.
 _REJECT_TIMES = 5.0

@@ -6,9 +6,9 @@ import numpy as np
 
 from heliogauge.flags import SampleFlag
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import derivatives_of
-from observer.slopes.row_spline import IntArray, Roughness, RowGrid, TouchingLines, assemble
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
 
 #: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10

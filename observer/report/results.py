@@ -10,7 +10,7 @@ from heliogauge.reporting.results import Results, open_results
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, PointTable, read_cameras_json, read_points_csv, read_table_csv
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.files import ANGLES, COLLECTOR, SLICES, StoredSlices, read_collector, read_slices
 from observer.trough.collector import Collector
 
@@ -29,7 +29,7 @@ class EdgeTable:
     fate (m,): "used", or why not.
     """
 
-    photo: npt.NDArray[np.intp]
+    photo: IntArray
     x_m: FloatArray
     y_m: FloatArray
     side: FloatArray

@@ -4,9 +4,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges
-from observer.slopes.row_spline import IntArray
 
 #: An edge of the tube has at least this share of the usual contrast.
 _LEAST_CONTRAST = 0.5

@@ -8,8 +8,8 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.slopes.integration import integrate_slopes
-from heliogauge.validate import BoolArray, FloatArray
-from observer.slopes.row_spline import IntArray, RowGrid, nodes_of
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.slopes.row_spline import RowGrid, nodes_of
 from observer.trough.collector import Collector
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
 from observer.product.row_likeness import row_likeness
 from observer.product.slope_sums import sum_covariance
@@ -21,7 +21,7 @@ from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.slopes.observation_equation import Sights, change_across, misfit_with_slopes
 from observer.slopes.pose_modes import pose_derivatives, pose_scatter, reduce_to_modes
-from observer.slopes.row_spline import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 

@@ -9,9 +9,9 @@ sign, although by little in each.
 import cv2
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.joint_solution import solve_jointly
-from observer.slopes.row_spline import IntArray, Roughness, RowGrid, TouchingLines, nodes_of
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 
 #: An edge counts where those of the other side know the slope at its place better than this [rad]; at 0.5 mrad photos
 #: 0.2 m apart would bear next to nothing out.

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.slopes.banded_cholesky import BandedFactor
-from observer.slopes.row_spline import IntArray, Roughness, RowGrid, RowSystem, TouchingLines, assemble
+from observer.slopes.row_spline import Roughness, RowGrid, RowSystem, TouchingLines, assemble
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

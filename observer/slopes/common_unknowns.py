@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
 from observer.slopes.observation_equation import Misfit, Sights, change_across, misfit
 from observer.slopes.pose_modes import CameraModes
-from observer.slopes.row_spline import IntArray
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.glass import turned_rad
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
-from observer.slopes.row_spline import IntArray, Roughness, RowGrid, TouchingLines, assemble
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
 #: many photos fewer rows do, because each mirror point is seen by more of them.

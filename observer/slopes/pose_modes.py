@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.slopes.observation_equation import Misfit, Sights, gradient_on_mirror
-from observer.slopes.row_spline import IntArray
 
 #: Combinations of a pose's six movements that are kept. The first is the camera's place across the trough with the
 #: mirror held in the image, the second its place in the image; the third keeps what all photos and the tube do together

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.banded_cholesky import BandedFactor, factorise
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-IntArray = npt.NDArray[np.intp]
 
 #: A prior for the slope error across the trough that no mirror violates; it only keeps unmeasured rows solvable [rad].
 _LARGEST_SLOPE_RAD = 0.05

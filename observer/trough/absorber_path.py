@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.validate import FloatArray, IntArray, float_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class AbsorberPath:
         place = np.asarray(y_m, dtype=np.float64)
         return np.interp(place, self.y_m, self.x_m), np.interp(place, self.y_m, self.z_m)
 
-    def shares(self, y_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    def shares(self, y_m: npt.ArrayLike) -> tuple[IntArray, FloatArray]:
         """Return which station lies before each place and the share of the one after it.
 
         Shapes: before (m,).

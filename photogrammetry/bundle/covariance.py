@@ -6,9 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.system import SchurSystem
-from photogrammetry.image_points import IntArray
 
 # A direction of unit length with less than this of a parameter leaves the parameter held.
 _UNKNOWN = 1e-6

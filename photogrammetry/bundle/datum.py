@@ -8,9 +8,8 @@ import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import rotation_from_vector, skew
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.state import BundleState
-from photogrammetry.image_points import IntArray
 
 # A movement that changes what is known by less than this share of what it could change is free.
 _FREE = 1e-9

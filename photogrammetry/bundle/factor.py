@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import FloatArray, IntArray
 
 #: Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
 EIGENVALUE_TOLERANCE = 1e-12

@@ -8,11 +8,11 @@ import numpy as np
 
 from heliogauge.adjust.least_squares import Prior
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, covariance_matrix, float_array
+from heliogauge.validate import FloatArray, IntArray, covariance_matrix, float_array
 from photogrammetry.bundle.constraints import Constraint, constrained_targets
 from photogrammetry.bundle.datum import Datum
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 
 
 class ResidualSpace(StrEnum):

@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.adjust.robust_loss import Loss, Squares
 from heliogauge.camera.model import Camera
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.datum import free_movements, moved_as_a_whole, similarity_movements
 from photogrammetry.bundle.problem import BundleProblem, CameraModel, Layout, ResidualSpace, layout_of
 from photogrammetry.bundle.state import (
@@ -17,7 +17,6 @@ from photogrammetry.bundle.state import (
     intrinsics_of,
     turned,
 )
-from photogrammetry.image_points import IntArray
 
 #: With fewer image points for each photo all photos are worked on at once, with more one after the other.
 _FEW_POINTS = 64

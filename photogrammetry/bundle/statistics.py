@@ -6,11 +6,10 @@ from statistics import NormalDist
 import numpy as np
 
 from heliogauge.adjust.solution import CovarianceScale
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, BundleResult, BundleState, adjust
 from photogrammetry.bundle.rows import BundleModel, CameraRows, runs
 from photogrammetry.bundle.state import INTRINSIC_NAMES, intrinsics_of
-from photogrammetry.image_points import IntArray
 
 # Below this share nothing of an error shows in the residual, and its test says nothing.
 _UNCONTROLLED = 1e-6

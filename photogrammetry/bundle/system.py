@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.adjust.gauss_newton import EPSILON
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.datum import (
     DatumConstraints,
     DatumKind,
@@ -21,7 +21,6 @@ from photogrammetry.bundle.factor import EIGENVALUE_TOLERANCE, BlockFactor, Bord
 from photogrammetry.bundle.problem import Layout
 from photogrammetry.bundle.rows import BundleModel, CameraRows, ExtraRows, runs
 from photogrammetry.bundle.state import BundleState
-from photogrammetry.image_points import IntArray
 
 # Below this the damping moves a step by less than what it is for; the undamped factors serve then.
 _NO_DAMPING = 1e-3

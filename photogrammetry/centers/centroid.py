@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import FloatArray, IntArray, freeze
 from photogrammetry.centers.contours import closed_contours
 from photogrammetry.centers.ellipse import Ellipse, EllipseFit, fit_ellipse
 from photogrammetry.centers.operator import (
@@ -86,8 +86,8 @@ def dual_conic_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> Tar
 class _Edges:
     """Gradients in the ring, in units of the contrast; places in radii from the start's centre."""
 
-    rows: npt.NDArray[np.intp]
-    columns: npt.NDArray[np.intp]
+    rows: IntArray
+    columns: IntArray
     x: FloatArray
     y: FloatArray
     gx: FloatArray

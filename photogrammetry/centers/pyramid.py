@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array, FloatArray, IntArray
 
 __all__ = ["Pyramid", "ellipse_frames", "make_pyramid"]
 
@@ -35,7 +35,7 @@ class Pyramid:
         height, width = self.levels[0].shape
         return width, height
 
-    def level_for(self, shapes_px2: FloatArray) -> npt.NDArray[np.intp]:
+    def level_for(self, shapes_px2: FloatArray) -> IntArray:
         """Tell on which level ellipses are looked at: with 12 to 24 px from centre to edge, or as fine as the photo.
 
         Shapes: shapes_px2 (n, 2, 2), result (n,).
@@ -46,7 +46,7 @@ class Pyramid:
         level = np.ceil(np.log2(smaller / _ENOUGH_PX)).astype(np.intp)
         return np.asarray(np.clip(level, 0, len(self.levels) - 1))
 
-    def sample(self, x_px: Float32Array, y_px: Float32Array, level: npt.NDArray[np.intp]) -> Float32Array:
+    def sample(self, x_px: Float32Array, y_px: Float32Array, level: IntArray) -> Float32Array:
         """Return grey values between the pixels, by linear interpolation.
 
         Shapes: result (n, m).

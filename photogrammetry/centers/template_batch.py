@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.centers.operator import TargetCenter
 from photogrammetry.centers.template import (
     BAND_PX,
@@ -25,8 +25,6 @@ from photogrammetry.centers.template import (
     USUAL_WIDTH_PX,
     disc_model,
 )
-
-IntArray = npt.NDArray[np.intp]
 
 #: Pixels, model and derivatives are in single precision: half the time, and 1e-5 px. Equations are in double.
 _SINGLE: np.dtype[Any] = np.dtype(np.float32)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.pyramid import Pyramid, make_pyramid
 from photogrammetry.targets.coded_targets import VENDOR_RADII, RingCode, RingDictionary, RingRadii
@@ -193,7 +193,7 @@ def _ink(
     return (values - blank) / step.astype(np.float32)[:, None, None], np.nan_to_num(unevenness, nan=np.inf)
 
 
-def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, IntArray]:
     """Where profiles cross one half: phase and rms departure from even sectors [sectors], and number of crossings."""
     above = profile - np.float32(0.5)
     following = np.roll(above, -1, axis=1)
@@ -207,7 +207,7 @@ def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, npt.NDArray
     return phase, np.sqrt(np.sum(off**2, axis=1) / np.maximum(count, 1)), count
 
 
-def _sector_levels(profile: Float32Array, sector: npt.NDArray[np.intp], middle: BoolArray, n_bits: int) -> FloatArray:
+def _sector_levels(profile: Float32Array, sector: IntArray, middle: BoolArray, n_bits: int) -> FloatArray:
     """Mean ink of the middle of each sector, shape (n, n_bits)."""
     slot = (sector + n_bits * np.arange(len(profile))[:, None])[middle]
     size = len(profile) * n_bits
@@ -225,7 +225,7 @@ def _radial_error(ink: Float32Array, chosen: BoolArray, radii: _Radii) -> FloatA
     one_ring = (first > 0) & (last < last_place) & (np.count_nonzero(inside, axis=1) == last - first + 1)
     before, after = np.maximum(first - 1, 0), np.minimum(last + 1, last_place)
 
-    def border(within: npt.NDArray[np.intp], beyond: npt.NDArray[np.intp]) -> FloatArray:
+    def border(within: IntArray, beyond: IntArray) -> FloatArray:
         high, low = (np.take_along_axis(profile, at[:, None], axis=1)[:, 0] for at in (within, beyond))
         share = high / np.where(high == low, 1.0, high - low)
         return np.asarray(places[within] + share * (places[beyond] - places[within]))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.edge_rays import outlines_along_rays
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.operator import CenterOperator, TargetCenter, cut_window
@@ -23,7 +23,6 @@ from photogrammetry.targets.coded_targets import Polarity
 __all__ = ["Candidate", "SearchLimits", "find_candidates", "find_in_pyramid", "measure_center"]
 
 Bytes = npt.NDArray[np.uint8]
-IndexArray = npt.NDArray[np.intp]
 
 #: Side of the box whose mean is the local threshold, and smallest and largest width of the spots looked for, in pixels
 #: of the level: on the photo itself, and on its halvings. Half as fine, the gap of the smallest code rings is gone: a
@@ -227,7 +226,7 @@ def _ellipses_of_lines(
     return shapes[kept], ((origin[solid] + middle + 0.5) * scale - 0.5)[kept]
 
 
-def _moments(points: FloatArray, starts: IndexArray, lengths: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _moments(points: FloatArray, starts: IntArray, lengths: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Areas, first and second moments of polygons one after the other, counter-clockwise on the screen positive."""
     following = np.arange(1, len(points) + 1)
     following[starts + lengths - 1] = starts

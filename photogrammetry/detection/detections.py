@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.flags import REJECTED
-from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array, freeze
+from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, float_array, freeze
 
 __all__ = ["Detections"]
 
@@ -77,7 +77,7 @@ class Detections:
         """Names that occur more than once in this photo, in order of their first occurrence."""
         return tuple(name for name, count in Counter(self.names).items() if count > 1)
 
-    def chosen(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp] | Sequence[int]) -> "Detections":
+    def chosen(self, which: npt.NDArray[np.bool_] | IntArray | Sequence[int]) -> "Detections":
         """Return some of the points.
 
         which (n,): A mask or indices.

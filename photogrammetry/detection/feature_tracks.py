@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.errors import EstimationError
-from heliogauge.validate import FloatArray, float_array
-from photogrammetry.image_points import ImagePoints, IntArray
+from heliogauge.validate import FloatArray, IntArray, float_array
+from photogrammetry.image_points import ImagePoints
 
 #: Before residuals tell, a feature is placed to this share of its size, and never better than the floor [px].
 START_SIGMA_SHARE, START_SIGMA_PX = 0.12, 0.1

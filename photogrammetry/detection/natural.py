@@ -11,9 +11,8 @@ import numpy.typing as npt
 from heliogauge.camera.formats import to_colmap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, Float32Array
+from heliogauge.validate import BoolArray, Float32Array, IntArray
 from photogrammetry.detection.feature_tracks import Keypoints
-from photogrammetry.image_points import IntArray
 
 #: Matches between two photos that make them a pair.
 LEAST_MATCHES = 15

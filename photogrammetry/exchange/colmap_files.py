@@ -13,8 +13,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.writer import write_text
-from heliogauge.validate import FloatArray, float_array
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import FloatArray, IntArray, float_array
 
 #: COLMAP's numbers of its camera models in binary files (its src/colmap/sensor/models.h).
 _MODEL_IDS: dict[int, str] = {

@@ -12,9 +12,8 @@ from heliogauge.adjust.chi_square import chi_square_quantile
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray, float_array
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 from photogrammetry.bundle.state import rotations_from_vectors
-from photogrammetry.image_points import IntArray
 from photogrammetry.matching.uncoded_names import ListedTargets
 
 __all__ = ["Assignment", "Sense", "assign_targets"]

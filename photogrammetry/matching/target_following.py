@@ -14,10 +14,9 @@ import numpy.typing as npt
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.ellipse import NamedEllipses
 from photogrammetry.detection.detections import Detections
-from photogrammetry.image_points import IntArray
 from photogrammetry.start_values.resection import LEAST_TARGETS, resect
 
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array

@@ -8,10 +8,9 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, skew
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.state import d_parameters_d_intrinsics
-from photogrammetry.image_points import IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

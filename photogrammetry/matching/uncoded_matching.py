@@ -13,8 +13,7 @@ import numpy as np
 
 from heliogauge.adjust.chi_square import chi_square_quantile
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.matching.uncertain_rays import Dots, KnownViews, UncertainRays, widened
 from photogrammetry.start_values.network import LeftOut
 from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD

@@ -8,8 +8,7 @@ import numpy as np
 from heliogauge.adjust.chi_square import chi_square_quantile
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray, float_array
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.start_values.network import LeftOut
 
 __all__ = ["ListedTargets", "NamedPoints", "list_frame", "name_points"]

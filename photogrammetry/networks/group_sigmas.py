@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.statistics import examine_image_points
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
 from photogrammetry.start_values.network import StartValues
 

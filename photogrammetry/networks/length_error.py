@@ -7,10 +7,9 @@ from enum import StrEnum
 import numpy as np
 
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, positive
+from heliogauge.validate import FloatArray, IntArray, positive
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.constraints import Distance
-from photogrammetry.image_points import IntArray
 
 #: What the guideline asks for: so many measuring lines, with so many lengths on each.
 LINES_NEEDED = 7

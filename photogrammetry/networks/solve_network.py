@@ -8,7 +8,7 @@ import numpy as np
 from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import (
     BundleOptions,
     BundleProblem,
@@ -24,7 +24,7 @@ from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance
 from photogrammetry.bundle.diagnosis import require
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
 
 __all__ = ["Knowledge", "NetworkCameras", "SolveOptions", "Solved", "solve_from", "solve_network"]

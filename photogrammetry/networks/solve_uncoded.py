@@ -6,11 +6,11 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.constraints import ControlPoint
 from photogrammetry.bundle.state import BundleState
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.matching.uncertain_rays import Dots, known_views
 from photogrammetry.matching.uncoded_matching import MatchedDots, match_dots
 from photogrammetry.matching.uncoded_names import ListedTargets, list_frame, name_points

@@ -22,10 +22,10 @@ from heliogauge.results.folder import (
     write_table_csv,
 )
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.validate import IntArray
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.statistics import examine_image_points, examine_intrinsics
 from photogrammetry.exchange.image_point_files import PixelOrigin, read_image_points_csv
-from photogrammetry.image_points import IntArray
 from photogrammetry.keys.measurement import ImagePointsSection
 from photogrammetry.networks.group_sigmas import solve_weighed
 from photogrammetry.networks.length_error import LengthStatement, PermissibleError, state_length_errors

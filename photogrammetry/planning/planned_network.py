@@ -7,11 +7,11 @@ import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.validate import FloatArray, positive
+from heliogauge.validate import FloatArray, IntArray, positive
 from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.diagnosis import diagnose
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.planning.stations import PlannedObject, Reach, Station, seen_targets
 
 #: A photo with fewer targets has no pose of its own.

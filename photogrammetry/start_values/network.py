@@ -8,10 +8,10 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import CameraModel
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network_growth import (
     TOLERANCE,
     Growth,

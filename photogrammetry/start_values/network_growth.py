@@ -10,10 +10,10 @@ from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, BundleResult, CameraModel, adjust
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.resection import LEAST_TARGETS, Resection, resect
 from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD, intersect_lines, ray_sigma_rad
 

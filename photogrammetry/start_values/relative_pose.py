@@ -9,9 +9,9 @@ from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, adjust, bundle_state
-from photogrammetry.image_points import ImagePoints, IntArray
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.triangulation import Triangulation, intersect_lines, ray_sigma_rad
 
 LEAST_COMMON = 6

@@ -9,9 +9,8 @@ from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray, float_array
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 from photogrammetry.bundle.state import rotations_from_vectors
-from photogrammetry.image_points import IntArray
 
 LEAST_TARGETS = 4
 _TRIALS = 60

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.camera.model import Camera
-from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 # Two lines of sight that differ by less fix no depth worth having: 1 degree makes depth 57 times as uncertain.
 LEAST_ANGLE_RAD = np.deg2rad(1.0)

@@ -9,8 +9,7 @@ import numpy as np
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
-from heliogauge.validate import FloatArray, freeze
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import FloatArray, IntArray, freeze
 
 #: A motion changes a surface if it changes its matrix by more than this share: far above rounding (1e-15), far below
 #: what any panel could show (a radius of 1 km seen over 1 m bends by 1e-3).

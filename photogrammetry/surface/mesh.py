@@ -5,11 +5,10 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.surface.design import Feet, null_motions
 from photogrammetry.surface.fit import quick_fit
 
@@ -51,7 +50,7 @@ class MeshSurface:
     """
 
     vertices_m: FloatArray
-    triangles: npt.NDArray[np.int64]
+    triangles: IntArray
     name: str
     scene: Any = field(init=False, default=None, repr=False)
 
@@ -121,7 +120,7 @@ class MeshSurface:
         return f"mesh {self.name} of {len(self.triangles)} triangles"
 
 
-def _closest_triangles(mesh: MeshSurface, points_m: FloatArray) -> npt.NDArray[np.int64]:
+def _closest_triangles(mesh: MeshSurface, points_m: FloatArray) -> IntArray:
     open3d = load_open3d()
     # About the middle: float32 then keeps 0.2 um over 4 m.
     center = mesh.vertices_m.mean(axis=0)

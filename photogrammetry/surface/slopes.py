@@ -14,8 +14,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
-from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.image_points import IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.surface.fitted import SurfaceFit
 
 #: Points in a local quadratic: twice its six coefficients. With fewer the noise grows fast, with more the detail goes.

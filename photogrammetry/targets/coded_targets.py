@@ -15,7 +15,7 @@ from photogrammetry.targets.ring_codes import (
     FEWEST_BITS,
     MOST_BITS,
     VENDOR_RADII,
-    IntArray,
+    CodeArray,
     Polarity,
     RingCode,
     RingRadii,
@@ -90,7 +90,7 @@ class RingDictionary:
     names: tuple[str, ...]
     sense: Sense = Sense.CLOCKWISE
     radii: RingRadii = VENDOR_RADII
-    _index: IntArray = field(init=False, repr=False)
+    _index: CodeArray = field(init=False, repr=False)
     _by_name: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -158,7 +158,7 @@ class RingDictionary:
         """Whether one of the codes is a ring without a gap."""
         return bool(self._index[-1] >= 0)
 
-    def lookup(self, words: npt.ArrayLike) -> IntArray:
+    def lookup(self, words: npt.ArrayLike) -> CodeArray:
         """Look up many words at once.
 
         words (...): Words read in the dictionary's own sense, highest bit first, in any rotation.
@@ -275,7 +275,7 @@ def user_dictionary(name: str, n_bits: int, words: Sequence[int], names: Sequenc
     return RingDictionary(name, n_bits, given, tuple(names) if names is not None else tuple(map(str, given)))
 
 
-def _even_necklaces(n_bits: int) -> IntArray:
+def _even_necklaces(n_bits: int) -> CodeArray:
     """Return the words with an even number of ones, not all ones, smallest of their rotations, in increasing order."""
     if n_bits % 2 or not FEWEST_BITS <= n_bits <= MOST_BITS:
         raise InputError(
@@ -290,7 +290,7 @@ def _even_necklaces(n_bits: int) -> IntArray:
     return np.asarray(words[words == smallest], dtype=np.int32)
 
 
-def _numbered(name: str, n_bits: int, words: IntArray) -> RingDictionary:
+def _numbered(name: str, n_bits: int, words: CodeArray) -> RingDictionary:
     return RingDictionary(
         name, n_bits, tuple(words.tolist()), tuple(str(number) for number in range(1, words.size + 1))
     )

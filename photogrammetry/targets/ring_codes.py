@@ -16,7 +16,7 @@ CODE_OUTER_RADIUS = 3.0
 FEWEST_BITS = 8
 MOST_BITS = 20
 
-IntArray = npt.NDArray[np.int32]
+CodeArray = npt.NDArray[np.int32]
 
 
 class Polarity(StrEnum):
@@ -62,12 +62,12 @@ class RingRadii:
 VENDOR_RADII = RingRadii()
 
 
-def turned_words(words: IntArray, rotation: int, n_bits: int) -> IntArray:
+def turned_words(words: CodeArray, rotation: int, n_bits: int) -> CodeArray:
     """Return words rotated to the left, highest bit first."""
     return np.asarray(((words << rotation) & ((1 << n_bits) - 1)) | (words >> (n_bits - rotation)), dtype=np.int32)
 
 
-def all_rotations(words: IntArray, n_bits: int) -> IntArray:
+def all_rotations(words: CodeArray, n_bits: int) -> CodeArray:
     """Return all rotations to the left, shape (n_bits, n)."""
     return np.stack([turned_words(words, rotation, n_bits) for rotation in range(n_bits)])
 

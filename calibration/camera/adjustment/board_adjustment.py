@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.camera.boards import Board, Chessboard, CircleGrid, TargetField, renumbering
 from calibration.camera.corners.detection import BoardPoints
@@ -13,7 +12,7 @@ from calibration.camera.start_values.orientation import Orientations, find_orien
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
 from photogrammetry.bundle.constraints import ControlPoint
 from photogrammetry.bundle.diagnosis import require
@@ -54,7 +53,7 @@ class BoardNetwork:
     places_known: bool = True
 
     @property
-    def seen(self) -> npt.NDArray[np.intp]:
+    def seen(self) -> IntArray:
         """Points of the board in at least one photo, shape (k,)."""
         return np.unique(np.concatenate([one.index for one in self.points]))
 

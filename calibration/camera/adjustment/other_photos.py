@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.camera.adjustment.board_adjustment import Adjusted, BoardNetwork, posed, turned
 from calibration.camera.boards import Board, Chessboard, CircleGrid
@@ -12,7 +11,7 @@ from calibration.camera.files.result import rms_length
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust, bundle_state
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.resection import resect
@@ -27,7 +26,7 @@ class Known:
     """
 
     camera: Camera
-    index: npt.NDArray[np.intp]
+    index: IntArray
     points_m: FloatArray
 
 

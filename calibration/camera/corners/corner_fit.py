@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from heliogauge.validate import BoolArray, FloatArray, freeze
-
-IntArray = npt.NDArray[np.intp]
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 #: Parameters of the model: corner, directions of both edges, blur, level, contrast, shading.
 _N_PARAMETERS = 9

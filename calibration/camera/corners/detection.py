@@ -10,7 +10,7 @@ from calibration.camera.boards import LEAST_POINTS, CharucoBoard, Chessboard, Ci
 from calibration.camera.corners.corner_fit import CornerStart, fit_corners
 from calibration.camera.corners.failures import chessboard_seen, circles_seen, markers_seen
 from heliogauge.errors import EstimationError
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import FloatArray, IntArray, freeze
 
 #: Half width of the piece of the image a corner is fitted to, in sides of a square.
 REACH = 0.42
@@ -35,7 +35,7 @@ class BoardPoints:
     """
 
     photo: str
-    index: npt.NDArray[np.intp]
+    index: IntArray
     pixels_px: FloatArray
     covariance_px2: FloatArray
     blur_px: float = float("nan")

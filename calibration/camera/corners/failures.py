@@ -5,6 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.camera.boards import CharucoBoard, Chessboard, CircleGrid
+from heliogauge.validate import IntArray
 
 #: Boards fill so much of a photo that a thousand pixels show what they are; a large photo would take seconds.
 _LONGEST_PX = 1000
@@ -77,7 +78,7 @@ def markers_seen(image: ByteImage, board: CharucoBoard) -> str:
     return "hardly any markers were seen"
 
 
-def _marker_numbers(image: ByteImage, dictionary: str) -> npt.NDArray[np.intp]:
+def _marker_numbers(image: ByteImage, dictionary: str) -> IntArray:
     known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     corners, ids, _ = cv2.aruco.ArucoDetector(known).detectMarkers(_reduced(image))
     # OpenCV gives None for the numbers of no markers, which its stubs do not know.

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.camera.boards import Board
 from calibration.camera.judgement.comparison import Comparison
@@ -12,7 +11,7 @@ from calibration.camera.judgement.network import Coverage
 from calibration.camera.judgement.projection_sigma import RadialProfile, SigmaMap
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform, skew
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +31,7 @@ class PhotoResult:
     name: str
     cam_from_board: RigidTransform
     covariance: FloatArray
-    index: npt.NDArray[np.intp]
+    index: IntArray
     pixels_px: FloatArray
     residuals_px: FloatArray
     kept_apart_px: float = float("nan")
@@ -78,10 +77,10 @@ class BoardShape:
     """
 
     board: Board
-    seen: npt.NDArray[np.intp]
+    seen: IntArray
     points_m: FloatArray
     sigma_m: FloatArray
-    n_rays: npt.NDArray[np.intp]
+    n_rays: IntArray
     prior_sigma_m: FloatArray
     datum: str
 

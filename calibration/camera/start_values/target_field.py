@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.camera.adjustment.board_adjustment import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.boards import TargetField
@@ -11,7 +10,7 @@ from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.pipeline.photos import FoundBoards, UnknownField
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 from photogrammetry.bundle.adjustment import CameraModel
 from photogrammetry.bundle.alignment import aligned_to_control
 from photogrammetry.image_points import ImagePoints
@@ -74,7 +73,7 @@ def started_from_targets(
     return BoardNetwork(plate, kept, free, state.cameras[0], tuple(poses), places_known=known)
 
 
-def _agreeing(one: BoardPoints, chosen: BoolArray, place: npt.NDArray[np.intp]) -> BoardPoints:
+def _agreeing(one: BoardPoints, chosen: BoolArray, place: IntArray) -> BoardPoints:
     """Keep the points of a photo that agree with the network, under their numbers there."""
     kept = one.subset(chosen)
     return replace(kept, index=place[kept.index])

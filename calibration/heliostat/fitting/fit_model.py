@@ -14,7 +14,7 @@ from calibration.heliostat.observations.residuals import ObservationModel, Resid
 from heliogauge.adjust.chi_square import chi_square_quantile
 from heliogauge.adjust.least_squares import VECTOR, Huber, Options, Prior, Problem, Solution, Squares, Tukey, solve
 from heliogauge.adjust.robust_loss import Loss, LossMoments, block_lengths, normal_moments
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 #: 95 % efficiency for normal errors in blocks of one, two and three components (quadrature of `normal_moments`).
 _HUBER = {1: 1.345, 2: 1.5, 3: 1.65}
@@ -46,9 +46,9 @@ class FitModel:
     options: FitOptions
     fallback: frozenset[str] = frozenset()
     reach: float = 1.0
-    columns: npt.NDArray[np.intp] = field(init=False)
+    columns: IntArray = field(init=False)
     kinds: npt.NDArray[np.str_] = field(init=False)
-    components: npt.NDArray[np.int64] = field(init=False)
+    components: IntArray = field(init=False)
     seen: ObservationModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -59,7 +59,7 @@ class FitModel:
         object.__setattr__(self, "components", self.observations.n_components)
 
     @property
-    def owners(self) -> npt.NDArray[np.intp]:
+    def owners(self) -> IntArray:
         """Row of each component."""
         return self.seen.owners
 

@@ -15,7 +15,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.observations import BeamSpots, Observations, Pointings
 from calibration.heliostat.observations.residuals import ObservationModel, evaluate
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from heliogauge.geometry.sun import Site
@@ -215,7 +215,7 @@ class YearlyError:
     """
 
     error_rad: FloatArray
-    day: npt.NDArray[np.int64]
+    day: IntArray
 
     @property
     def angle_rad(self) -> FloatArray:
@@ -260,7 +260,7 @@ def yearly_evaluation(
 
 def sun_positions_of_year(
     site: "Site", year: int, *, day_of_month: int = 10, per_day: int = 35, least_elevation_rad: float = 0.0
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+) -> tuple[FloatArray, IntArray]:
     """Return suns spread evenly over the daylight of one day of each month.
 
     Shapes: sun (n, 3).
@@ -289,7 +289,7 @@ def _refuted(found: HeliostatFit) -> bool:
     return max(found.sigma_factors.values(), default=1.0) > REFUTED_FROM
 
 
-def _columns(found: HeliostatFit) -> npt.NDArray[np.intp]:
+def _columns(found: HeliostatFit) -> IntArray:
     return np.flatnonzero(found.design.parameters.free)
 
 
@@ -297,7 +297,7 @@ def _by_sun(found: HeliostatFit) -> bool:
     return bool(np.isfinite(found.observations.sun).all())
 
 
-def _two_components(jacobian: FloatArray, owner: npt.NDArray[np.intp], count: int) -> FloatArray:
+def _two_components(jacobian: FloatArray, owner: IntArray, count: int) -> FloatArray:
     """First two components of each row, (n, 2, k); points have three and no direction."""
     first = np.searchsorted(owner, np.arange(count))
     return np.stack([jacobian[first], jacobian[first + 1]], axis=1)
@@ -315,7 +315,7 @@ def _typical_misfit(found: HeliostatFit) -> float:
 class _Wide:
     """What may be wrong of a heliostat, free or held: columns of its parameters, their covariance after the fit."""
 
-    columns: npt.NDArray[np.intp]
+    columns: IntArray
     covariance: FloatArray
 
     @classmethod

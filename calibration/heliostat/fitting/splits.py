@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
@@ -14,7 +13,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import BoolArray, FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 #: Splits by name; `column` besides takes the user's own.
 SPLIT_NAMES = ("random", "chronological", "azimuth", "azimuth-reversed", "high-variance")
@@ -185,7 +184,7 @@ def _beforehand(split: Split, prediction: Prediction) -> tuple[str, ...]:
     )
 
 
-def _ordered(name: str, order: npt.NDArray[np.intp], first: int, last: int, note: str) -> Split:
+def _ordered(name: str, order: IntArray, first: int, last: int, note: str) -> Split:
     train, test = np.zeros(order.size, dtype=np.bool_), np.zeros(order.size, dtype=np.bool_)
     train[order[:first]] = True
     test[order[order.size - last :]] = True

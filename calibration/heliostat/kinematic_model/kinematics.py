@@ -11,9 +11,8 @@ import numpy.typing as npt
 from calibration.heliostat.kinematic_model.actuators import DriveAngle, check_readings, drive_angle
 from calibration.heliostat.kinematic_model.design import Driven, HeliostatDesign, Turn
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import FloatArray, IntArray, freeze
 
-IndexArray = npt.NDArray[np.intp]
 _IDENTITY, _ORIGIN = freeze(np.eye(3)), freeze(np.zeros(3))
 
 
@@ -51,7 +50,7 @@ class PoseDerivatives:
     poses: MirrorPoses
     omega: FloatArray
     shift: FloatArray
-    columns: IndexArray
+    columns: IntArray
 
 
 class _Link(NamedTuple):
@@ -113,7 +112,7 @@ def pose_derivatives(
     readings: npt.ArrayLike,
     approach: npt.ArrayLike | None = None,
     *,
-    columns: Sequence[int] | IndexArray | None = None,
+    columns: Sequence[int] | IntArray | None = None,
     outside: Literal["raise", "nan"] = "raise",
 ) -> PoseDerivatives:
     """Return the poses of the mirror with their derivatives by the parameters.

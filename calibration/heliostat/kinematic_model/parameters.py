@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, freeze
 
 #: Sigma of a parameter that keeps its value, and of one that the observations alone decide.
 HELD, FREE = 0.0, float("inf")
@@ -82,7 +82,7 @@ class Parameters:
             remedy = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.names)}"
             raise InputError(f"parameter {name!r}: no such parameter; {remedy}") from None
 
-    def indices(self, names: Sequence[str]) -> npt.NDArray[np.intp]:
+    def indices(self, names: Sequence[str]) -> IntArray:
         """Return the positions of several names; `index` says what is raised."""
         return np.array([self.index(name) for name in names], dtype=np.intp)
 

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.parameters import Parameters
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, freeze
 
-IntArray = npt.NDArray[np.int64]
 TimeArray = npt.NDArray[np.datetime64]
 
 

@@ -14,9 +14,7 @@ from calibration.heliostat.observations.observations import BeamSpots, Observati
 from calibration.heliostat.observations.residual_kinds import Equations, Place, Prepared, equations, in_metres, prepare
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import intersect_plane, reflect
-from heliogauge.validate import BoolArray, FloatArray, freeze
-
-IndexArray = npt.NDArray[np.intp]
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +36,7 @@ class Residuals:
 
     whitened: FloatArray
     jacobian: FloatArray
-    owner: IndexArray
+    owner: IntArray
     beam_rad: FloatArray
     normal_rad: FloatArray
     sigma_beam_rad: FloatArray
@@ -78,10 +76,10 @@ class ObservationModel:
 
     design: HeliostatDesign
     observations: Observations
-    columns: IndexArray | None = None
+    columns: IntArray | None = None
     readings: FloatArray = field(init=False)
     approach: FloatArray | None = field(init=False)
-    owners: IndexArray = field(init=False)
+    owners: IntArray = field(init=False)
     prepared: tuple[Prepared, ...] = field(init=False)
     _last: dict[bytes, "_Evaluated"] = field(init=False, default_factory=dict)
 
@@ -162,7 +160,7 @@ def evaluate(
     values: npt.ArrayLike,
     observations: Observations,
     *,
-    columns: Sequence[int] | IndexArray | None = None,
+    columns: Sequence[int] | IntArray | None = None,
 ) -> Residuals:
     """Return the residuals of observations.
 

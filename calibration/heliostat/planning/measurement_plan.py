@@ -18,7 +18,7 @@ from calibration.heliostat.observations.observations import Observations, Place,
 from calibration.heliostat.observations.residuals import evaluate
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import BoolArray, FloatArray, float_array, positive
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, positive
 
 Criterion: TypeAlias = Literal["pointing", "parameters"]
 # Parameters of which not even a thousandth of what could be wrong is known are no use to a plan.
@@ -51,7 +51,7 @@ class Knowledge:
             raise InputError(f"misfit_rad: 0 or more is needed, not {self.misfit_rad}")
 
     @property
-    def columns(self) -> npt.NDArray[np.intp]:
+    def columns(self) -> IntArray:
         """Positions of the parameters in the design."""
         return self.design.parameters.indices(self.names)
 
@@ -193,7 +193,7 @@ class MeasurementPlan:
     goal_rad: What was asked for [rad of the beam].
     """
 
-    chosen: npt.NDArray[np.intp]
+    chosen: IntArray
     sigma_beam_rad: FloatArray
     floor_rad: float
     goal_rad: float
