@@ -339,35 +339,3 @@ def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[flo
     if read < floor:
         return floor, max(0.0, float((right[1] - floor * normal[0, 1]) / scale[1] ** 2))
     return float(read), float(gain)
-
-
-def chi_square_limit(redundancy: int, probability: float) -> float:
-    """Return the value that a chi-square exceeds with a given probability.
-
-    redundancy: Degrees of freedom, at least 1.
-    probability: Between 0 and 1.
-
-    >>> round(chi_square_limit(1, 0.05), 4), round(chi_square_limit(8, 0.01), 4)
-    (3.8415, 20.0902)
-    """
-    low, high = 0.0, 2.0
-    while _chi_square_tail(high, redundancy) > probability:
-        high *= 2.0
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _chi_square_tail(middle, redundancy) > probability else (low, middle)
-    return 0.5 * (low + high)
-
-
-def _chi_square_tail(value: float, redundancy: int) -> float:
-    """Return P(chi-square > value): the closed forms for even and odd degrees of freedom."""
-    half = 0.5 * value
-    if half > 700.0:
-        return 0.0
-    odd = redundancy % 2
-    total = math.erfc(math.sqrt(half)) if odd else 0.0
-    term = math.exp(-half) * (math.sqrt(half / math.pi) * 2.0 if odd else 1.0)
-    for index in range(redundancy // 2):
-        total += term
-        term *= half / (index + (1.5 if odd else 1.0))
-    return total

@@ -14,13 +14,13 @@ from deflectometry.fringes.phase import (
     LightResponse,
     NoiseModel,
     StepSolver,
-    chi_square_limit,
     estimate_noise,
     residual_distortion,
     solve_steps,
 )
 from deflectometry.fringes.unwrap import OrderSearch, combine_orders, estimate_systematic_phase, search_orders
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, freeze
@@ -335,9 +335,9 @@ def _make_plan(
         light_table=light_table,
         variance_table=variance_table,
         saturation_dn=_saturation(dtype, limits),
-        disagree_limit=chi_square_limit(redundancy, limits.disagree_probability) if redundancy else math.inf,
+        disagree_limit=chi_square_limit(limits.disagree_probability, redundancy) if redundancy else math.inf,
         least_log_odds=math.log(1 / limits.wrong_order_probability - 1),
-        off_screen_sigmas=math.sqrt(chi_square_limit(1, limits.wrong_order_probability)),
+        off_screen_sigmas=math.sqrt(chi_square_limit(limits.wrong_order_probability, 1)),
     )
 
 

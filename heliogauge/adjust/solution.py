@@ -7,7 +7,7 @@ from typing import Generic, Self
 
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_quantile
+from heliogauge.adjust.chi_square import VarianceFactorTests
 from heliogauge.adjust.gauss_newton import StateT
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, freeze
@@ -21,7 +21,7 @@ class CovarianceScale(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution(Generic[StateT]):
+class Solution(VarianceFactorTests, Generic[StateT]):
     """Estimate with its covariance and the evidence for or against it.
 
     state: The estimate as the caller's own type.
@@ -109,25 +109,6 @@ class Solution(Generic[StateT]):
         rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(correlation)) >= at_least, 1))
         pairs = [(self.names[i], self.names[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
         return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
-
-    def variance_factor_interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Return the interval in which the variance factor lies if the sigmas are right.
-
-        Returns: Chi-square quantiles over the redundancy; (nan, nan) without redundancy. Exact for normal errors
-            and plain least squares, a guide with a robust loss.
-        """
-        if self.redundancy <= 0:
-            return float("nan"), float("nan")
-        tail = 0.5 * (1 - confidence)
-        low, high = (chi_square_quantile(p, self.redundancy) / self.redundancy for p in (tail, 1 - tail))
-        return low, high
-
-    def variance_factor_probability(self) -> float:
-        """Return the probability that the variance factor is at least this far in its tail (two-sided) by chance."""
-        if self.redundancy <= 0:
-            return float("nan")
-        below = chi_square_cdf(self.variance_factor * self.redundancy, self.redundancy)
-        return 2 * min(below, 1 - below)
 
     def baarda(self) -> FloatArray:
         """Return the residuals over their own sigma (Baarda's w), shape (m,); NaN where nothing controls them.

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_quantile
+from heliogauge.adjust.chi_square import VarianceFactorTests
 from heliogauge.adjust.gauss_newton import Descent, Options, minimise
 from heliogauge.adjust.robust_loss import Loss, Squares, loss_moments, normal_moments
 from heliogauge.adjust.solution import CovarianceScale
@@ -52,7 +52,7 @@ class BundleOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class BundleResult:
+class BundleResult(VarianceFactorTests):
     """An adjusted network.
 
     problem: What was asked.
@@ -139,21 +139,6 @@ class BundleResult:
     def cam_from_world(self) -> tuple[RigidTransform, ...]:
         """Pose of each photo."""
         return tuple(self.state.cam_from_world(i) for i in range(len(self.state.rotations)))
-
-    def variance_factor_interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Return the interval in which the variance factor lies if the stated sigmas are right."""
-        if self.redundancy <= 0:
-            return float("nan"), float("nan")
-        tail = 0.5 * (1 - confidence)
-        low, high = (chi_square_quantile(p, self.redundancy) / self.redundancy for p in (tail, 1 - tail))
-        return low, high
-
-    def variance_factor_probability(self) -> float:
-        """Return the probability that the variance factor is at least this far in its tail (two-sided) by chance."""
-        if self.redundancy <= 0:
-            return float("nan")
-        below = chi_square_cdf(self.variance_factor * self.redundancy, self.redundancy)
-        return 2 * min(below, 1 - below)
 
 
 def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions | None = None) -> BundleResult:

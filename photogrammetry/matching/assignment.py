@@ -8,7 +8,7 @@ from math import comb
 import cv2
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
@@ -225,7 +225,7 @@ def _judged(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> 
 
 def _refined(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | None:
     """Assign, adjust the pose, assign again, with a gate that narrows to the sigmas."""
-    gate = chi_square_quantile(1 - _SIGNIFICANCE, 2)
+    gate = chi_square_limit(_SIGNIFICANCE, 2)
     for widening in (4.0, 2.0, 1.0, 1.0, 1.0):
         pairs, _, usable = _assigned(scene, pose, widening**2 * gate)
         if len(pairs) < 4 or not usable:
@@ -247,7 +247,7 @@ def _refined(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | Non
 def _accidents(scene: _Scene, pose: RigidTransform, pairs: IntArray, tried: int) -> float:
     """Return the expected number of poses, of all tried, with so many targets near dots by accident."""
     pixels, covariance, inside = _predicted(scene, pose)
-    area = np.pi * chi_square_quantile(1 - _SIGNIFICANCE, 2) * np.sqrt(np.linalg.det(covariance[inside])).mean()
+    area = np.pi * chi_square_limit(_SIGNIFICANCE, 2) * np.sqrt(np.linalg.det(covariance[inside])).mean()
     chance = min(len(scene.pixels) * float(area) / (scene.camera.width_px * scene.camera.height_px), 1.0)
     # Three targets were put on their dots.
     free, hits = max(int(inside.sum()) - 3, 1), len(pairs) - 3
@@ -336,7 +336,7 @@ def _acceptable(one: _Solution, best: _Solution) -> bool:
     """
     counts = [int(np.isfinite(each.misses).sum()) for each in (one, best)]
     squares = [float(np.nansum(each.misses**2)) for each in (one, best)]
-    limit = chi_square_quantile(1 - _SIGNIFICANCE, max(2 * counts[0] - 6, 1))
+    limit = chi_square_limit(_SIGNIFICANCE, max(2 * counts[0] - 6, 1))
     return counts[0] >= counts[1] - 1 and squares[0] < max(limit, 1.5 * squares[1])
 
 

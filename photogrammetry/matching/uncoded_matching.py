@@ -11,7 +11,7 @@ from math import comb
 
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.matching.uncertain_rays import Dots, KnownViews, UncertainRays, widened
@@ -127,7 +127,7 @@ class _Search:
         self.found: list[_Hypothesis] = []
         self.doubtful: dict[tuple[int, ...], str] = {}
         self.tried = 0
-        self._gate = {n: chi_square_quantile(1 - limits.significance, n) for n in (1, 2)}
+        self._gate = {n: chi_square_limit(limits.significance, n) for n in (1, 2)}
         self.rays = UncertainRays(dots, views)
 
     # --- three rays and more ---------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ class _Search:
             photos = [int(self.dots.photo_index[k]) for k in members]
             fit = self.rays.fitted(photos, np.array([members]), start[None])
             freedom = 2 * len(members) - 3
-            if fit.chi_square[0] < chi_square_quantile(1 - self.limits.significance, freedom):
+            if fit.chi_square[0] < chi_square_limit(self.limits.significance, freedom):
                 break
             worst = int(np.argmax(fit.misses[0]))
             members = members[:worst] + members[worst + 1 :]

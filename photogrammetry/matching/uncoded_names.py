@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray, float_array
@@ -74,7 +74,7 @@ def name_points(
     """
     names: list[str | None] = [None] * len(points_m)
     squares, far = _distances(points_m, covariance_m2, listed, list_from_world)
-    gate = chi_square_quantile(1 - _SIGNIFICANCE, 3)
+    gate = chi_square_limit(_SIGNIFICANCE, 3)
     left = []
     for k, name in enumerate(listed.names):
         fitting = np.nonzero(squares[k] < gate)[0]
@@ -205,7 +205,7 @@ def _best(points_m: FloatArray, listed: ListedTargets, reach: float) -> RigidTra
     for one in found[1:]:
         both = (one.point_of >= 0) & (best.point_of >= 0)
         differs = not both.any() or (one.point_of[both] != best.point_of[both]).any()
-        limit = max(chi_square_quantile(1 - _SIGNIFICANCE, max(3 * one.count - 6, 1)), 1.5 * best.square)
+        limit = max(chi_square_limit(_SIGNIFICANCE, max(3 * one.count - 6, 1)), 1.5 * best.square)
         if differs and one.count >= best.count - 1 and one.square < limit:
             raise EstimationError(
                 f"listed targets: two ways of naming fit {best.count} points equally well (a symmetric layout); give "

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_limit
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, skew
 from heliogauge.validate import BoolArray, FloatArray, freeze
@@ -150,7 +150,7 @@ def displacements(
     """
     common = [name for name in now.ids if name in set(before.ids)]
     before, now = _ordered(before, common), _ordered(now, common)
-    limit = chi_square_quantile(1 - family_significance / max(len(common), 1), 3)
+    limit = chi_square_limit(family_significance / max(len(common), 1), 3)
     if stable:
         unknown = [name for name in stable if name not in common]
         if unknown:

@@ -11,7 +11,7 @@ from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import ObservationModel, Residuals
-from heliogauge.adjust.chi_square import chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_limit, chi_square_quantile
 from heliogauge.adjust.least_squares import VECTOR, Huber, Options, Prior, Problem, Solution, Squares, Tukey, solve
 from heliogauge.adjust.robust_loss import Loss, LossMoments, block_lengths, normal_moments
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -208,7 +208,7 @@ class Descended:
             own = self.model.kinds == kind
             if not own.any():
                 continue
-            square = chi_square_quantile(1 - probability, int(self.model.components[own][0]))
+            square = chi_square_limit(probability, int(self.model.components[own][0]))
             if freedom > 2:
                 # The scatter rests on few rows: F(2, v), whose tail is (1 + 2 F / v)^(-v / 2), instead of chi-square.
                 square *= freedom * (probability ** (-2 / freedom) - 1) / (-2 * np.log(probability))

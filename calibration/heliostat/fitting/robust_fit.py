@@ -11,7 +11,7 @@ from calibration.heliostat.fitting.observability import Combination, unobserved
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate
-from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_quantile
+from heliogauge.adjust.chi_square import chi_square_quantile, two_sided_probability
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
@@ -135,8 +135,7 @@ def _refuted(end: Descended, kind: str) -> bool:
     if freedom <= 2 or np.isnan(scatter):
         return False
     freedom *= 1.0 if end.model.options.loss == "squares" else _SCALE_EFFICIENCY
-    below = chi_square_cdf(scatter**2 * freedom, freedom)
-    return 2 * min(below, 1 - below) < end.model.options.refuted_below
+    return two_sided_probability(scatter**2 * freedom, freedom) < end.model.options.refuted_below
 
 
 def _far_rad(end: Descended) -> float:

@@ -9,7 +9,6 @@ from calibration.screen.response import ScreenResponse
 from deflectometry.frames.single_image import fourier_phase
 from deflectometry.fringes.phase import (
     NoiseModel,
-    chi_square_limit,
     estimate_noise,
     fit_phase,
     residual_distortion,
@@ -156,12 +155,6 @@ def test_wrong_number_of_frames_and_undetermined_steps() -> None:
 def test_pixels_without_fringes_have_no_phase() -> None:
     fit = fit_phase(np.full((4, 2), 7.0), equal_steps(4), noise=NoiseModel(1.0))
     assert (fit.sigma_rad > 1e6).all()
-
-
-@pytest.mark.parametrize(("redundancy", "limit"), [(1, 23.928), (2, 27.631), (5, 35.888), (8, 42.701)])
-def test_chi_square_limit_against_tables(redundancy: int, limit: float) -> None:
-    # scipy.stats.chi2.isf(1e-6, redundancy)
-    assert chi_square_limit(redundancy, 1e-6) == pytest.approx(limit, abs=2e-3)
 
 
 def test_fourier_phase_is_right_and_its_sigma_honest() -> None:
