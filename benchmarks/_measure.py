@@ -59,9 +59,13 @@ def large_facet_scene() -> FringeScene:
     design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.4, 1.8)
     facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
     return facet_scene(
-        "large facet", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65),
+        "large facet",
+        (facet,),
+        camera=FULL_CAMERA,
+        wall=Wall(9.0, 6.0),
+        place_m=(0.0, 0.0, 9.65),
         blur_sigma_px=0.1,
-    )  # fmt: skip
+    )
 
 
 def evaluation_inputs(scene: FringeScene, knowledge: Knowledge, seed: int = 0) -> tuple[Setup, MirrorInput]:

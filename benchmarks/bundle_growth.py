@@ -28,10 +28,14 @@ def measure(n_photos: int, n_targets: int) -> dict[str, float]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     _, (adjustment, covariance, _) = own(start, points, redundancy=False)
     return {
-        "photos": n_photos, "targets": n_targets, "points": points.n,
-        "adjust_s": adjustment, "covariance_s": covariance,
-        "before_gb": before / 1e6, "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-    }  # fmt: skip
+        "photos": n_photos,
+        "targets": n_targets,
+        "points": points.n,
+        "adjust_s": adjustment,
+        "covariance_s": covariance,
+        "before_gb": before / 1e6,
+        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+    }
 
 
 def in_own_process(n_photos: int, n_targets: int) -> dict[str, float]:

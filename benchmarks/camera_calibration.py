@@ -87,21 +87,27 @@ def real(folder: Path) -> None:
         rms, focal, cv_s = opencv(files, columns, rows)
         board = Chessboard(columns, rows)
         images = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files]
-        ours = [corners_of(find_chessboard(file.name, image, board), board)
-                for file, image in zip(files, images, strict=True)]  # fmt: skip
+        ours = [
+            corners_of(find_chessboard(file.name, image, board), board)
+            for file, image in zip(files, images, strict=True)
+        ]
         whole = [one for one in ours if one is not None]
         own_rms, own_focal = opencv_adjustment(whole, columns, rows, images[0].shape[::-1])
         quality = result.quality
         print(f"{name}: {len(result.photos)} photos, {len(quality.rejected)} points rejected")
         print(f"  RMS, board estimated             {quality.rms_px:.4f} px")
         print(f"  RMS, board as drawn              {quality.rms_as_drawn_px:.4f} px")
-        print(f"  focal length                     {result.camera.focal_x_px:.3f} px, sigma "
-              f"{result.camera.sigma_parameters[0]:.3f}")  # fmt: skip
+        print(
+            f"  focal length                     {result.camera.focal_x_px:.3f} px, sigma "
+            f"{result.camera.sigma_parameters[0]:.3f}"
+        )
         print(f"  OpenCV's corners and adjustment  {rms:.5f} px, focal length {focal:.3f} px")
         narrow = opencv(files, columns, rows, 5)
         print(f"  the same, windows of 5           {narrow[0]:.5f} px, focal length {narrow[1]:.3f} px")
-        print(f"  our corners, OpenCV's adjustment {own_rms:.5f} px, focal length {own_focal:.3f} px "
-              f"({len(whole)} photos without a missing corner)")  # fmt: skip
+        print(
+            f"  our corners, OpenCV's adjustment {own_rms:.5f} px, focal length {own_focal:.3f} px "
+            f"({len(whole)} photos without a missing corner)"
+        )
         print(f"  photos kept apart, pose fitted   {result.kept_apart_px:.4f} px")
         print("    each " + " ".join(f"{photo.kept_apart_px:.4f}" for photo in result.photos))
         print(f"  CPU {own_s:.1f} s with the photos kept apart (OpenCV {cv_s:.1f} s)")

@@ -112,12 +112,19 @@ def main():
     }
     for name, (model, held) in models.items():
         row(name, *(f"{adjusted(table(pixels), model, held=held):.4f}" for pixels, _ in found.values()))
-    own = [f"{adjusted(table(pixels), models[name][0], held=False, shapes=shapes):.4f}"
-           for pixels, shapes in list(found.values())[1:]]  # fmt: skip
+    own = [
+        f"{adjusted(table(pixels), models[name][0], held=False, shapes=shapes):.4f}"
+        for pixels, shapes in list(found.values())[1:]
+    ]
     row("the last with eccentricity corrected", "", *own)
     off = found["template"][0] - marks
-    row("minus mark: mean x, mean y, rms about it", "", f"{off[:, 0].mean():+.3f}", f"{off[:, 1].mean():+.3f}",
-        f"{np.sqrt(((off - off.mean(axis=0)) ** 2).mean()):.3f}")  # fmt: skip
+    row(
+        "minus mark: mean x, mean y, rms about it",
+        "",
+        f"{off[:, 0].mean():+.3f}",
+        f"{off[:, 1].mean():+.3f}",
+        f"{np.sqrt(((off - off.mean(axis=0)) ** 2).mean()):.3f}",
+    )
 
 
 if __name__ == "__main__":

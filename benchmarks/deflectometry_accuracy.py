@@ -146,8 +146,10 @@ def noise_limit(stage, place):
             turn = np.exp(1j * fringes.steps_rad)
             contrast = np.abs((turn[:, None] * taken).sum(axis=0)) * 2 / len(taken)
             information += (2 * np.pi * fringes.periods * contrast) ** 2 * len(taken) / (2 * variance)
-        ends = [facet_from_wall.apply(bench.wall.points_m(seen.u + side * step[0], seen.v + side * step[1]))
-                for side in (-0.5, 0.5)]  # fmt: skip
+        ends = [
+            facet_from_wall.apply(bench.wall.points_m(seen.u + side * step[0], seen.v + side * step[1]))
+            for side in (-0.5, 0.5)
+        ]
         change = (
             halving_slopes(seen.points_m, camera, ends[1]) - halving_slopes(seen.points_m, camera, ends[0])
         ) / 1e-4
@@ -172,8 +174,10 @@ def chi_square_row(what, ratios, photographs):
 
 def synthetic_facet():
     """Return the rows of chi-square, to be shown together with those of the drawn setups."""
-    title("Synthetic facet f = 100 m, 1.2 m at 9.65 m, 8 bit, noise 1 DN, pose given: slope error, mrad RMS x / y",
-          ("measured", "asked", "incumbent", "noise limit", "over the limit"))  # fmt: skip
+    title(
+        "Synthetic facet f = 100 m, 1.2 m at 9.65 m, 8 bit, noise 1 DN, pose given: slope error, mrad RMS x / y",
+        ("measured", "asked", "incumbent", "noise limit", "over the limit"),
+    )
     found = {}
     small, full = preset_scene("small"), preset_scene("full")
     cases = {"small": (small, 20), "small, perfect": (perfect(small), 20), "full": (full, 1)}
@@ -195,8 +199,10 @@ def synthetic_facet():
 
 
 def bias_of_perfect_mirrors():
-    title("Perfect mirrors beside the vertex of their optic: mean slope error x / y, mrad",
-          ("measured", "asked", "incumbent", "RMS", "predicted RMS"))  # fmt: skip
+    title(
+        "Perfect mirrors beside the vertex of their optic: mean slope error x / y, mrad",
+        ("measured", "asked", "incumbent", "RMS", "predicted RMS"),
+    )
     names = {"off-axis": "24.9", "off-axis-20": "6.25", "trough-panel": "wrong"}
     for name, incumbent in names.items():
         stage = Stage.of(perfect(preset_scene(name)))
@@ -214,8 +220,10 @@ def bias_of_perfect_mirrors():
 
 def edges_of_the_screen():
     samples, rng = 100_000, np.random.default_rng(5)
-    title(f"First and last 0.2 % of the screen, noise 1 DN, {samples} pixels each: errors above 0.1 of the screen",
-          ("unflagged", "asked", "incumbent", "arctan2 + round", "order flagged"))  # fmt: skip
+    title(
+        f"First and last 0.2 % of the screen, noise 1 DN, {samples} pixels each: errors above 0.1 of the screen",
+        ("unflagged", "asked", "incumbent", "arctan2 + round", "order flagged"),
+    )
     ladders = {"0.9, 3.9, 15.9, 63.9": STANDARD_PERIODS, "1, 4, 16, 64": (1.0, 4.0, 16.0, 64.0), "1": (1.0,)}
     for label, periods in ladders.items():
         for low, high in ((0.0, 0.002), (0.998, 1.0)):
@@ -232,8 +240,14 @@ def edges_of_the_screen():
             wrong = [np.abs(measured - exact) > 0.1 for measured, exact in zip((found.u, found.v), true, strict=True)]
             gross, unflagged = naive_gross(frames, pattern, true), np.count_nonzero(wrong[0] | wrong[1])
             flagged = np.mean((found.flags & np.uint32(SampleFlag.FRINGE_ORDER_UNCERTAIN)) != 0)
-            row(f"periods {label}, u and v in [{low:g}, {high:g}]", f"{unflagged}", "0", "15 to 41 %",
-                f"{100 * gross:.1f} %", f"{100 * flagged:.2f} %")  # fmt: skip
+            row(
+                f"periods {label}, u and v in [{low:g}, {high:g}]",
+                f"{unflagged}",
+                "0",
+                "15 to 41 %",
+                f"{100 * gross:.1f} %",
+                f"{100 * flagged:.2f} %",
+            )
 
 
 def naive_gross(frames, pattern, true):
@@ -253,20 +267,25 @@ def naive_gross(frames, pattern, true):
 
 
 def honesty_of_sigma(random_ratios):
-    title("Chi-square per degree of freedom of error / sigma at fixed truths",
-          ("measured", "99 % band", "incumbent", ""))  # fmt: skip
+    title(
+        "Chi-square per degree of freedom of error / sigma at fixed truths", ("measured", "99 % band", "incumbent", "")
+    )
     for label, (ratios, photographs) in random_ratios.items():
         chi_square_row(f"random share x / y, {label}", ratios, photographs)
     knowledge = Knowledge(
-        sigma_focal_px=0.3, sigma_center_px=0.3, sigma_screen_rotation_mrad=0.3, sigma_screen_translation_mm=2.0,
+        sigma_focal_px=0.3,
+        sigma_center_px=0.3,
+        sigma_screen_rotation_mrad=0.3,
+        sigma_screen_translation_mm=2.0,
         sigma_distance_mm=2.0,
-    )  # fmt: skip
+    )
     given = replace(knowledge, pose_known=True, sigma_pose_rotation_mrad=0.5, sigma_pose_translation_mm=1.0)
     for name in ("small", "off-axis"):
         stage = Stage.of(perfect(preset_scene(name)))
         for how, known, align in (
-            ("pose from the outline", knowledge, Align.NORMAL), ("pose given", given, Align.OUTLINE),
-        ):  # fmt: skip
+            ("pose from the outline", knowledge, Align.NORMAL),
+            ("pose given", given, Align.OUTLINE),
+        ):
             drawn_setups(stage, known, align, f"{stage.scene.name}, {how}")
 
 

@@ -42,8 +42,11 @@ REPEATS = 9
 #: The slopes and their sigma are there when the maps begin.
 TO_SLOPES = ("find mirror", "phase", "slopes", "uncertainty")
 SIGMAS = {
-    "sigma_focal_px": 0.3, "sigma_center_px": 0.3, "sigma_screen_rotation_mrad": 0.3, "sigma_screen_translation_mm": 2.0
-}  # fmt: skip
+    "sigma_focal_px": 0.3,
+    "sigma_center_px": 0.3,
+    "sigma_screen_rotation_mrad": 0.3,
+    "sigma_screen_translation_mm": 2.0,
+}
 CASES = {
     "facet": (full_scene, Knowledge(**SIGMAS), "facet 1.2 m at 9.65 m, pose from the outline"),
     "large": (large_facet_scene, Knowledge(**SIGMAS), "facet 2.4 m x 1.8 m fills two thirds of the frame"),
@@ -149,8 +152,10 @@ def measure_memory(case, folder):
     traced = peak_of(lambda: to_slopes(observation, setup, mirror))
     naive = peak_of(lambda: naive_screen_points(observation.frames, scene.pattern, observation.response))
     maps = peak_of(lambda: evaluate_frames(observation, setup, mirror, Choices(), StageClock()))
-    title(f"{CASES[case][2]}: memory beyond the frames ({observation.frames.nbytes / 2**20:.0f} MiB)",
-          ("MiB", "asked", "incumbent"))  # fmt: skip
+    title(
+        f"{CASES[case][2]}: memory beyond the frames ({observation.frames.nbytes / 2**20:.0f} MiB)",
+        ("MiB", "asked", "incumbent"),
+    )
     asked = (f"<= {ASKED_MIB}", f"{INCUMBENT_MIB}") if case == "facet" else ()
     row("frames to slopes with sigma: allocated at once (tracemalloc)", f"{traced:.0f}", *asked)
     row("    resident memory of the process (first run)", f"{resident:.0f}", *asked)

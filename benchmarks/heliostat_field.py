@@ -39,9 +39,19 @@ def write_field(folder: Path, heliostats: int, observations: int) -> None:
     days = np.datetime64("2026-01-03", "ms") + np.arange(observations) * 37 % 365 * np.timedelta64(1, "D")
     times = np.sort(days + (np.arange(observations) * 53 % 300 + 570) * np.timedelta64(1, "m"))
     suns = sun_directions(times, SITE)
-    rows: dict[str, list] = {name: [] for name in (
-        "heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", "y_m", "sigma_mm",
-    )}  # fmt: skip
+    rows: dict[str, list] = {
+        name: []
+        for name in (
+            "heliostat",
+            "time_utc",
+            "axis_1_rad",
+            "axis_2_rad",
+            "target",
+            "x_m",
+            "y_m",
+            "sigma_mm",
+        )
+    }
     for number, position in enumerate(positions):
         errors = rng.normal(0, 3e-3, 5)
         names = ("tilt_north", "tilt_east", "azimuth_offset", "elevation_offset", "non_orthogonality")
@@ -58,16 +68,38 @@ def write_field(folder: Path, heliostats: int, observations: int) -> None:
         rows["y_m"] += seen[:, 1].tolist()
         rows["sigma_mm"] += [1e3 * SIGMA_M] * observations
     folder.mkdir(parents=True)
-    (folder / "measurement.toml").write_text(dump_toml({
-        "kind": "heliostat", "name": "field",
-        "site": {"latitude_deg": SITE.latitude_deg, "longitude_deg": SITE.longitude_deg, "altitude_m": SITE.altitude_m},
-        "target": [{"name": TARGET.name, "center_m": [0.0, 0.0, 80.0], "width_m": 12.0, "height_m": 10.0,
-                    "facing_azimuth_deg": 0.0}],
-    }), encoding="utf-8")  # fmt: skip
-    write_table_csv(folder / "heliostats.csv", {
-        "heliostat": [f"H{number:05d}" for number in range(heliostats)],
-        "e_m": positions[:, 0], "n_m": positions[:, 1], "u_m": positions[:, 2],
-    })  # fmt: skip
+    (folder / "measurement.toml").write_text(
+        dump_toml(
+            {
+                "kind": "heliostat",
+                "name": "field",
+                "site": {
+                    "latitude_deg": SITE.latitude_deg,
+                    "longitude_deg": SITE.longitude_deg,
+                    "altitude_m": SITE.altitude_m,
+                },
+                "target": [
+                    {
+                        "name": TARGET.name,
+                        "center_m": [0.0, 0.0, 80.0],
+                        "width_m": 12.0,
+                        "height_m": 10.0,
+                        "facing_azimuth_deg": 0.0,
+                    }
+                ],
+            }
+        ),
+        encoding="utf-8",
+    )
+    write_table_csv(
+        folder / "heliostats.csv",
+        {
+            "heliostat": [f"H{number:05d}" for number in range(heliostats)],
+            "e_m": positions[:, 0],
+            "n_m": positions[:, 1],
+            "u_m": positions[:, 2],
+        },
+    )
     write_table_csv(folder / "observations.csv", rows)
 
 
@@ -90,10 +122,25 @@ def calibrate(folder: Path, out: Path, jobs: int) -> tuple[float, float, float]:
     before = os.times()
     begin = time.perf_counter()
     running = subprocess.Popen(
-        [sys.executable, "-m", "heliogauge", "calibrate", "heliostat", str(folder), "-o", str(out), "--quick",
-         "--jobs", str(jobs), "--no-report", "-q"],
-        env=environment, start_new_session=True, stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "heliogauge",
+            "calibrate",
+            "heliostat",
+            str(folder),
+            "-o",
+            str(out),
+            "--quick",
+            "--jobs",
+            str(jobs),
+            "--no-report",
+            "-q",
+        ],
+        env=environment,
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+    )
     most = 0.0
     while running.poll() is None:
         most = max(most, resident_mib(running.pid))

@@ -26,9 +26,21 @@ from calibration.heliostat.observations.residuals import ObservationModel, evalu
 
 COUNT, SIGMA_M = 150, 0.05
 FREE = (
-    "tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n", "initial_angle_2", "initial_stroke_1", "initial_stroke_2",
-    "offset_1", "offset_2", "pivot_radius_1", "pivot_radius_2", "position_e", "position_n", "position_u",
-)  # fmt: skip
+    "tilt_1_n",
+    "tilt_1_u",
+    "tilt_2_e",
+    "tilt_2_n",
+    "initial_angle_2",
+    "initial_stroke_1",
+    "initial_stroke_2",
+    "offset_1",
+    "offset_2",
+    "pivot_radius_1",
+    "pivot_radius_2",
+    "position_e",
+    "position_n",
+    "position_u",
+)
 COMMON = ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n", "position_u", "sag_1")
 
 

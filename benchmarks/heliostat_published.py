@@ -35,10 +35,16 @@ SITE = Site(-33.9272, 18.8653, 100.0)
 TOWER = np.array([11.0, 27.0, 4.25])
 #: Half widths of the bounds of section 5.5; as priors, sigmas of even distributions that wide.
 BOUNDS = {
-    "position_e": 0.05, "position_n": 0.05, "position_u": 0.05, "arm_normal": 0.01, "arm_up": 0.1,
-    "azimuth_offset": np.radians(10), "elevation_offset": np.radians(10), "tilt_about_east": np.radians(2.5),
+    "position_e": 0.05,
+    "position_n": 0.05,
+    "position_u": 0.05,
+    "arm_normal": 0.01,
+    "arm_up": 0.1,
+    "azimuth_offset": np.radians(10),
+    "elevation_offset": np.radians(10),
+    "tilt_about_east": np.radians(2.5),
     "tilt_about_north": np.radians(2.5),
-}  # fmt: skip
+}
 #: The camera's offset from the antenna is one number of the thesis' ten, taken as a height.
 OFFSET_M = 6e-3
 OFFSET_SIGMA_M = (0.0, 0.0, OFFSET_M / np.sqrt(3))
@@ -195,8 +201,12 @@ def zero_noise():
     for count in (4, 5, 10, 50):
         worst = study(truth, (32, 32), count, 5, sigma=1e-6, wide=1).figures.max()
         asked = "<= 2e-9 from 5" if count >= 5 else "0.23 at 4"
-        line(f"V12 drone at 32 m, noise 1e-6 of the published, {count} points", asked, f"{worst:.2g}",
-             worst < 1e-2 if count >= 5 else "prior-dependent")  # fmt: skip
+        line(
+            f"V12 drone at 32 m, noise 1e-6 of the published, {count} points",
+            asked,
+            f"{worst:.2g}",
+            worst < 1e-2 if count >= 5 else "prior-dependent",
+        )
     times = np.arange("2018-01-10T03:50", "2018-01-10T18:00", 60, dtype="datetime64[s]").astype("datetime64[ms]")
     sun = sun_directions(times, SITE, refracted=False)
     day = sun[sun[:, 2] > 0.02]
@@ -213,7 +223,7 @@ def zero_noise():
                 width = max(np.radians(noise_deg) * 29.5, 1e-9)
                 beams = BeamSpots.at_points(
                     Pointings(aimed.readings), seen, np.tile(TOWER, (count, 1)), width, ("tower",) * count
-                )  # fmt: skip
+                )
                 errors.append(tracker(truth)(fit(nine, Observations((beams,)), SQUARES).design)[0])
             label = "V11 sun, no noise" if noise_deg == 0 else "V13 sun, even noise of 0.0003 deg"
             holds = np.mean(errors) < 1e-3 if noise_deg == 0 else 0.3 < np.mean(errors) / asked < 3
@@ -223,15 +233,27 @@ def zero_noise():
 def sweep():
     title("Spec 000, heliostat 1, drone at 32 m: mean of the year [mrad], V14 to V18, V22, V23")
     truth = number_one()
-    asked = {2: (4.246, "3.9"), 5: (0.58, "0.4"), 8: (0.42, "0.25"), 10: (0.37, "0.18"), 20: (0.25, "0.10"),
-             50: (0.195, "0.06"), 100: (0.17, "0.05"), 240: (0.155, "0.048")}  # fmt: skip
+    asked = {
+        2: (4.246, "3.9"),
+        5: (0.58, "0.4"),
+        8: (0.42, "0.25"),
+        10: (0.37, "0.18"),
+        20: (0.25, "0.10"),
+        50: (0.195, "0.06"),
+        100: (0.17, "0.05"),
+        240: (0.155, "0.048"),
+    }
     for count, (mean, spread) in asked.items():
         trials = 40 if count < 50 else 12
         old, where = published_cost(truth, (32, 32), count, trials)
         new = study(truth, (32, 32), count, trials)
         both = f"{new.figures.mean():.3f} +- {new.figures.std():.3f}"
-        line(f"V14-V17 {count} points, published cost in its bounds", f"{mean} +- {spread}",
-             f"{old.mean():.3f} +- {old.std():.3f}", bool(abs(old.mean() / mean - 1) < 0.5))  # fmt: skip
+        line(
+            f"V14-V17 {count} points, published cost in its bounds",
+            f"{mean} +- {spread}",
+            f"{old.mean():.3f} +- {old.std():.3f}",
+            bool(abs(old.mean() / mean - 1) < 0.5),
+        )
         line(f"        {count} points, ours with priors", "better", both, bool(new.figures.mean() < 1.05 * old.mean()))
     on_bound = 100 * np.mean(np.abs(where[:, list(BOUNDS).index("arm_normal")]) > 0.99)
     line("        240 points: trials that end on the bound of zeta 1", "65 %", f"{on_bound:.0f} %", "noted")
@@ -306,16 +328,25 @@ def improved():
         ("B10 32 m, lengths 50 times as vague", (32, 32), 50, "6.1 / 5.7 / 4.6"),
     ):
         three(name, asked, lambda n, r=radius, w=wide: study(truth, r, n, 12, wide=w).figures.mean())
-    three("B9 32 m, published cost, bounds 50 times as wide", "3.9 / 4.0 / 4.0",
-          lambda n: published_cost(truth, (32, 32), n, 8, wide=50)[0].mean())  # fmt: skip
+    three(
+        "B9 32 m, published cost, bounds 50 times as wide",
+        "3.9 / 4.0 / 4.0",
+        lambda n: published_cost(truth, (32, 32), n, 8, wide=50)[0].mean(),
+    )
     known = known_before(truth, 50, free_arm=False)
-    three("B11 32 m, zeta 1 known, the rest vague", "0.337 / 0.117 / 0.053",
-          lambda n: study(truth, (32, 32), n, 12, believed=known).figures.mean())  # fmt: skip
+    three(
+        "B11 32 m, zeta 1 known, the rest vague",
+        "0.337 / 0.117 / 0.053",
+        lambda n: study(truth, (32, 32), n, 12, believed=known).figures.mean(),
+    )
     angles = known_before(truth)
     lengths = ("position_e", "position_n", "position_u", "arm_normal", "arm_up")
     held = angles.with_parameters(angles.parameters.with_sigmas(dict.fromkeys(lengths, 0.0)))
-    three("B12 32 m, lengths and offset known", "0.107 / 0.048 / 0.024",
-          lambda n: study(truth, (32, 32), n, 12, believed=held, offset=0.0).figures.mean())  # fmt: skip
+    three(
+        "B12 32 m, lengths and offset known",
+        "0.107 / 0.048 / 0.024",
+        lambda n: study(truth, (32, 32), n, 12, believed=held, offset=0.0).figures.mean(),
+    )
 
 
 def hundred(heliostats=60):
@@ -336,8 +367,12 @@ def hundred(heliostats=60):
 
 def _field_facts(figures, facts):
     good = 100 * np.mean(figures < 0.3)
-    line("V19 below 0.3 mrad; greatest", "86 %; 0.6", f"{good:.0f} %; {figures.max():.2f}",
-         bool(good >= 86 and figures.max() < 0.6))  # fmt: skip
+    line(
+        "V19 below 0.3 mrad; greatest",
+        "86 %; 0.6",
+        f"{good:.0f} %; {figures.max():.2f}",
+        bool(good >= 86 and figures.max() < 0.6),
+    )
     half = 1.984 * figures.std(ddof=1) / np.sqrt(figures.size)
     line("V28 95 % half width of the mean", "0.011 (k = 100)", f"{half:.3f} (k = {figures.size})", bool(half < 0.02))
     for label, fact in facts.items():
@@ -366,8 +401,12 @@ def radii(heliostats=20):
     last = np.full(3, np.inf)
     for radius, text in asked.items():
         means = np.array([_field((radius, radius), count, heliostats)[0].mean() for count in (10, 50, 240)])
-        line(f"V21 {radius} m (falls with the radius)", text, "/".join(f"{one:.3f}" for one in means),
-             bool((means < 1.05 * last).all()))  # fmt: skip
+        line(
+            f"V21 {radius} m (falls with the radius)",
+            text,
+            "/".join(f"{one:.3f}" for one in means),
+            bool((means < 1.05 * last).all()),
+        )
         last = means
 
 
@@ -383,9 +422,13 @@ def changed(trials=6):
         means = []
         for count in (2, 10, 50, 240):
             found = monte_carlo(
-                truth, known_before(truth), flights(truth, tower, (32, 32), count), trials, (9, count),
+                truth,
+                known_before(truth),
+                flights(truth, tower, (32, 32), count),
+                trials,
+                (9, count),
                 evaluate=tracker(truth, tower),
-            )  # fmt: skip
+            )
             means.append(found.figures.mean())
         text = " / ".join(f"{one:.3f}" for one in means)
         line(f"(i) {name} changed, 2 / 10 / 50 / 240 points", "falls", text, bool(means[-1] < means[0]))

@@ -17,8 +17,16 @@ from calibration.heliostat.planning.simulate import Control, commanded_offsets, 
 from heliogauge.geometry.sun import Site, sun_directions
 
 STELLENBOSCH = Site(-33.9281, 18.8654, 120.0)
-TABLE_61 = {"position_e": 1.02, "position_n": -0.53, "position_u": 0.11, "tilt_north": -13.27e-3, "tilt_east": -4.56e-3,
-            "azimuth_offset": -3.79e-3, "elevation_offset": 1.12e-3, "non_orthogonality": -1.92e-3}  # fmt: skip
+TABLE_61 = {
+    "position_e": 1.02,
+    "position_n": -0.53,
+    "position_u": 0.11,
+    "tilt_north": -13.27e-3,
+    "tilt_east": -4.56e-3,
+    "azimuth_offset": -3.79e-3,
+    "elevation_offset": 1.12e-3,
+    "non_orthogonality": -1.92e-3,
+}
 ANGLES = ("tilt_north", "tilt_east", "azimuth_offset", "elevation_offset", "non_orthogonality")
 POSITION = ("position_e", "position_n", "position_u")
 AIM = np.array([0.0, 0.0, 13.0])
@@ -138,8 +146,12 @@ def _stability_of(name, case, asked, trials):
             # Both over the RMS without any correction on their own day.
             median = np.median(found[:, 1] / found[:, 0]) * reference / other
             mean = found[:, 1].mean() / found[:, 0].mean() * reference / other
-            line(f"V-9 {name}, noise {noise:g}, {label}", text, f"{mean:.1f} (median {median:.1f})",
-                 _verdict(mean, position, noise))  # fmt: skip
+            line(
+                f"V-9 {name}, noise {noise:g}, {label}",
+                text,
+                f"{mean:.1f} (median {median:.1f})",
+                _verdict(mean, position, noise),
+            )
 
 
 def _verdict(mean, position_sigma_m, noise):
@@ -182,10 +194,18 @@ def twin():
     joint, alone = fit(worm, minutes, SQUARES), fit(known, minutes, SQUARES)
     left = 1e3 * np.sqrt(np.mean(np.sum(joint.residuals.beam_rad**2, axis=1)))
     floor = 1e3 * np.sqrt(2) * noise_m / float(np.linalg.norm(AIM - case.truth.position_m))
-    line("V-15 joint fit of 589 beams, residual over noise", "0.276 / 0.28", f"{left:.3f} / {floor:.3f}",
-         bool(abs(left / floor - 1) < 0.05))  # fmt: skip
-    line("V-14 cycle of the residual [deg of elevation]", "12.0", f"{_cycle_deg(alone):.2f}",
-         bool(abs(_cycle_deg(alone) - 12) < 0.3))  # fmt: skip
+    line(
+        "V-15 joint fit of 589 beams, residual over noise",
+        "0.276 / 0.28",
+        f"{left:.3f} / {floor:.3f}",
+        bool(abs(left / floor - 1) < 0.05),
+    )
+    line(
+        "V-14 cycle of the residual [deg of elevation]",
+        "12.0",
+        f"{_cycle_deg(alone):.2f}",
+        bool(abs(_cycle_deg(alone) - 12) < 0.3),
+    )
     off = commanded_offsets(case.truth, alone.design, days[0], case.plane)
     mean_mm = 1e3 * float(np.nanmean(np.linalg.norm(off, axis=1)))
     line("V-12 mean distance of centroids [mm]", "70.1 (RMS 72.4)", f"{mean_mm:.1f}", "amplitude is a guess")

@@ -34,10 +34,23 @@ def trough_map(sigma_rad, rng):
     zero = np.zeros(NODES)
     design = zero + x / (2 * TROUGH.focal_length_m)
     return SlopeMap(
-        x_m=x, y_m=y, slope_x=np.tan(np.arctan(design) - across), slope_y=np.tan(along), design_slope_x=design,
-        design_slope_y=zero, sigma_random_x=zero, sigma_random_y=zero, noise_correlation=1.0, common=no_common_modes(),
-        height_m=zero + np.nan, flags=zero, aperture=zero == 0, design="trough", frame="trough", removed="nothing",
-    )  # fmt: skip
+        x_m=x,
+        y_m=y,
+        slope_x=np.tan(np.arctan(design) - across),
+        slope_y=np.tan(along),
+        design_slope_x=design,
+        design_slope_y=zero,
+        sigma_random_x=zero,
+        sigma_random_y=zero,
+        noise_correlation=1.0,
+        common=no_common_modes(),
+        height_m=zero + np.nan,
+        flags=zero,
+        aperture=zero == 0,
+        design="trough",
+        frame="trough",
+        removed="nothing",
+    )
 
 
 def trace_one_by_one(mirror, rays, rng):
@@ -64,8 +77,10 @@ def main():
     tube = AbsorberPath.straight(0.0, TROUGH.focal_length_m, TROUGH.length_m / 2)
     sun = sun_profile(SUN)
     print(f"trough of f = 1.71 m, aperture 5.774 m, tube 70 mm; Gaussian sun 2.73 mrad; {rays:.2g} rays")
-    print(f"{'slope error':>12}{'SolTrace':>10}{'closed':>9}{'integral':>10}{'pooled':>9}{'short form':>12}"
-          f"{'rays':>9}{'+-':>9}{'worst - ref':>13}")  # fmt: skip
+    print(
+        f"{'slope error':>12}{'SolTrace':>10}{'closed':>9}{'integral':>10}{'pooled':>9}{'short form':>12}"
+        f"{'rays':>9}{'+-':>9}{'worst - ref':>13}"
+    )
     for sigma, soltrace, closed in REFERENCE:
         mirror = trough_map(sigma, rng)
         nodes = mirror_nodes(mirror, TROUGH.focal_length_m)
@@ -74,8 +89,10 @@ def main():
         traced = trace_intercept(mirror, tube, 0.07, Sunlight(SUN), rays=rays, rng=rng)
         found = (optics.ratio(), beam_spread(optics).ratio, short, traced.ratio)
         worst = max(found, key=lambda one, closed=closed: abs(one - closed)) - closed
-        print(f"{1e3 * sigma:9.0f} mrad{soltrace:10.4f}{closed:9.4f}{found[0]:10.5f}{found[1]:9.5f}{found[2]:12.5f}"
-              f"{found[3]:9.5f}{traced.sampling_sigma:9.5f}{worst:13.5f}")  # fmt: skip
+        print(
+            f"{1e3 * sigma:9.0f} mrad{soltrace:10.4f}{closed:9.4f}{found[0]:10.5f}{found[1]:9.5f}{found[2]:12.5f}"
+            f"{found[3]:9.5f}{traced.sampling_sigma:9.5f}{worst:13.5f}"
+        )
 
     few = 20_000
     start = time.process_time()

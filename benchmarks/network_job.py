@@ -51,11 +51,18 @@ def write_folder(folder: Path, n_photos: int, n_targets: int) -> np.ndarray:
     write_image_points_csv(folder / "image_points.csv", table)
     length_m = float(np.linalg.norm(targets[0] - targets[1]))
     content = {
-        "kind": "photogrammetry", "name": "job", "image_points": {},
-        "camera": {"width_px": WIDTH, "height_px": HEIGHT, "free": FREE, "residuals": "corrected",
-                   "millimetres": {"form": "aicon", "pixel_mm": 0.006, "focal_mm": 33.0, "zero_radius_mm": 14.0}},
+        "kind": "photogrammetry",
+        "name": "job",
+        "image_points": {},
+        "camera": {
+            "width_px": WIDTH,
+            "height_px": HEIGHT,
+            "free": FREE,
+            "residuals": "corrected",
+            "millimetres": {"form": "aicon", "pixel_mm": 0.006, "focal_mm": 33.0, "zero_radius_mm": 14.0},
+        },
         "scale_bar": [{"a": "0", "b": "1", "length_m": length_m, "sigma_mm": 0.001}],
-    }  # fmt: skip
+    }
     (folder / "measurement.toml").write_text(dump_toml(content), encoding="utf-8")
     return targets
 

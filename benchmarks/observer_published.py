@@ -23,8 +23,13 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import ls2
 from observer.trough.typical_mirror import TypicalMirror
 
-TABLE_7_2 = {15: (6.3, 8.1, 20.3, 16.0), 20: (8.4, 6.1, 15.0, 11.9), 25: (10.5, 4.9, 11.9, 9.5),
-             30: (12.6, 4.1, 9.9, 7.9), 35: (14.7, 3.5, 8.4, 6.7)}  # fmt: skip
+TABLE_7_2 = {
+    15: (6.3, 8.1, 20.3, 16.0),
+    20: (8.4, 6.1, 15.0, 11.9),
+    25: (10.5, 4.9, 11.9, 9.5),
+    30: (12.6, 4.1, 9.9, 7.9),
+    35: (14.7, 3.5, 8.4, 6.7),
+}
 #: Section 7.3: image points of targets, centrelines of absorber and reflection [px], distances and targets [mm].
 TARGET_PX, CENTRELINE_PX, DISTANCE_MM, TARGET_MM = 0.1, 1.0, 3.0, 5.0
 ROWS = 24
@@ -37,9 +42,12 @@ def title(text):
 
 def collector():
     return replace(
-        ls2(), length_m=LENGTH_M, panel_edges_x_m=np.array([-2.5, -1.34, 0.0, 1.34, 2.5]),
-        panel_edges_y_m=np.linspace(-4, 4, 6), panel_gap_m=0.01,
-    )  # fmt: skip
+        ls2(),
+        length_m=LENGTH_M,
+        panel_edges_x_m=np.array([-2.5, -1.34, 0.0, 1.34, 2.5]),
+        panel_edges_y_m=np.linspace(-4, 4, 6),
+        panel_gap_m=0.01,
+    )
 
 
 def targets(folder, ground_x_m=None):
@@ -60,16 +68,28 @@ def plan(focal_px, size_px, height_m, photos, reach_m=3.0):
         {"kind": "distance", "a": a, "b": b, "distance_m": 7.8, "sigma_mm": DISTANCE_MM}
         for a, b in (("1", "6"), ("7", "12"))
     ]
-    return ObserverPlanModel.model_validate({
-        "kind": "observer-plan", "name": "published",
-        "collector": {"aperture_width_m": 5.0, "length_m": LENGTH_M, "focal_length_m": 1.49,
-                      "absorber_diameter_mm": 70.0},
-        "camera": {"width_px": size_px[0], "height_px": size_px[1], "focal_px": focal_px,
-                   "free": ["focal_px", "center_x_px", "center_y_px"],
-                   "sigma": {"focal_px": 1.5e-4 * focal_px, "center_x_px": 0.9, "center_y_px": 0.9}},
-        "targets": {"sigma_px": TARGET_PX}, "distance": distances,
-        "flight": [{"height_m": float(height_m), "reach_m": reach_m, "photos": photos}],
-    })  # fmt: skip
+    return ObserverPlanModel.model_validate(
+        {
+            "kind": "observer-plan",
+            "name": "published",
+            "collector": {
+                "aperture_width_m": 5.0,
+                "length_m": LENGTH_M,
+                "focal_length_m": 1.49,
+                "absorber_diameter_mm": 70.0,
+            },
+            "camera": {
+                "width_px": size_px[0],
+                "height_px": size_px[1],
+                "focal_px": focal_px,
+                "free": ["focal_px", "center_x_px", "center_y_px"],
+                "sigma": {"focal_px": 1.5e-4 * focal_px, "center_x_px": 0.9, "center_y_px": 0.9},
+            },
+            "targets": {"sigma_px": TARGET_PX},
+            "distance": distances,
+            "flight": [{"height_m": float(height_m), "reach_m": reach_m, "photos": photos}],
+        }
+    )
 
 
 def flown(model, noise, along_rad, runs, ground_x_m=None):
@@ -93,8 +113,12 @@ def flown(model, noise, along_rad, runs, ground_x_m=None):
         error = error_theta_ra(one, trough.focal_length_m, absorber)
         errors.append(error[np.isfinite(error)])
         stated.append(np.nanmedian(one.sigma_slope_x))
-        eyes.append([a[1].inverse().translation_m - b[1].inverse().translation_m
-                     for a, b in zip(believed.views, network.views, strict=True)])  # fmt: skip
+        eyes.append(
+            [
+                a[1].inverse().translation_m - b[1].inverse().translation_m
+                for a, b in zip(believed.views, network.views, strict=True)
+            ]
+        )
     found = np.abs(np.concatenate(errors))
     return (np.sqrt(np.mean(found**2)), np.percentile(found, 95), np.median(stated), np.sqrt(np.mean(np.square(eyes))))
 
@@ -105,8 +129,12 @@ def v1():
     for height, published in TABLE_7_2.items():
         eyes = np.stack([np.linspace(-3, 3, 50), np.zeros(50), np.full(50, float(height))], axis=1)
         found = flight_figures(collector(), 4.2e-4, eyes)
-        ours = (1e3 * found.pixel_on_aperture_m, 1e3 * found.camera_angle_step_rad,
-                np.degrees(found.camera_target_angle_rad), np.degrees(found.longitudinal_incidence_rad))  # fmt: skip
+        ours = (
+            1e3 * found.pixel_on_aperture_m,
+            1e3 * found.camera_angle_step_rad,
+            np.degrees(found.camera_target_angle_rad),
+            np.degrees(found.longitudinal_incidence_rad),
+        )
         right += sum(round(float(a), 1) == b for a, b in zip(ours, published, strict=True))
         print(f"  {height} m: " + ", ".join(f"{a:.2f} ({b})" for a, b in zip(ours, published, strict=True)))
     print(f"  {right} of 20 agree to the last printed digit")
@@ -163,8 +191,10 @@ def v5(runs=4):
     ):
         noise = EdgeNoise(pixels, pixels)
         rms, most, sigma, eyes = (1e3 * float(value) for value in flown(model, noise, along, runs))
-        print(f"  {name}: 95 % within {most:.3f} mrad, RMS {rms:.3f}; stated sigma of theta_r {sigma:.3f}; "
-              f"cameras {eyes:.2f} mm from the targets")  # fmt: skip
+        print(
+            f"  {name}: 95 % within {most:.3f} mrad, RMS {rms:.3f}; stated sigma of theta_r {sigma:.3f}; "
+            f"cameras {eyes:.2f} mm from the targets"
+        )
 
 
 def v6(runs=2):
@@ -175,8 +205,10 @@ def v6(runs=2):
         noise = EdgeNoise(0.1, 0.1)
         rim = flown(model, noise, 0.0, runs)
         wide = flown(model, noise, 0.0, runs, ground_x_m=float(np.tan(np.radians(10.15)) * (height - 1.05)))
-        print(f"  {height:.0f} m: rim targets {1e3 * rim[1]:.3f} (cameras {1e3 * rim[3]:.1f} mm), with ground targets "
-              f"{1e3 * wide[1]:.3f} ({1e3 * wide[3]:.1f} mm)")  # fmt: skip
+        print(
+            f"  {height:.0f} m: rim targets {1e3 * rim[1]:.3f} (cameras {1e3 * rim[3]:.1f} mm), with ground targets "
+            f"{1e3 * wide[1]:.3f} ({1e3 * wide[3]:.1f} mm)"
+        )
 
 
 def v7():
@@ -186,8 +218,9 @@ def v7():
         cells = []
         for two_sigma in (3e-3, 5e-3, 7e-3):
             _, error = error_of_theta_ra(collector(), np.radians(degrees), two_sigma)
-            cells.append(f"{1e3 * two_sigma:.0f} mrad: {1e3 * np.sqrt(np.mean(error**2)):.2f}, "
-                         f"{1e3 * np.abs(error).max():.2f}")  # fmt: skip
+            cells.append(
+                f"{1e3 * two_sigma:.0f} mrad: {1e3 * np.sqrt(np.mean(error**2)):.2f}, {1e3 * np.abs(error).max():.2f}"
+            )
         print(f"  {degrees:2d} deg   " + "   ".join(cells))
 
 

@@ -33,9 +33,21 @@ def write_results(folder: Path, nodes: int) -> None:
     slopes = [slope + 4e-4 * np.sin(6 * slope * 20) + rng.normal(0, sigma) for slope in design]
     common = CommonModes(("mirror pose",) * 6 + ("screen pose",) * 6, rng.normal(0, 2e-5, (12, 2, 6)), np.zeros(2), 0.6)
     slope_map = SlopeMap(
-        x_m, y_m, *slopes, *design, sigma, sigma, 1.0, common, (x**2 + y**2) / 40, np.zeros(x.shape, np.uint32),
-        np.hypot(x, y) < 0.7, "paraboloid, f = 10 m", "facet", "nothing",
-    )  # fmt: skip
+        x_m,
+        y_m,
+        *slopes,
+        *design,
+        sigma,
+        sigma,
+        1.0,
+        common,
+        (x**2 + y**2) / 40,
+        np.zeros(x.shape, np.uint32),
+        np.hypot(x, y) < 0.7,
+        "paraboloid, f = 10 m",
+        "facet",
+        "nothing",
+    )
     write_slope_map(folder / "slope_map.nc", {"": slope_map})
     image = rng.normal(80, 2, (1232, 1624))
     write_pixels(folder / "pixels.nc", dict.fromkeys(("modulation_dn", "residual_dn", "u", "v"), image))
@@ -50,7 +62,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_results(folder, nodes)
-        program = f"from pathlib import Path; from heliogauge.reporting.build import build_report; build_report(Path({str(folder)!r}))"
+        program = (
+            "from pathlib import Path; from heliogauge.reporting.build import build_report; "
+            f"build_report(Path({str(folder)!r}))"
+        )
         environment = {**os.environ, **THREADS, "PYTHONPATH": str(ROOT)}
         # The children's time counts once they and their own children have ended: the kernel is among them.
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()

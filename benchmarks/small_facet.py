@@ -49,8 +49,10 @@ def main():
         else:
             write_dataset(folder, small_scene())
             name = "synthetic facet (the real one is not on this machine)"
-        title(f"Whole process, {name}, 203 x 154 px x 32 frames: CPU s, median of {RUNS}",
-              ("measured", "asked", "incumbent", "spread"))  # fmt: skip
+        title(
+            f"Whole process, {name}, 203 x 154 px x 32 frames: CPU s, median of {RUNS}",
+            ("measured", "asked", "incumbent", "spread"),
+        )
         environment = {
             **os.environ,
             **ONE_THREAD,

@@ -1,6 +1,6 @@
 """Draw the rooms of the house from the code: which there are, in the order of the data, and who uses whom.
 
-``python docs/draw_rooms.py`` writes docs/images/rooms.svg; tests/architecture/test_picture.py compares it with the code.
+``python docs/draw_rooms.py`` writes docs/images/rooms.svg; a test of tests/architecture compares it with the code.
 """
 
 import ast
@@ -16,20 +16,41 @@ METHOD = {
     "calibration.camera": ("corners", "start_values", "judgement"),
     "calibration.screen": (),
     "photogrammetry": (
-        "targets", "centers", "detection", "matching", "start_values", "bundle", "networks", "surface",
+        "targets",
+        "centers",
+        "detection",
+        "matching",
+        "start_values",
+        "bundle",
+        "networks",
+        "surface",
     ),
     "deflectometry": ("setup", "frames", "fringes", "pose", "shape"),
     "observer": ("trough", "photo_edges", "absorber", "slopes", "selection", "doubts", "product", "light", "commands"),
     "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis"),
     "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats"),
     "heliogauge": (
-        "geometry", "camera", "adjust", "slopes", "sunlight", "images", "measurement", "results", "reporting", "running",
+        "geometry",
+        "camera",
+        "adjust",
+        "slopes",
+        "sunlight",
+        "images",
+        "measurement",
+        "results",
+        "reporting",
+        "running",
     ),
-}  # fmt: skip
+}
 SERVICE = ("keys", "exchange", "pipeline", "planning", "files", "report")
 INSTRUMENTS = (
-    "calibration.camera", "photogrammetry", "deflectometry", "observer", "calibration.heliostat", "calibration.screen",
-)  # fmt: skip
+    "calibration.camera",
+    "photogrammetry",
+    "deflectometry",
+    "observer",
+    "calibration.heliostat",
+    "calibration.screen",
+)
 
 WIDTH, COLUMN, ROOM, GAP, TOP = 1200, 186, 34, 8, 150
 INK, FAINT, METHOD_FILL, SERVICE_FILL, KERNEL_FILL = "#1f2933", "#8a97a5", "#dbe9f6", "#eef1f4", "#f6ead2"
@@ -45,8 +66,7 @@ def modules_of(package: str) -> list[tuple[str, Path]]:
     """List dotted names and files of a package."""
     place = REPOSITORY.joinpath(*package.split("."))
     return [
-        (".".join(file.relative_to(REPOSITORY).with_suffix("").parts), file)
-        for file in sorted(place.rglob("*.py"))
+        (".".join(file.relative_to(REPOSITORY).with_suffix("").parts), file) for file in sorted(place.rglob("*.py"))
     ]
 
 
@@ -111,9 +131,7 @@ def draw() -> str:
     parts.append(_box(10, 10, 150, "data_synth", "#fff", height=ROOM))
     for k, (room, size) in enumerate(synth.items()):
         parts.append(_box(175 + k * 150, 10, 140, room, METHOD_FILL, str(size)))
-    parts.append(
-        f'<text x="{175 + len(synth) * 150}" y="32" fill="{FAINT}">draws; knows descriptions only</text>'
-    )
+    parts.append(f'<text x="{175 + len(synth) * 150}" y="32" fill="{FAINT}">draws; knows descriptions only</text>')
     between = sorted(pair for pair in uses() if "data_synth" not in pair)
     parts += [_path(places, pair, level, TOP) for level, pair in enumerate(between)]
     lowest = 0.0
@@ -137,8 +155,8 @@ def draw() -> str:
         parts.append(_box(10 + column * (width + GAP), y + row * (ROOM + GAP), width, room, KERNEL_FILL, str(size)))
     bottom = y + (1 + (len(kernel) - 1) // per_row) * (ROOM + GAP) + 24
     parts.append(
-        f'<text x="10" y="{bottom - 8}" fill="{FAINT}">blue: rooms of the method, in the order of the data; grey: service '
-        "rooms, the same names everywhere; numbers: modules; arrows: uses the public face of</text>"
+        f'<text x="10" y="{bottom - 8}" fill="{FAINT}">blue: rooms of the method, in the order of the data; '
+        "grey: service rooms, the same names everywhere; numbers: modules; arrows: uses the public face of</text>"
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {bottom:.0f}" font-family="sans-serif" '

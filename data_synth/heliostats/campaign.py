@@ -253,9 +253,7 @@ def observe(
     for axis, step in enumerate(disturbances.logged):
         logged[:, axis] = np.rint(logged[:, axis] / step) * step if step else logged[:, axis]
     stated = disturbances.stated * sigma
-    return Beams(
-        times, noted, sun, target, readings, logged, approach, poses, spot, measured, stated, outlier
-    )  # fmt: skip
+    return Beams(times, noted, sun, target, readings, logged, approach, poses, spot, measured, stated, outlier)
 
 
 def spots(poses: Poses, sun: FloatArray, targets: list[PlaneTarget]) -> FloatArray:
@@ -299,9 +297,7 @@ def _moved(
 ) -> Poses:
     if states is None:
         return heliostat.poses(readings, approach)
-    pieces = [
-        state.poses(readings[row : row + 1], approach[row : row + 1]) for row, state in enumerate(states)
-    ]  # fmt: skip
+    pieces = [state.poses(readings[row : row + 1], approach[row : row + 1]) for row, state in enumerate(states)]
     rotation, center = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("rotation", "center_m"))
     return Poses(rotation, center)
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from zipfile import BadZipFile
 
 import numpy as np
@@ -116,8 +116,10 @@ def write_heliostat_dataset(
             comment = f"Synthetic measurement, seed {chosen.seed}; see {TRUTH_FILE}."
             write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(content))
             cameras = [] if photographer is None else photographer.to_json()
-            write_json(working / TRUTH_FILE, {**scene_to_json(scene), "seed": chosen.seed, "heliostats": records,
-                                              "cameras": cameras})  # fmt: skip
+            write_json(
+                working / TRUTH_FILE,
+                {**scene_to_json(scene), "seed": chosen.seed, "heliostats": records, "cameras": cameras},
+            )
             stacked = {name: np.concatenate([one[name] for one in arrays]) for name in _ARRAYS}
             np.savez_compressed(working / TRUTH_ARRAYS_FILE, **stacked)  # type: ignore[arg-type]
 
@@ -153,22 +155,27 @@ def heliostat_content(scene: HeliostatScene, corners_px: Mapping[str, FloatArray
         "name": scene.name,
         "notes": "Synthetic: made by heliogauge synth.",
         "site": {
-            "latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg, "altitude_m": site.altitude_m,
+            "latitude_deg": site.latitude_deg,
+            "longitude_deg": site.longitude_deg,
+            "altitude_m": site.altitude_m,
         },
         "target": [_target_to_json(target) for target in scene.plant.targets],
         "heliostats": {"file": HELIOSTATS_FILE},
         "kinematics": kinematics,
         "observations": {"file": OBSERVATIONS_FILE},
-    }  # fmt: skip
+    }
     if corners_px and scene.photos is not None:
         lens = {"camera": CAMERA_FILE} if scene.photos.is_distorted else {}
         content["images"] = [
             {
-                "target": name, "corners_px": corners.round(2).tolist(),
-                "corners_sigma_px": scene.photos.corner_sigma_px, "empty": f"{_folder(name)}/empty_*.png", **lens,
+                "target": name,
+                "corners_px": corners.round(2).tolist(),
+                "corners_sigma_px": scene.photos.corner_sigma_px,
+                "empty": f"{_folder(name)}/empty_*.png",
+                **lens,
             }
             for name, corners in corners_px.items()
-        ]  # fmt: skip
+        ]
     return content
 
 
@@ -189,9 +196,20 @@ def scene_to_json(scene: HeliostatScene) -> dict[str, Any]:
 def _target_to_json(target: PlaneTarget) -> dict[str, Any]:
     azimuth = float(np.degrees(np.arctan2(target.normal[0], target.normal[1]))) % 360
     return {
-        "name": target.name, "center_m": target.center_m.tolist(), "width_m": target.width_m,
-        "height_m": target.height_m, "facing_azimuth_deg": round(azimuth, 9) + 0.0,
-    }  # fmt: skip
+        "name": target.name,
+        "center_m": target.center_m.tolist(),
+        "width_m": target.width_m,
+        "height_m": target.height_m,
+        "facing_azimuth_deg": round(azimuth, 9) + 0.0,
+    }
+
+
+class _UnitData(NamedTuple):
+    """What is written of one heliostat: rows of observations.csv, true values of each row, record of its errors."""
+
+    columns: Columns
+    truth: dict[str, _Array]
+    record: dict[str, Any]
 
 
 def _measured(
@@ -200,7 +218,7 @@ def _measured(
     rng: np.random.Generator,
     campaign: Campaign | None,
     photographer: "_Photographer | None",
-) -> tuple[Columns, dict[str, _Array], dict[str, Any]]:
+) -> _UnitData:
     measuring, spoiling = rng.spawn(2)
     truth: dict[str, _Array]
     if campaign is None:
@@ -229,7 +247,7 @@ def _measured(
         "per_year": dict(unit.changes.per_year),
         "faults": [{"fault": fault, "rows": touched.get(fault)} for fault in unit.faults],
     }
-    return {"heliostat": [unit.true.name] * len(source), **columns}, truth, record
+    return _UnitData({"heliostat": [unit.true.name] * len(source), **columns}, truth, record)
 
 
 def _flown(scene: HeliostatScene, unit: Unit, rng: np.random.Generator) -> tuple[Columns, dict[str, _Array]]:
@@ -247,9 +265,14 @@ def _flown(scene: HeliostatScene, unit: Unit, rng: np.random.Generator) -> tuple
 def _camera(plan: PhotoPlan) -> Camera:
     lens = plan.camera
     return Camera(
-        lens.width_px, lens.height_px, lens.focal_x_px, lens.focal_y_px, lens.center_x_px, lens.center_y_px,
+        lens.width_px,
+        lens.height_px,
+        lens.focal_x_px,
+        lens.focal_y_px,
+        lens.center_x_px,
+        lens.center_y_px,
         distortion=BrownDistortion(lens.k1, lens.k2, lens.k3, lens.p1, lens.p2),
-    )  # fmt: skip
+    )
 
 
 def _sun_columns(beams: Beams) -> Columns:
@@ -344,18 +367,20 @@ class _Photographer:
         """Return the cameras, the true corners, marks, and the beams of all photos, for truth.json."""
         cameras = []
         for target, camera in zip(self.targets, self.cameras, strict=True):
-            cameras.append({
-                "target": target.name,
-                "camera": asdict(self.plan.camera),
-                "cam_from_world": {
-                    "rotation_vector_rad": camera.cam_from_world.rotation_vector_rad.tolist(),
-                    "translation_m": camera.cam_from_world.translation_m.tolist(),
-                },
-                "corners_px": camera.image_points(camera.surface.corners_m).tolist(),
-                "marks_m": camera.surface.marks_m.tolist(),
-                "marks_px": camera.image_points(camera.surface.marks_m).tolist(),
-                "photos": [photo for photo in self.truth if photo["target"] == target.name],
-            })  # fmt: skip
+            cameras.append(
+                {
+                    "target": target.name,
+                    "camera": asdict(self.plan.camera),
+                    "cam_from_world": {
+                        "rotation_vector_rad": camera.cam_from_world.rotation_vector_rad.tolist(),
+                        "translation_m": camera.cam_from_world.translation_m.tolist(),
+                    },
+                    "corners_px": camera.image_points(camera.surface.corners_m).tolist(),
+                    "marks_m": camera.surface.marks_m.tolist(),
+                    "marks_px": camera.image_points(camera.surface.marks_m).tolist(),
+                    "photos": [photo for photo in self.truth if photo["target"] == target.name],
+                }
+            )
         return cameras
 
     def _ambient(self) -> float:

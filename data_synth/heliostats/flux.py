@@ -5,6 +5,7 @@ looks back at each patch of the mirror and asks how bright the sun is in the dir
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,14 @@ _NODES = 8
 _TABLE = 400
 #: Radiance, relative to the centre, below which the aureole is left out.
 _FAINTEST = 1e-3
+
+
+class Patches(NamedTuple):
+    """Points (p, 3) [m], unit normals (p, 3) and areas (p,) [m^2] of patches of a mirror, in its frame."""
+
+    points_m: FloatArray
+    normals: FloatArray
+    area_m2: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +70,8 @@ class Facets:
         half = 0.5 * np.hypot(self.width_m, self.height_m)
         return float(np.linalg.norm(self.centers_m[:, :2], axis=1).max() + half)
 
-    def patches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return points, unit normals and areas of the patches that stand for the surface.
-
-        Returns (p, 3): Points [m], normals, areas [m^2], in the mirror's frame.
-        """
+    def patches(self) -> Patches:
+        """Return points, unit normals and areas of the patches that stand for the surface."""
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         along_x, along_y = (0.5 * nodes * size for size in (self.width_m, self.height_m))
         x, y = (grid.ravel() for grid in np.meshgrid(along_x, along_y))
@@ -76,7 +82,7 @@ class Facets:
         normals = np.repeat(self.normals[:, None], len(x), axis=1)
         normals[..., :2] -= bend
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        return points, normals.reshape(-1, 3), np.tile(area, len(self.centers_m))
+        return Patches(points, normals.reshape(-1, 3), np.tile(area, len(self.centers_m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,31 +21,69 @@ from heliogauge.geometry.sun import Site
 #: Where each kind's errors are drawn from, and what measurement.toml says of them: one standard deviation [rad, m].
 ERROR_SIZES: Mapping[str, Mapping[str, float]] = {
     "azimuth-elevation": {
-        "tilt_north": 3e-3, "tilt_east": 3e-3, "azimuth_offset": 5e-3, "elevation_offset": 5e-3,
-        "non_orthogonality": 1e-3, "position_e": 0.03, "position_n": 0.03, "position_u": 0.03,
+        "tilt_north": 3e-3,
+        "tilt_east": 3e-3,
+        "azimuth_offset": 5e-3,
+        "elevation_offset": 5e-3,
+        "non_orthogonality": 1e-3,
+        "position_e": 0.03,
+        "position_n": 0.03,
+        "position_u": 0.03,
     },
     "six-error": {
-        "tilt_north": 3e-3, "tilt_east": 3e-3, "azimuth_offset": 5e-3, "elevation_offset": 5e-3,
-        "non_orthogonality": 1e-3, "canting": 1e-3, "position_e": 0.03, "position_n": 0.03, "position_u": 0.03,
+        "tilt_north": 3e-3,
+        "tilt_east": 3e-3,
+        "azimuth_offset": 5e-3,
+        "elevation_offset": 5e-3,
+        "non_orthogonality": 1e-3,
+        "canting": 1e-3,
+        "position_e": 0.03,
+        "position_n": 0.03,
+        "position_u": 0.03,
     },
     "drone": {
-        "tilt_about_east": 5e-3, "tilt_about_north": 5e-3, "azimuth_offset": 0.02, "elevation_offset": 0.02,
-        "arm_normal": 5e-3, "arm_up": 0.02, "position_e": 0.02, "position_n": 0.02, "position_u": 0.02,
+        "tilt_about_east": 5e-3,
+        "tilt_about_north": 5e-3,
+        "azimuth_offset": 0.02,
+        "elevation_offset": 0.02,
+        "arm_normal": 5e-3,
+        "arm_up": 0.02,
+        "position_e": 0.02,
+        "position_n": 0.02,
+        "position_u": 0.02,
     },
     "linear-actuators": {
-        "tilt_1_n": 5e-3, "tilt_1_u": 5e-3, "tilt_2_e": 5e-3, "tilt_2_n": 5e-3, "initial_angle_1": 2e-3,
-        "initial_angle_2": 2e-3, "initial_stroke_1": 1e-4, "initial_stroke_2": 1e-4, "offset_1": 1e-4,
-        "offset_2": 1e-4, "pivot_radius_1": 1e-4, "pivot_radius_2": 1e-4,
-        "position_e": 0.02, "position_n": 0.02, "position_u": 0.02,
+        "tilt_1_n": 5e-3,
+        "tilt_1_u": 5e-3,
+        "tilt_2_e": 5e-3,
+        "tilt_2_n": 5e-3,
+        "initial_angle_1": 2e-3,
+        "initial_angle_2": 2e-3,
+        "initial_stroke_1": 1e-4,
+        "initial_stroke_2": 1e-4,
+        "offset_1": 1e-4,
+        "offset_2": 1e-4,
+        "pivot_radius_1": 1e-4,
+        "pivot_radius_2": 1e-4,
+        "position_e": 0.02,
+        "position_n": 0.02,
+        "position_u": 0.02,
     },
-}  # fmt: skip
+}
 FREE_SETS = {"azimuth-elevation": "8", "six-error": "6", "drone": "9", "linear-actuators": "15"}
 #: Usual numbers of a unit at Juelich.
 JUELICH_ACTUATORS: Values = {
-    "initial_angle_1": 0.0153, "initial_stroke_1": 0.0765, "offset_1": 0.3353, "pivot_radius_1": 0.3381,
-    "increment_1": 154166.6667, "initial_angle_2": 0.9359, "initial_stroke_2": 0.0764, "offset_2": 0.3408,
-    "pivot_radius_2": 0.3191, "increment_2": 154166.6667,
-}  # fmt: skip
+    "initial_angle_1": 0.0153,
+    "initial_stroke_1": 0.0765,
+    "offset_1": 0.3353,
+    "pivot_radius_1": 0.3381,
+    "increment_1": 154166.6667,
+    "initial_angle_2": 0.9359,
+    "initial_stroke_2": 0.0764,
+    "offset_2": 0.3408,
+    "pivot_radius_2": 0.3191,
+    "increment_2": 154166.6667,
+}
 _JUELICH_LIMITS = ((0.0, 69171.0), (0.0, 75641.0))
 _ALMERIA = Site(37.094, -2.358, 500.0)
 _JUELICH = Site(50.9134, 6.3878, 90.0)
@@ -172,19 +210,18 @@ def heliostat_scene(preset: str, choice: HeliostatChoice | None = None) -> Helio
 
 def _small(choice: HeliostatChoice) -> HeliostatScene:
     schedule = Schedule(_days("2025-03-04", 10, 25), 6)
-    return _azimuth_elevation("small", choice, (4, schedule), Disturbances(wind_rad=2e-4))
+    return _azimuth_elevation("small", choice, 4, schedule, Disturbances(wind_rad=2e-4))
 
 
 def _field(choice: HeliostatChoice) -> HeliostatScene:
-    return _azimuth_elevation(
-        "field", choice, (100, Schedule(_days("2025-01-10", 25, 14), 4)), Disturbances(wind_rad=2e-4)
-    )
+    schedule = Schedule(_days("2025-01-10", 25, 14), 4)
+    return _azimuth_elevation("field", choice, 100, schedule, Disturbances(wind_rad=2e-4))
 
 
 def _images(choice: HeliostatChoice) -> HeliostatScene:
     schedule = Schedule(_days("2025-03-04", 4, 45), 4)
     # Seen from within 30 deg of the target's normal: the centroid of a slanting beam is centimetres off its middle ray.
-    scene = _azimuth_elevation("images", choice, (2, schedule), Disturbances(spot_m=(0.01, 0.01), aim_m=0.35), 0.5)
+    scene = _azimuth_elevation("images", choice, 2, schedule, Disturbances(spot_m=(0.01, 0.01), aim_m=0.35), 0.5)
     target = scene.plant.targets[0]
     photos = PhotoPlan(
         PinholeCamera(1024, 768, 6400.0, 6400.0, 509.0, 386.0),
@@ -221,9 +258,7 @@ def _juelich(choice: HeliostatChoice) -> HeliostatScene:
         rest = {f"{joint}_{axis}": 0.0 for joint in ("joint_1", "joint_2", "concentrator") for axis in "enu"}
         nominal = {**_position(place), **_zero_angles("linear-actuators"), **JUELICH_ACTUATORS, **rest}
         nominal["concentrator_n"] = 0.175
-        true = TrueHeliostat(
-            name, "linear-actuators", nominal, clockwise=(False, True), limits=_JUELICH_LIMITS
-        )  # fmt: skip
+        true = TrueHeliostat(name, "linear-actuators", nominal, clockwise=(False, True), limits=_JUELICH_LIMITS)
         units.append(_drawn(true, disturbances, rng))
     schedule = _sized(Schedule(_days("2024-02-05", 25, 17), 4), choice)
     sizes = ERROR_SIZES["linear-actuators"]
@@ -240,15 +275,19 @@ def _faulty(choice: HeliostatChoice) -> HeliostatScene:
 def _stellenbosch(choice: HeliostatChoice) -> HeliostatScene:
     # Malan (2014): table 6.1, with the worm gear of section 6.4 and 1/8 steps of 200 through 30:1.
     values = {
-        "position_e": 19.2 + 1.02, "position_n": -30.8 - 0.53, "position_u": 1.2 + 0.11, "tilt_north": -13.27e-3,
-        "tilt_east": -4.56e-3, "azimuth_offset": -3.79e-3, "elevation_offset": 1.12e-3, "non_orthogonality": -1.92e-3,
-    }  # fmt: skip
+        "position_e": 19.2 + 1.02,
+        "position_n": -30.8 - 0.53,
+        "position_u": 1.2 + 0.11,
+        "tilt_north": -13.27e-3,
+        "tilt_east": -4.56e-3,
+        "azimuth_offset": -3.79e-3,
+        "elevation_offset": 1.12e-3,
+        "non_orthogonality": -1.92e-3,
+    }
     turn = 2 * np.pi / 48000
     flaws = (DriveFlaws(), DriveFlaws(30.0, (1.5e-3, 0.0, 0.0, 0.0)))
     limits = ((-24000.0, 24000.0), (0.0, 12000.0))
-    true = TrueHeliostat(
-        "SE1", "azimuth-elevation", values, flaws, rad_per_reading=(turn, turn), limits=limits
-    )  # fmt: skip
+    true = TrueHeliostat("SE1", "azimuth-elevation", values, flaws, rad_per_reading=(turn, turn), limits=limits)
     stated = {"position_e": 19.2, "position_n": -30.8, "position_u": 1.2}
     disturbances = Disturbances((7.6e-3, 7.6e-3), aim_m=0.1, hold_s=13.0, count=(1.0, 1.0))
     target = PlaneTarget.facing("lower", [0.0, 0.0, 13.0], np.pi, 2.0, 2.0)
@@ -263,10 +302,15 @@ def _stellenbosch(choice: HeliostatChoice) -> HeliostatScene:
 def _drone(choice: HeliostatChoice) -> HeliostatScene:
     # Gouws (2018), heliostat 1: arm 432.5 and 240 mm, target at (11, 27, 4.25) m, offsets +3 and -3 deg.
     nominal = {
-        **_position(np.array([-11.0, -27.0, 0.0])), "arm_normal": 0.4325, "arm_up": 0.24, "pylon_length": 1.5,
-        "tilt_about_east": 0.0, "tilt_about_north": 0.0, "azimuth_offset": np.radians(-3.0),
+        **_position(np.array([-11.0, -27.0, 0.0])),
+        "arm_normal": 0.4325,
+        "arm_up": 0.24,
+        "pylon_length": 1.5,
+        "tilt_about_east": 0.0,
+        "tilt_about_north": 0.0,
+        "azimuth_offset": np.radians(-3.0),
         "elevation_offset": np.radians(3.0),
-    }  # fmt: skip
+    }
     rng = np.random.default_rng([choice.seed, 2])
     true = TrueHeliostat("1", "drone", nominal)
     unit = _drawn(true, Disturbances(), rng)
@@ -292,12 +336,13 @@ PRESETS: Mapping[str, Callable[[HeliostatChoice], HeliostatScene]] = {
 def _azimuth_elevation(
     name: str,
     choice: HeliostatChoice,
-    campaign: tuple[int, Schedule],
+    count: int,
+    schedule: Schedule,
     disturbances: Disturbances,
     half_angle: float = 1.1,
 ) -> HeliostatScene:
     rng = np.random.default_rng([choice.seed, 1])
-    count = choice.heliostats or campaign[0]
+    count = choice.heliostats or count
     targets = (
         PlaneTarget.facing("upper", [0.0, 0.0, 42.0], 0.0, 7.0, 7.0),
         PlaneTarget.facing("lower", [0.0, 0.0, 34.0], 0.0, 7.0, 7.0),
@@ -307,7 +352,7 @@ def _azimuth_elevation(
         _drawn(TrueHeliostat(name, "azimuth-elevation", values), disturbances, rng)
         for name, values in zip(_names(count), nominal, strict=True)
     )
-    schedule = _sized(campaign[1], choice)
+    schedule = _sized(schedule, choice)
     sizes = ERROR_SIZES["azimuth-elevation"]
     return HeliostatScene(name, Plant(_ALMERIA, targets), units, schedule, priors=sizes)
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from data_synth.optics.surface_errors import SurfaceErrors
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between
+from heliogauge.geometry.surfaces import HeightAndSlopes
 from heliogauge.validate import BoolArray, FloatArray, float_array
 
 #: Parameters each design needs.
@@ -75,7 +76,7 @@ class Design:
             raise InputError(f'design orientation {orientation!r}: "normal" or "axis" is needed')
         return cls(shape, parameters, RigidTransform(rotation, np.array([*center_m, float(height)])))
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] of the design over points (x, y) of the facet [m]."""
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = self._quadratic
         in_x, in_y, in_z = self._linear
@@ -88,7 +89,7 @@ class Design:
         in_height = b + 2 * zz * z
         slope_x = -(in_x + 2 * (xx * x_m + xy * y_m + xz * z)) / in_height
         slope_y = -(in_y + 2 * (xy * x_m + yy * y_m + yz * z)) / in_height
-        return z, slope_x, slope_y
+        return HeightAndSlopes(z, slope_x, slope_y)
 
     def to_json(self) -> dict[str, Any]:
         """Return the design as plain values for truth.json."""
@@ -123,6 +124,14 @@ def transform_to_json(transform: RigidTransform) -> dict[str, Any]:
     }
 
 
+class MetPoints(NamedTuple):
+    """Where rays meet a surface: points (..., 3) [m], and slopes there (...) [rad]."""
+
+    points_m: FloatArray
+    slope_x: FloatArray
+    slope_y: FloatArray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticFacet:
     """One facet of the synthetic mirror: design plus analytic errors, cut out by its outline.
@@ -144,11 +153,11 @@ class SyntheticFacet:
         if len(self.outline_m) < 3:
             raise InputError(f"facet {self.name} outline_m: at least 3 corners are needed")
 
-    def surface(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def surface(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return true height [m], slope_x and slope_y [rad] at points (x, y) of the facet [m]."""
         height, slope_x, slope_y = self.design.evaluate(x_m, y_m)
         error, error_x, error_y = self.errors.evaluate(x_m, y_m)
-        return height + error, slope_x + error_x, slope_y + error_y
+        return HeightAndSlopes(height + error, slope_x + error_x, slope_y + error_y)
 
     def distance_inside(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the distance of points from the outline, positive inside, shape as x_m [m]."""
@@ -178,12 +187,11 @@ class SyntheticFacet:
         between = (start[1] > y_m) != (end[1] > y_m)
         return np.asarray(between & (x_m < start[0] + (y_m - start[1]) * ((end[0] - start[0]) / (end[1] - start[1]))))
 
-    def intersect(self, origin_m: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def intersect(self, origin_m: FloatArray, directions: FloatArray) -> MetPoints:
         """Find where rays meet the true surface, continued beyond the outline.
 
         origin_m (3,): Common origin of the rays in the facet's frame [m].
         directions (..., 3): Unit directions in the facet's frame.
-        Returns: Points, shape (..., 3) [m]; slope_x and slope_y there, shape (...) [rad].
         InputError: Newton's method does not settle: the surface errors are steeper than the rays.
         """
         dx, dy, dz = directions[..., 0], directions[..., 1], directions[..., 2]
@@ -197,7 +205,7 @@ class SyntheticFacet:
             if not np.nanmax(np.abs(step), initial=0.0) > 1e-7:
                 x, y = origin_m[0] + path * dx, origin_m[1] + path * dy
                 height, slope_x, slope_y = self.surface(x, y)
-                return np.stack([x, y, height], axis=-1), slope_x, slope_y
+                return MetPoints(np.stack([x, y, height], axis=-1), slope_x, slope_y)
         raise InputError(f"facet {self.name}: rays do not meet the surface; make the surface errors less steep")
 
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from heliogauge.errors import InputError
+from heliogauge.geometry.surfaces import HeightAndSlopes
 from heliogauge.validate import FloatArray, float_array, positive
 
 
@@ -16,7 +17,7 @@ class ErrorTerm(Protocol):
 
     KIND: ClassVar[str]
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
 
 
@@ -36,7 +37,7 @@ class Polynomial:
             raise InputError("polynomial: powers of x and y must not be negative")
         object.__setattr__(self, "terms", terms)
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         height, slope_x, slope_y = np.zeros((3, *np.shape(x_m)))
         for i, j, coefficient in self.terms:
@@ -45,7 +46,7 @@ class Polynomial:
                 slope_x += coefficient * i * x_m ** (i - 1) * y_m**j
             if j:
                 slope_y += coefficient * j * x_m**i * y_m ** (j - 1)
-        return height, slope_x, slope_y
+        return HeightAndSlopes(height, slope_x, slope_y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +68,7 @@ class Zernike:
             raise InputError(f"zernike n = {self.n}, m = {self.m}: n >= |m| and n - |m| even are needed")
         positive("zernike radius_m", self.radius_m, "metres")
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m].
 
         ``R(rho) cos(m phi) = Re[(x + i y)^m] Q(x^2 + y^2)`` with a polynomial Q, so there is no singular point.
@@ -89,7 +90,7 @@ class Zernike:
             (power.real, lower.real, -lower.imag) if self.m >= 0 else (power.imag, lower.imag, lower.real)
         )
         scale = self.amplitude_m / self.radius_m
-        return (
+        return HeightAndSlopes(
             self.amplitude_m * angular * q,
             scale * (angular_x * q + angular * dq * 2 * x),
             scale * (angular_y * q + angular * dq * 2 * y),
@@ -115,13 +116,14 @@ class Ripple:
     def __post_init__(self) -> None:
         positive("ripple period_m", self.period_m, "metres")
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         wave_number = 2 * np.pi / self.period_m
         along_x, along_y = np.cos(self.direction_rad), np.sin(self.direction_rad)
         phase = wave_number * (along_x * np.asarray(x_m) + along_y * np.asarray(y_m)) + self.phase_rad
         slope = self.slope_amplitude_rad * np.cos(phase)
-        return self.slope_amplitude_rad / wave_number * np.sin(phase), along_x * slope, along_y * slope
+        height = self.slope_amplitude_rad / wave_number * np.sin(phase)
+        return HeightAndSlopes(height, along_x * slope, along_y * slope)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,11 +143,11 @@ class Dimple:
     def __post_init__(self) -> None:
         positive("dimple sigma_m", self.sigma_m, "metres")
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         dx, dy = np.asarray(x_m) - self.center_x_m, np.asarray(y_m) - self.center_y_m
         height = self.height_m * np.exp(-0.5 * (dx * dx + dy * dy) / self.sigma_m**2)
-        return height, -height * dx / self.sigma_m**2, -height * dy / self.sigma_m**2
+        return HeightAndSlopes(height, -height * dx / self.sigma_m**2, -height * dy / self.sigma_m**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,11 +169,11 @@ class EdgeTurnDown:
         for name in ("length_m", "half_width_m", "half_height_m"):
             positive(f"edge_turn_down {name}", getattr(self, name), "metres")
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         height_x, slope_x = self._profile(np.asarray(x_m), self.half_width_m)
         height_y, slope_y = self._profile(np.asarray(y_m), self.half_height_m)
-        return height_x + height_y, slope_x, slope_y
+        return HeightAndSlopes(height_x + height_y, slope_x, slope_y)
 
     def _profile(self, position: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
         right = np.exp((position - half) / self.length_m)
@@ -205,10 +207,10 @@ class HeightGrid:
         object.__setattr__(self, "height_m", float_array("height_grid height_m", self.height_m, shape))
         object.__setattr__(self, "_spline", RectBivariateSpline(self.y_m, self.x_m, self.height_m))
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         height, slope_x, slope_y = (self._spline.ev(y_m, x_m, dx=dy, dy=dx) for dx, dy in ((0, 0), (1, 0), (0, 1)))
-        return height, slope_x, slope_y
+        return HeightAndSlopes(height, slope_x, slope_y)
 
 
 _KINDS: dict[str, type[Any]] = {
@@ -229,7 +231,7 @@ class SurfaceErrors:
 
     terms: tuple[ErrorTerm, ...] = ()
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return the deviation from the design.
 
         x_m, y_m (...): Points in the facet frame [m].
@@ -241,7 +243,7 @@ class SurfaceErrors:
             height += term_height
             slope_x += term_x
             slope_y += term_y
-        return height, slope_x, slope_y
+        return HeightAndSlopes(height, slope_x, slope_y)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return the terms as plain values for truth.json."""

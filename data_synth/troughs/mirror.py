@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from data_synth.optics.surface_errors import SurfaceErrors
 from heliogauge.errors import InputError
+from heliogauge.geometry.surfaces import HeightAndSlopes
 from heliogauge.validate import Float32Array, FloatArray, IntArray, float_array
 from observer.trough.collector import Collector
 
@@ -84,10 +85,10 @@ class SlopeGrid:
         grids = (self.slope_x, self.slope_y)
         object.__setattr__(self, "_splines", tuple(RectBivariateSpline(self.y_m, self.x_m, grid) for grid in grids))
 
-    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height (0: only the normal is turned) [m], slope_x and slope_y [rad] at points (x, y) [m]."""
         slope_x, slope_y = (spline.ev(y_m, x_m) for spline in self._splines)
-        return np.zeros(np.shape(x_m)), slope_x, slope_y
+        return HeightAndSlopes(np.zeros(np.shape(x_m)), slope_x, slope_y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +130,7 @@ class TroughMirror:
         """Number of panels."""
         return (len(self.collector.panel_edges_x_m) - 1) * (len(self.collector.panel_edges_y_m) - 1)
 
-    def deviation(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def deviation(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> HeightAndSlopes:
         """Return what the surface has over the design, NaN in gaps and outside.
 
         x_m, y_m (...): Points of the aperture [m].
@@ -143,15 +144,15 @@ class TroughMirror:
         slope_x, slope_y = slope_x + rows[1] + rows[2] * x, slope_y + rows[3]
         if not self.is_shaped:
             height = np.zeros_like(height)
-        return tuple(np.where(panel < 0, np.nan, values) for values in (height, slope_x, slope_y))  # type: ignore[return-value]
+        return HeightAndSlopes(*(np.where(panel < 0, np.nan, values) for values in (height, slope_x, slope_y)))
 
-    def smooth(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def smooth(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return height [m], slope_x and slope_y [rad] of all errors but those of single panels."""
         height, slope_x, slope_y = self.errors.evaluate(x_m, y_m)
-        return (
+        return HeightAndSlopes(
             height,
-            slope_x + self.transverse.evaluate(x_m, y_m)[1],
-            slope_y + self.longitudinal.evaluate(x_m, y_m)[2],
+            slope_x + self.transverse.evaluate(x_m, y_m).slope_x,
+            slope_y + self.longitudinal.evaluate(x_m, y_m).slope_y,
         )
 
     def theta_r_rad(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:

@@ -248,8 +248,9 @@ def _short_ls2(
 def _flight(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw one flight over two short pieces of LS-2 in rows 7 m apart, the second one with its tube too low."""
     n = 64 if choice.n_photos is None else choice.n_photos
-    views = wobbling(level_pass(FLIGHT_CAMERA, n_photos=n, from_x_m=-2.9, to_x_m=ROW_STEP_M + 2.9), rng,
-                     position_m=0.05)  # fmt: skip
+    views = wobbling(
+        level_pass(FLIGHT_CAMERA, n_photos=n, from_x_m=-2.9, to_x_m=ROW_STEP_M + 2.9), rng, position_m=0.05
+    )
     rows = []
     for number, name in enumerate(("row-1", "row-2")):
         scene = _short_ls2(views, choice, rng, first=12 * number)
@@ -374,9 +375,14 @@ def _panel(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     around = Surroundings(Sky(zenith=0.75, horizon=0.75, aureole=0.0, sun_elevation_deg=-60.0), Ground())
     world = world_of(mirror, surroundings=around)
     return TroughScene(
-        "panel in the laboratory", world, wobbling(path, rng, position_m=0.02), sheets, targets,
-        dictionary=choice.dictionary, target_diameter_m=0.05,
-    )  # fmt: skip
+        "panel in the laboratory",
+        world,
+        wobbling(path, rng, position_m=0.02),
+        sheets,
+        targets,
+        dictionary=choice.dictionary,
+        target_diameter_m=0.05,
+    )
 
 
 _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] = {

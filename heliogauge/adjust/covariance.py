@@ -98,22 +98,23 @@ def assemble(
     descent: Descent[StateT, WeightedRows[FactorisedT]],
     facts: Facts,
     *,
-    loss: tuple[Loss, int],
+    loss: Loss,
+    block: int,
     covariance_scale: CovarianceScale,
 ) -> Solution[StateT]:
     """Compute covariance, redundancy and variance factor where a descent ended.
 
     facts: Names, free parameters and values.
-    loss: The loss of the observations and its block size.
+    loss, block: The loss of the observations and its block size.
     covariance_scale: Whether the stated sigmas are believed.
     Returns: The result, see `heliogauge.adjust.least_squares.solve` for the model.
     """
     rows = descent.evaluation
     observed = np.arange(rows.n_residuals) < rows.n_observations
-    lengths = block_lengths(rows.residuals[observed], loss[1])
-    plain = isinstance(loss[0], Squares)
-    expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(*loss)
-    measured = loss_moments(loss[0], lengths, loss[1]) if lengths.size else expected
+    lengths = block_lengths(rows.residuals[observed], block)
+    plain = isinstance(loss, Squares)
+    expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(loss, block)
+    measured = loss_moments(loss, lengths, block) if lengths.size else expected
     # The loss takes the same share of precision everywhere: one constant in place of each observation's own slope.
     root = np.where(observed, np.sqrt(expected.slope), 1.0)
     system = rows.factorised(root)

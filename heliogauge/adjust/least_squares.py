@@ -249,7 +249,7 @@ def solve(
     loss, options = loss or Squares(), options or Options()
     model = _Model(problem, loss, block_size, options.rank_tolerance)
     descent = minimise(start, model.rows, model.retract, options=options)
-    return assemble(descent, model.facts(descent.state), loss=(loss, block_size), covariance_scale=covariance_scale)
+    return assemble(descent, model.facts(descent.state), loss=loss, block=block_size, covariance_scale=covariance_scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,25 @@ class BrownCoefficients(NamedTuple):
     k3: float
 
 
+class Gradient(NamedTuple):
+    """Derivatives of the polynomial, each of shape (...); dP_y/dx equals dP_x/dy."""
+
+    dx_dx: FloatArray
+    dx_dy: FloatArray
+    dy_dy: FloatArray
+
+
+class InverseStart(NamedTuple):
+    """Polynomial that starts the inversion near its answer.
+
+    coefficients (degree + 1,): Ascending powers of ``|P|^2 / scale``.
+    scale: What makes the argument 1 at the largest radius.
+    """
+
+    coefficients: FloatArray
+    scale: float
+
+
 def evaluate(c: BrownCoefficients, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Evaluate the polynomial.
 
@@ -52,13 +71,13 @@ def evaluate(c: BrownCoefficients, x: FloatArray, y: FloatArray) -> tuple[FloatA
     return x * factor + c.p2 * s, y * factor + c.p1 * s
 
 
-def derivatives(c: BrownCoefficients, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def derivatives(c: BrownCoefficients, x: FloatArray, y: FloatArray) -> Gradient:
     """Return dP_x/dx, dP_x/dy (= dP_y/dx, the map is a gradient) and dP_y/dy, each of shape (...)."""
     xx, yy, xy = x * x, y * y, x * y
     s = xx + yy
     diagonal = 1 + s * (c.k1 + s * (c.k2 + s * c.k3)) + (2 * c.p2) * x + (2 * c.p1) * y
     slope = 2 * c.k1 + s * (4 * c.k2 + (6 * c.k3) * s)
-    return (
+    return Gradient(
         diagonal + slope * xx + (4 * c.p2) * x,
         slope * xy + (2 * c.p2) * y + (2 * c.p1) * x,
         diagonal + slope * yy + (4 * c.p1) * y,
@@ -130,13 +149,11 @@ def radial(c: BrownCoefficients, radius: float) -> float:
     return radius * (1 + s * (c.k1 + s * (c.k2 + s * c.k3)))
 
 
-def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) -> tuple[FloatArray, float]:
+def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) -> InverseStart:
     """Fit the factor ``|x| / |P|`` of the radial part as a polynomial in ``|P|^2``, to start Newton near the answer.
 
     limit: Radius of the disc where P is one-to-one.
     image_radius: Largest ``|P|`` wanted.
-    coefficients (degree + 1,): Ascending powers of ``|P|^2 / scale``.
-    scale: What makes the argument 1 at the largest radius.
     """
     high = min(limit, image_radius)
     while high < limit and radial(c, high) < image_radius and high < 1e9:
@@ -154,13 +171,13 @@ def start_polynomial(c: BrownCoefficients, limit: float, image_radius: float) ->
     scale = float(image.max())
     powers = np.vander(image / scale, _START_DEGREE + 1, increasing=True)
     coefficients: FloatArray = np.linalg.lstsq(powers, 1 / factor, rcond=None)[0].astype(np.float64)
-    return coefficients, scale
+    return InverseStart(coefficients, scale)
 
 
 # Points far outside the disc may run off to infinity on their way to NaN: that is no news.
 @np.errstate(divide="ignore", over="ignore", invalid="ignore")
 def solve(
-    c: BrownCoefficients, limit: float, x: FloatArray, y: FloatArray, start: tuple[FloatArray, float]
+    c: BrownCoefficients, limit: float, x: FloatArray, y: FloatArray, start: InverseStart
 ) -> tuple[FloatArray, FloatArray]:
     """Solve ``P(solution) = (x, y)`` by Newton to round-off.
 

@@ -3,19 +3,31 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.camera import brown_polynomial as brown
-from heliogauge.camera.brown_polynomial import BLOCK, BrownCoefficients
+from heliogauge.camera.brown_polynomial import BLOCK, BrownCoefficients, InverseStart
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray
 
 #: Order of the coefficients in arrays, Jacobians and covariances (OpenCV's).
 COEFFICIENT_NAMES = ("k1", "k2", "p1", "p2", "k3")
 
-InverseStart = tuple[FloatArray, float]
+
+class MappedCoordinates(NamedTuple):
+    """Coordinates after a map, with its derivatives.
+
+    xy (..., 2): Coordinates.
+    d_xy (..., 2, 2): Derivative with respect to the coordinates before.
+    d_coefficients (..., 2, 5): Derivative with respect to the coefficients in the order of `COEFFICIENT_NAMES`.
+    """
+
+    xy: FloatArray
+    d_xy: FloatArray
+    d_coefficients: FloatArray
 
 
 class DistortionDirection(StrEnum):
@@ -115,34 +127,29 @@ class BrownDistortion:
         """
         return _in_blocks(coordinates("measured_xy", measured_xy, 2), self.undistort_components, self._start_of)
 
-    def distort_with_jacobians(self, ideal_xy: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def distort_with_jacobians(self, ideal_xy: npt.ArrayLike) -> MappedCoordinates:
         """Map ideal to measured coordinates, with derivatives.
 
-        Shapes: ideal_xy (..., 2), measured_xy (..., 2).
-        d_measured_d_ideal (..., 2, 2): Derivative with respect to the coordinates.
-        d_measured_d_coefficients (..., 2, 5): Derivative with respect to the coefficients, `COEFFICIENT_NAMES`
-            order.
+        Shapes: ideal_xy (..., 2).
         InputError: The last axis does not have two elements.
         """
         ideal = coordinates("ideal_xy", ideal_xy, 2)
         if self.distorts_in_closed_form:
-            return (self.distort(ideal), *self._forward_jacobians(ideal))
+            return MappedCoordinates(self.distort(ideal), *self._forward_jacobians(ideal))
         measured = self.distort(ideal)
-        return (measured, *self._inverse_jacobians(measured))
+        return MappedCoordinates(measured, *self._inverse_jacobians(measured))
 
-    def undistort_with_jacobians(self, measured_xy: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def undistort_with_jacobians(self, measured_xy: npt.ArrayLike) -> MappedCoordinates:
         """Map measured to ideal coordinates, with derivatives.
 
-        Shapes: measured_xy (..., 2), ideal_xy (..., 2).
-        d_ideal_d_measured (..., 2, 2): Derivative with respect to the coordinates.
-        d_ideal_d_coefficients (..., 2, 5): Derivative with respect to the coefficients, `COEFFICIENT_NAMES` order.
+        Shapes: measured_xy (..., 2).
         InputError: The last axis does not have two elements.
         """
         measured = coordinates("measured_xy", measured_xy, 2)
         if not self.distorts_in_closed_form:
-            return (self.undistort(measured), *self._forward_jacobians(measured))
+            return MappedCoordinates(self.undistort(measured), *self._forward_jacobians(measured))
         ideal = self.undistort(measured)
-        return (ideal, *self._inverse_jacobians(ideal))
+        return MappedCoordinates(ideal, *self._inverse_jacobians(ideal))
 
     def distort_components(
         self, x: FloatArray, y: FloatArray, start: InverseStart | None = None

@@ -37,10 +37,19 @@ class LensForm(StrEnum):
 #: Names of the ten parameters in each form, in the order of `SensorParameters.values`.
 SENSOR_NAMES: dict[LensForm, tuple[str, ...]] = {
     LensForm.BROWN: (
-        "focal_mm", "principal_x_mm", "principal_y_mm", "K1", "K2", "K3", "P1", "P2", "aspect", "shear",
+        "focal_mm",
+        "principal_x_mm",
+        "principal_y_mm",
+        "K1",
+        "K2",
+        "K3",
+        "P1",
+        "P2",
+        "aspect",
+        "shear",
     ),
     LensForm.AICON: ("focal_mm", "principal_x_mm", "principal_y_mm", "A1", "A2", "A3", "B1", "B2", "C1", "C2"),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.camera.brown_polynomial import BLOCK
-from heliogauge.camera.distortion import BrownDistortion, InverseStart, coordinates
+from heliogauge.camera.brown_polynomial import BLOCK, InverseStart
+from heliogauge.camera.distortion import BrownDistortion, coordinates
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.rigid import skew as skew_matrices
@@ -15,8 +15,17 @@ from heliogauge.validate import FloatArray, covariance_matrix, float_array, posi
 
 #: Order of the parameters in vectors, Jacobians and covariances.
 PARAMETER_NAMES = (
-    "focal_x_px", "focal_y_px", "center_x_px", "center_y_px", "skew", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
+    "focal_x_px",
+    "focal_y_px",
+    "center_x_px",
+    "center_y_px",
+    "skew",
+    "k1",
+    "k2",
+    "p1",
+    "p2",
+    "k3",
+)
 
 
 class PosedProjection(NamedTuple):
@@ -36,6 +45,32 @@ class InvertibleRegion(NamedTuple):
     radius_px: float
     farthest_corner_px: float
     message: str
+
+
+class Projection(NamedTuple):
+    """Image points with derivatives.
+
+    pixels_px (..., 2): Image points [px].
+    d_pixel_d_point (..., 2, 3): Derivative with respect to the point in the camera frame [px/m].
+    d_pixel_d_parameters (..., 2, 10): Derivative with respect to `PARAMETER_NAMES`.
+    """
+
+    pixels_px: FloatArray
+    d_pixel_d_point: FloatArray
+    d_pixel_d_parameters: FloatArray
+
+
+class LinesOfSight(NamedTuple):
+    """Lines of sight with derivatives.
+
+    rays (..., 3): Unit directions in the camera frame.
+    d_ray_d_pixel (..., 3, 2): Derivative with respect to the image point [1/px].
+    d_ray_d_parameters (..., 3, 10): Derivative with respect to `PARAMETER_NAMES`.
+    """
+
+    rays: FloatArray
+    d_ray_d_pixel: FloatArray
+    d_ray_d_parameters: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +250,7 @@ class Camera:
             self._cast(np.tile(columns, some.size), np.repeat(some, columns.size), start, target)
         return rays
 
-    def project_with_jacobians(self, points_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def project_with_jacobians(self, points_m: npt.ArrayLike) -> Projection:
         """Project points, with derivatives.
 
         Parameters
@@ -225,12 +260,8 @@ class Camera:
 
         Returns
         -------
-        pixels_px : ndarray, shape (..., 2)
-            Image points [px].
-        d_pixel_d_point : ndarray, shape (..., 2, 3)
-            Derivative with respect to the point [px/m].
-        d_pixel_d_parameters : ndarray, shape (..., 2, 10)
-            Derivative with respect to `PARAMETER_NAMES`.
+        Projection
+            Image points with derivatives.
 
         Raises
         ------
@@ -248,7 +279,7 @@ class Camera:
         d_parameters[..., :5] = _own_derivatives(measured)
         d_parameters[..., 5:] = self._times_matrix(d_coefficients)
         pixels = self._times_matrix(measured[..., None])[..., 0] + [self.center_x_px, self.center_y_px]
-        return pixels, d_point, d_parameters
+        return Projection(pixels, d_point, d_parameters)
 
     def project_posed(self, points_m: npt.ArrayLike, cam_from_frame: RigidTransform) -> PosedProjection:
         """Project points of another frame, with derivatives also for the pose.
@@ -277,7 +308,7 @@ class Camera:
         d_pose = np.concatenate((-d_point @ skew_matrices(turned), d_point), axis=-1)
         return PosedProjection(pixels, d_point @ cam_from_frame.rotation, d_pose, d_parameters)
 
-    def cast_rays_with_jacobians(self, pixels_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def cast_rays_with_jacobians(self, pixels_px: npt.ArrayLike) -> LinesOfSight:
         """Cast lines of sight, with derivatives.
 
         Parameters
@@ -287,12 +318,8 @@ class Camera:
 
         Returns
         -------
-        rays : ndarray, shape (..., 3)
-            Unit directions in the camera frame.
-        d_ray_d_pixel : ndarray, shape (..., 3, 2)
-            Derivative with respect to the image point [1/px].
-        d_ray_d_parameters : ndarray, shape (..., 3, 10)
-            Derivative with respect to `PARAMETER_NAMES`.
+        LinesOfSight
+            Unit directions with derivatives.
 
         Raises
         ------
@@ -312,7 +339,7 @@ class Camera:
         d_pixel = d_ideal @ (d_measured @ inverse)
         # A parameter that would move the image point by d needs the opposite move to keep the point where it is.
         d_parameters = np.concatenate((-d_pixel @ _own_derivatives(measured), d_ideal @ d_coefficients), axis=-1)
-        return rays, d_pixel, d_parameters
+        return LinesOfSight(rays, d_pixel, d_parameters)
 
     def projection_covariance_px2(self, points_m: npt.ArrayLike) -> FloatArray:
         """Carry the covariance of the parameters to image points.

@@ -1,6 +1,7 @@
 """Latitude, longitude and altitude to east, north, up about an origin, and back (WGS84)."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,14 @@ from heliogauge.validate import FloatArray, float_array
 #: Semi-major axis [m] and flattening of the WGS84 ellipsoid.
 WGS84_RADIUS_M, WGS84_FLATTENING = 6378137.0, 1 / 298.257223563
 _ECCENTRICITY_2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
+
+
+class Geodetic(NamedTuple):
+    """Geodetic coordinates, each of shape (...): north and east positive [degree], altitude [m]."""
+
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    altitude_m: FloatArray
 
 
 def enu_from_geodetic(
@@ -53,7 +62,7 @@ def enu_from_geodetic(
     return np.asarray(centred @ axes.T)
 
 
-def geodetic_from_enu(points_m: npt.ArrayLike, origin: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def geodetic_from_enu(points_m: npt.ArrayLike, origin: Sequence[float]) -> Geodetic:
     """Return latitude, longitude and altitude of points given east, north, up about an origin.
 
     Parameters
@@ -65,8 +74,8 @@ def geodetic_from_enu(points_m: npt.ArrayLike, origin: Sequence[float]) -> tuple
 
     Returns
     -------
-    latitude_deg, longitude_deg, altitude_m : ndarray, shape (...)
-        Geodetic coordinates [degree, degree, m].
+    Geodetic
+        Coordinates, each of shape (...).
 
     Raises
     ------
@@ -87,7 +96,7 @@ def geodetic_from_enu(points_m: npt.ArrayLike, origin: Sequence[float]) -> tuple
     curvature = _curvature_radius(latitude)
     # Along the normal, in the form that also holds at the poles.
     altitude = distance * np.cos(latitude) + z * np.sin(latitude) - WGS84_RADIUS_M**2 / curvature
-    return np.rad2deg(latitude), np.rad2deg(np.arctan2(y, x)), np.asarray(altitude)
+    return Geodetic(np.rad2deg(latitude), np.rad2deg(np.arctan2(y, x)), np.asarray(altitude))
 
 
 def _curvature_radius(latitude_rad: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Rigid transforms between named frames, rotation vectors and their derivatives."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -246,7 +246,15 @@ def rotation_from_omega_phi_kappa(omega_rad: float, phi_rad: float, kappa_rad: f
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def omega_phi_kappa_from_rotation(rotation: npt.ArrayLike) -> tuple[float, float, float]:
+class OmegaPhiKappa(NamedTuple):
+    """Photogrammetric angles about x, y and z, in this order [rad]."""
+
+    omega_rad: float
+    phi_rad: float
+    kappa_rad: float
+
+
+def omega_phi_kappa_from_rotation(rotation: npt.ArrayLike) -> OmegaPhiKappa:
     """Return omega, phi, kappa [rad] of a rotation matrix; at phi = +-pi/2, where only a sum counts, kappa is 0.
 
     Parameters
@@ -256,13 +264,14 @@ def omega_phi_kappa_from_rotation(rotation: npt.ArrayLike) -> tuple[float, float
 
     Returns
     -------
-    tuple of float
-        omega, phi, kappa [rad].
+    OmegaPhiKappa
+        The three angles [rad].
     """
     matrix = np.asarray(rotation, dtype=np.float64)
     cosine = float(np.hypot(matrix[0, 0], matrix[1, 0]))
     phi = float(np.arctan2(matrix[2, 0], cosine))
     if cosine < 1e-9:
         sign = np.sign(matrix[2, 0])
-        return float(np.arctan2(sign * matrix[0, 1], matrix[1, 1])), phi, 0.0
-    return float(np.arctan2(-matrix[2, 1], matrix[2, 2])), phi, float(np.arctan2(-matrix[1, 0], matrix[0, 0]))
+        return OmegaPhiKappa(float(np.arctan2(sign * matrix[0, 1], matrix[1, 1])), phi, 0.0)
+    kappa = float(np.arctan2(-matrix[1, 0], matrix[0, 0]))
+    return OmegaPhiKappa(float(np.arctan2(-matrix[2, 1], matrix[2, 2])), phi, kappa)

@@ -50,9 +50,11 @@ class Site:
 
     def __post_init__(self) -> None:
         ranges = {
-            "latitude_deg": (-90.0, 90.0), "longitude_deg": (-180.0, 360.0), "altitude_m": (-450.0, 9000.0),
+            "latitude_deg": (-90.0, 90.0),
+            "longitude_deg": (-180.0, 360.0),
+            "altitude_m": (-450.0, 9000.0),
             "temperature_c": (-90.0, 70.0),
-        }  # fmt: skip
+        }
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -142,10 +144,15 @@ def sun_angles(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> t
     for start in range(0, len(unix), _INSTANTS_AT_A_TIME):
         part = slice(start, start + _INSTANTS_AT_A_TIME)
         position = solar_position(
-            unix[part], site.latitude_deg, site.longitude_deg, site.altitude_m, site.air_pressure_hpa,
-            site.temperature_c, calculate_deltat(1970 + months[part] // 12, months[part] % 12 + 1),
+            unix[part],
+            site.latitude_deg,
+            site.longitude_deg,
+            site.altitude_m,
+            site.air_pressure_hpa,
+            site.temperature_c,
+            calculate_deltat(1970 + months[part] // 12, months[part] % 12 + 1),
             _HORIZON_REFRACTION_DEG,
-        )  # fmt: skip
+        )
         # Columns: zenith apparent, zenith, elevation apparent, elevation, azimuth (pvlib names the third and fourth
         # the other way round; at the horizon the third is half a degree higher).
         azimuth[part], elevation[part] = position[4], position[2] if refracted else position[3]

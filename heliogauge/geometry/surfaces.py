@@ -6,7 +6,7 @@ same code as a centred one: the matrix is carried into the facet's frame exactly
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,18 @@ from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
 
 # 16384 float64 are 128 KiB: the dozen buffers of one block stay in a 2 MiB second-level cache.
 _BLOCK = 16384
+
+
+class HeightAndSlopes(NamedTuple):
+    """Height and slopes of a surface at points (x, y), each of shape (...).
+
+    height_m: z [m].
+    slope_x, slope_y: dz/dx and dz/dy.
+    """
+
+    height_m: FloatArray
+    slope_x: FloatArray
+    slope_y: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +123,7 @@ class Quadric:
         """
         return self._sheet(x_m, y_m)[1:]
 
-    def height_and_gradient(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def height_and_gradient(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> HeightAndSlopes:
         """Return z [m], dz/dx and dz/dy, at the cost of one of them.
 
         Parameters
@@ -121,8 +133,8 @@ class Quadric:
 
         Returns
         -------
-        tuple of ndarray, each of shape (...)
-            Height [m] and both slopes; NaN where the surface does not reach.
+        HeightAndSlopes
+            Height [m] and both slopes, each of shape (...); NaN where the surface does not reach.
         """
         return self._sheet(x_m, y_m)
 
@@ -194,9 +206,7 @@ class Quadric:
             parts.append(f"slopes {1e3 * slope_x:.4g}, {1e3 * slope_y:.4g} mrad")
         return f"{self.name} ({' and '.join(parts)} at the origin of its frame)" if parts else self.name
 
-    def _sheet(
-        self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, *, with_gradient: bool = True
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _sheet(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, *, with_gradient: bool = True) -> HeightAndSlopes:
         grid_x, grid_y = np.broadcast_arrays(np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64))
         flat_x, flat_y = grid_x.reshape(-1), grid_y.reshape(-1)
         height = np.empty(flat_x.size)
@@ -206,17 +216,19 @@ class Quadric:
             for rows in _blocks(flat_x.size):
                 x, y = flat_x[rows], flat_y[rows]
                 # F = a z^2 + 2 b z + c and its half derivatives
-                half_x = _linear((q[0, 0], x), (q[0, 1], y), q[0, 3])
-                half_y = _linear((q[0, 1], x), (q[1, 1], y), q[1, 3])
-                b = _linear((q[0, 2], x), (q[1, 2], y), q[2, 3])
+                half_x = _linear(q[0, 0], x, q[0, 1], y, q[0, 3])
+                half_y = _linear(q[0, 1], x, q[1, 1], y, q[1, 3])
+                b = _linear(q[0, 2], x, q[1, 2], y, q[2, 3])
                 c = (half_x + q[0, 3]) * x + (half_y + q[1, 3]) * y + q[3, 3]
                 z, half_z = _upper_root(q[2, 2], b, c)
                 height[rows] = z
                 if with_gradient:
-                    slope_x[rows] = -_linear((q[0, 2], z), (1.0, half_x), 0.0) / half_z
-                    slope_y[rows] = -_linear((q[1, 2], z), (1.0, half_y), 0.0) / half_z
+                    slope_x[rows] = -_linear(q[0, 2], z, 1.0, half_x, 0.0) / half_z
+                    slope_y[rows] = -_linear(q[1, 2], z, 1.0, half_y, 0.0) / half_z
         gradient_shape = grid_x.shape if with_gradient else (0,)
-        return height.reshape(grid_x.shape), slope_x.reshape(gradient_shape), slope_y.reshape(gradient_shape)
+        return HeightAndSlopes(
+            height.reshape(grid_x.shape), slope_x.reshape(gradient_shape), slope_y.reshape(gradient_shape)
+        )
 
     def _meet(self, origins: FloatArray, rays: FloatArray) -> FloatArray:
         q = self.matrix
@@ -229,9 +241,9 @@ class Quadric:
             nearest = -(ox * dx + oy * dy + oz * dz) / (dx * dx + dy * dy + dz * dz)
             shift = np.where(flat, nearest, shift)
         x, y, z = ox + shift * dx, oy + shift * dy, oz + shift * dz
-        half_x = _linear((q[0, 0], x), (q[0, 1], y), q[0, 3]) + q[0, 2] * z
-        half_y = _linear((q[0, 1], x), (q[1, 1], y), q[1, 3]) + q[1, 2] * z
-        half_z = _linear((q[0, 2], x), (q[1, 2], y), q[2, 3]) + q[2, 2] * z
+        half_x = _linear(q[0, 0], x, q[0, 1], y, q[0, 3]) + q[0, 2] * z
+        half_y = _linear(q[0, 1], x, q[1, 1], y, q[1, 3]) + q[1, 2] * z
+        half_z = _linear(q[0, 2], x, q[1, 2], y, q[2, 3]) + q[2, 2] * z
         c = (half_x + q[0, 3]) * x + (half_y + q[1, 3]) * y + (half_z + q[2, 3]) * z + q[3, 3]
         b = half_x * dx + half_y * dy + half_z * dz
         a = (q[0, 0] * dx + 2 * q[0, 1] * dy + 2 * q[0, 2] * dz) * dx + (q[1, 1] * dy + 2 * q[1, 2] * dz) * dy
@@ -250,11 +262,11 @@ def _upper_root(a: FloatArray | float, b: FloatArray | float, c: FloatArray) -> 
 
 
 def _linear(
-    first: tuple[float, FloatArray | float], second: tuple[float, FloatArray | float], constant: float
+    k1: float, v1: FloatArray | float, k2: float, v2: FloatArray | float, constant: float
 ) -> FloatArray | float:
     """Return ``k1 v1 + k2 v2 + constant`` without the passes whose factor is zero (most of them, for most designs)."""
     total: FloatArray | float = constant
-    for factor, values in (first, second):
+    for factor, values in ((k1, v1), (k2, v2)):
         if factor == 1.0:
             total = values + total if isinstance(total, np.ndarray) or total != 0 else values
         elif factor != 0.0:

@@ -33,8 +33,12 @@ def build_design(section: DesignKeys) -> Quadric:
 
 
 _CONSTRUCTORS: dict[str, Callable[..., Quadric]] = {
-    "plane": plane, "paraboloid": paraboloid, "paraboloid_xy": paraboloid_xy, "trough": trough, "sphere": sphere,
-}  # fmt: skip
+    "plane": plane,
+    "paraboloid": paraboloid,
+    "paraboloid_xy": paraboloid_xy,
+    "trough": trough,
+    "sphere": sphere,
+}
 
 
 def _optic(section: DesignKeys) -> Quadric:

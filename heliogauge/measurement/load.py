@@ -31,8 +31,16 @@ from photogrammetry.keys.measurement import PhotogrammetryModel
 from photogrammetry.planning.keys import PhotogrammetryPlanMeasurement, PhotogrammetryPlanModel
 
 MEASUREMENT_FILE = "measurement.toml"
-Model = (DeflectometryModel | ResponseModel | CameraCalibrationModel | PhotogrammetryModel | PhotogrammetryPlanModel
-         | ObserverModel | ObserverPlanModel | HeliostatModel)  # fmt: skip
+Model = (
+    DeflectometryModel
+    | ResponseModel
+    | CameraCalibrationModel
+    | PhotogrammetryModel
+    | PhotogrammetryPlanModel
+    | ObserverModel
+    | ObserverPlanModel
+    | HeliostatModel
+)
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
 KINDS: dict[str, type[Model]] = {
     "deflectometry": DeflectometryModel,
@@ -46,11 +54,15 @@ KINDS: dict[str, type[Model]] = {
 }
 #: The command that evaluates each kind, for whoever calls the wrong one.
 COMMANDS = {
-    "deflectometry": "heliogauge deflectometry", "response": "heliogauge calibrate response",
-    "camera": "heliogauge calibrate camera", "photogrammetry": "heliogauge photogrammetry",
-    "photogrammetry-plan": "heliogauge photogrammetry plan", "observer": "heliogauge observer",
-    "observer-plan": "heliogauge observer plan", "heliostat": "heliogauge calibrate heliostat",
-}  # fmt: skip
+    "deflectometry": "heliogauge deflectometry",
+    "response": "heliogauge calibrate response",
+    "camera": "heliogauge calibrate camera",
+    "photogrammetry": "heliogauge photogrammetry",
+    "photogrammetry-plan": "heliogauge photogrammetry plan",
+    "observer": "heliogauge observer",
+    "observer-plan": "heliogauge observer plan",
+    "heliostat": "heliogauge calibrate heliostat",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

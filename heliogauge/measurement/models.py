@@ -374,9 +374,7 @@ class ResponseModel(Section):
 
 # --- calibration of a camera ----------------------------------------------------------------------------------------
 
-Intrinsic = Literal[
-    "focal_px", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "p1", "p2", "k3"
-]  # fmt: skip
+Intrinsic = Literal["focal_px", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "p1", "p2", "k3"]
 
 
 class CalibratedCameraSection(Section):
@@ -386,8 +384,16 @@ class CalibratedCameraSection(Section):
     width_px: Count | None = None
     height_px: Count | None = None
     free: Annotated[tuple[Intrinsic, ...], Field(min_length=1)] = (
-        "focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3",
-    )  # fmt: skip
+        "focal_px",
+        "aspect",
+        "center_x_px",
+        "center_y_px",
+        "k1",
+        "k2",
+        "p1",
+        "p2",
+        "k3",
+    )
 
 
 class ChessboardSection(Section):

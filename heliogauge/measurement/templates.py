@@ -439,10 +439,15 @@ file = "targets.csv"
 """
 
 _TEMPLATES: dict[str, str] = {
-    "deflectometry": _DEFLECTOMETRY, "response": _RESPONSE, "camera": _CAMERA, "photogrammetry": _PHOTOGRAMMETRY,
-    "photogrammetry-plan": PHOTOGRAMMETRY_PLAN, "observer": _OBSERVER,
-    "observer-plan": OBSERVER_PLAN, "heliostat": HELIOSTAT_TEMPLATE,
-}  # fmt: skip
+    "deflectometry": _DEFLECTOMETRY,
+    "response": _RESPONSE,
+    "camera": _CAMERA,
+    "photogrammetry": _PHOTOGRAMMETRY,
+    "photogrammetry-plan": PHOTOGRAMMETRY_PLAN,
+    "observer": _OBSERVER,
+    "observer-plan": OBSERVER_PLAN,
+    "heliostat": HELIOSTAT_TEMPLATE,
+}
 
 
 def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:

@@ -35,19 +35,29 @@ REPORT_NOTEBOOK = "report.ipynb"
 
 #: Package that holds the report notebook of each kind of measurement.
 NOTEBOOK_PACKAGES: dict[str, str] = {
-    "deflectometry": "deflectometry", "photogrammetry": "photogrammetry.report", "camera": "calibration.camera.report",
-    "photogrammetry-plan": "photogrammetry.report", "observer": "observer.report", "heliostat": "calibration.heliostat.report",
-    "heliostat-field": "calibration.heliostat.report", "observer-overview": "observer.report",
-    "observer-plan": "observer.report", "observer-compare": "observer.report", "observer-alignment": "observer.report",
+    "deflectometry": "deflectometry",
+    "photogrammetry": "photogrammetry.report",
+    "camera": "calibration.camera.report",
+    "photogrammetry-plan": "photogrammetry.report",
+    "observer": "observer.report",
+    "heliostat": "calibration.heliostat.report",
+    "heliostat-field": "calibration.heliostat.report",
+    "observer-overview": "observer.report",
+    "observer-plan": "observer.report",
+    "observer-compare": "observer.report",
+    "observer-alignment": "observer.report",
     "observer-absorber": "observer.report",
-}  # fmt: skip
+}
 #: Notebooks that are called otherwise, where a package has several.
 OTHER_NOTEBOOKS: dict[str, str] = {
-    "photogrammetry-plan": "report_plan.ipynb", "heliostat-field": "report_field.ipynb",
-    "observer-overview": "report_overview.ipynb", "observer-plan": "report_plan.ipynb",
-    "observer-compare": "report_compare.ipynb", "observer-alignment": "report_alignment.ipynb",
+    "photogrammetry-plan": "report_plan.ipynb",
+    "heliostat-field": "report_field.ipynb",
+    "observer-overview": "report_overview.ipynb",
+    "observer-plan": "report_plan.ipynb",
+    "observer-compare": "report_compare.ipynb",
+    "observer-alignment": "report_alignment.ipynb",
     "observer-absorber": "report_absorber.ipynb",
-}  # fmt: skip
+}
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.
 _START_S = 120

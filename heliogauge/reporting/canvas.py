@@ -5,7 +5,7 @@ Figures are made without pyplot: no global state, no display, and half a second 
 
 import io
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -175,11 +175,18 @@ def map_figure(slope_map: SlopeMap, values: FloatArray, style: MapStyle) -> Figu
     return figure
 
 
-def mirror_axes(slope_map: SlopeMap) -> tuple[Figure, Axes, tuple[float, float, float, float]]:
+class MirrorAxes(NamedTuple):
+    """A figure, its axes, and their box: left, bottom, width, height [inch]."""
+
+    figure: Figure
+    axes: Axes
+    box_in: tuple[float, float, float, float]
+
+
+def mirror_axes(slope_map: SlopeMap) -> MirrorAxes:
     """Return a figure with axes of the mirror's own proportions, x to the right and y up seen from the front.
 
     slope_map: Gives the extent.
-    Returns: Figure, axes, and the box of the axes: left, bottom, width, height [inch].
     """
     left_m, right_m, low_m, high_m = extent_of(slope_map)
     left, right, bottom, top = 0.62, 0.95, 0.5, 0.62
@@ -202,7 +209,7 @@ def mirror_axes(slope_map: SlopeMap) -> tuple[Figure, Axes, tuple[float, float, 
         spine.set_visible(False)
     # What shows through where no value covers it.
     axes.patch.set(facecolor=MISSING, hatch="/////", edgecolor=MISSING_HATCH, linewidth=0)
-    return figure, axes, box
+    return MirrorAxes(figure, axes, box)
 
 
 def cover_outside(axes: Axes, slope_map: SlopeMap) -> None:
@@ -305,9 +312,16 @@ def thinned_map(slope_map: SlopeMap) -> SlopeMap:
     if max(slope_map.shape) <= MOST_NODES:
         return slope_map
     fields = (
-        "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m",
-        "flags", "aperture",
-    )  # fmt: skip
+        "slope_x",
+        "slope_y",
+        "design_slope_x",
+        "design_slope_y",
+        "sigma_random_x",
+        "sigma_random_y",
+        "height_m",
+        "flags",
+        "aperture",
+    )
     kept: dict[str, Any] = {name: thinned(getattr(slope_map, name)) for name in fields}
     axes: dict[str, Any] = {"x_m": thinned(slope_map.x_m[None, :])[0], "y_m": thinned(slope_map.y_m[:, None])[:, 0]}
     return replace(slope_map, **axes, **kept)

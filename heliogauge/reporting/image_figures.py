@@ -122,9 +122,16 @@ def outline_residuals(points_px: FloatArray, residuals_px: FloatArray) -> Figure
     enlarged = 0.1 * extent / max(3 * rms, 1e-6)
     axes.plot(*points_px.T, linestyle="none", marker=".", markersize=2, color=FAINT)
     axes.quiver(
-        points_px[:, 0], points_px[:, 1], residuals_px[:, 0] * enlarged, residuals_px[:, 1] * enlarged,
-        color=LINE_Y, angles="xy", scale_units="xy", scale=1, width=0.003,
-    )  # fmt: skip
+        points_px[:, 0],
+        points_px[:, 1],
+        residuals_px[:, 0] * enlarged,
+        residuals_px[:, 1] * enlarged,
+        color=LINE_Y,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.003,
+    )
     set_equal_limits(axes, points_px[:, 0], points_px[:, 1], spare=0.12)
     axes.invert_yaxis()
     axes.set_xlabel("column [px]", fontsize=8, color=INK, labelpad=2)

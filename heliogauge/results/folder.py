@@ -73,10 +73,25 @@ RESULTS = FolderKind(
 
 #: A key of a number ends with one of these: the unit it is in.
 UNITS: dict[str, str] = {
-    "_per_m": "1/m", "_mrad": "mrad", "_urad": "µrad", "_rad": "rad", "_deg": "deg", "_um": "µm", "_mm": "mm",
-    "_m2": "m²", "_m": "m", "_px": "px", "_dn": "DN", "_s": "s", "_mib": "MiB", "_share": "", "_ratio": "",
-    "_count": "", "_factor": "", "_probability": "",
-}  # fmt: skip
+    "_per_m": "1/m",
+    "_mrad": "mrad",
+    "_urad": "µrad",
+    "_rad": "rad",
+    "_deg": "deg",
+    "_um": "µm",
+    "_mm": "mm",
+    "_m2": "m²",
+    "_m": "m",
+    "_px": "px",
+    "_dn": "DN",
+    "_s": "s",
+    "_mib": "MiB",
+    "_share": "",
+    "_ratio": "",
+    "_count": "",
+    "_factor": "",
+    "_probability": "",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -179,8 +179,14 @@ class SlopeMap:
             object.__setattr__(self, name, float_array(name, getattr(self, name), (None,)))
         shape = self.shape
         for name in (
-            "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m",
-        ):  # fmt: skip
+            "slope_x",
+            "slope_y",
+            "design_slope_x",
+            "design_slope_y",
+            "sigma_random_x",
+            "sigma_random_y",
+            "height_m",
+        ):
             object.__setattr__(self, name, float_array(name, getattr(self, name), shape, finite=False))
         for name, dtype in (("flags", np.uint32), ("aperture", np.bool_)):
             array = np.array(getattr(self, name), dtype=dtype).reshape(shape)

@@ -302,9 +302,9 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())
     x, y = nodes.x_m - x0, nodes.y_m - y0
     zero, one = np.zeros(nodes.count), np.ones(nodes.count)
-    columns = np.stack([
-        np.concatenate(pair) for pair in ((2 * x, zero), (zero, 2 * y), (one, zero), (zero, one), (y, x))
-    ])  # fmt: skip
+    columns = np.stack(
+        [np.concatenate(pair) for pair in ((2 * x, zero), (zero, 2 * y), (one, zero), (zero, one), (y, x))]
+    )
     projection = projection_of(columns)
     slopes = np.concatenate([slope_map.slope_x[nodes.valid], slope_map.slope_y[nodes.valid]])
     centred = projection.amounts(slopes)

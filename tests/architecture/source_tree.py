@@ -10,10 +10,23 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibration", "data_synth")
 
 #: Rooms, and modules called like them, that open files, draw or talk; everything else is numeric.
-BORDER_ROOMS = frozenset({
-    "cli", "exchange", "files", "images", "instrument", "keys", "measurement", "pipeline", "report", "reporting",
-    "results", "running", "__main__",
-})  # fmt: skip
+BORDER_ROOMS = frozenset(
+    {
+        "cli",
+        "exchange",
+        "files",
+        "images",
+        "instrument",
+        "keys",
+        "measurement",
+        "pipeline",
+        "report",
+        "reporting",
+        "results",
+        "running",
+        "__main__",
+    }
+)
 #: Modules of other rooms at the border, one reason each.
 BORDER_MODULES = {
     "heliogauge": "opens measurements and results by their path",

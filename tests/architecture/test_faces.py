@@ -12,10 +12,32 @@ from tests.architecture.source_tree import REPOSITORY, all_modules, faces, instr
 
 MOST_NAMES = 10
 #: numpydoc's checks of a docstring that a user reads: sections complete, in order, with types.
-CHECKS = frozenset({
-    "GL03", "GL05", "GL06", "GL07", "GL08", "SS02", "SS03", "SS04", "PR01", "PR02", "PR03", "PR04", "PR05", "PR07",
-    "PR09", "PR10", "RT01", "RT03", "RT05", "SA02", "SA03", "SA04",
-})  # fmt: skip
+CHECKS = frozenset(
+    {
+        "GL03",
+        "GL05",
+        "GL06",
+        "GL07",
+        "GL08",
+        "SS02",
+        "SS03",
+        "SS04",
+        "PR01",
+        "PR02",
+        "PR03",
+        "PR04",
+        "PR05",
+        "PR07",
+        "PR09",
+        "PR10",
+        "RT01",
+        "RT03",
+        "RT05",
+        "SA02",
+        "SA03",
+        "SA04",
+    }
+)
 
 
 @pytest.mark.parametrize("package", ["heliogauge", "data_synth", *instruments()])
@@ -39,7 +61,7 @@ def test_a_face_is_small_and_true(package: str) -> None:
 
 
 def _public() -> list[str]:
-    """Return the home of every function and class of the faces; modules among the names have docstrings of their own."""
+    """Return the home of every function and class of the faces; modules have docstrings of their own."""
     modules = {module.name for module in all_modules()}
     found = {
         f"{home}.{name}"

@@ -22,10 +22,16 @@ from tests.architecture.source_tree import (
 )
 
 #: What data_synth may know of an instrument: faces of rooms that describe things and estimate nothing.
-DESCRIPTIONS = frozenset({
-    "calibration.camera", "calibration.heliostat", "calibration.heliostat.kinematic_model", "deflectometry.setup",
-    "observer.trough", "photogrammetry.targets",
-})  # fmt: skip
+DESCRIPTIONS = frozenset(
+    {
+        "calibration.camera",
+        "calibration.heliostat",
+        "calibration.heliostat.kinematic_model",
+        "deflectometry.setup",
+        "observer.trough",
+        "photogrammetry.targets",
+    }
+)
 
 #: Kernel modules that put instruments to work.
 DEMONSTRATION = "heliogauge.running.demo"
@@ -201,8 +207,14 @@ class K:
 """
     found = {(item.target, item.at_import_time) for item in imports_of(ast.parse(source))}
     assert found == {
-        ("a", True), ("b", False), ("c", False), ("c.d", False), ("e", True), ("g", True), ("h", True),
-    }  # fmt: skip
+        ("a", True),
+        ("b", False),
+        ("c", False),
+        ("c.d", False),
+        ("e", True),
+        ("g", True),
+        ("h", True),
+    }
 
 
 def circles(graph: Mapping[str, Iterable[str]]) -> list[list[str]]:
@@ -257,6 +269,9 @@ for name in sys.argv[1:]:
 """ % (PACKAGES,)  # noqa: UP031  (braces are code here)
     answer = subprocess.run(
         [sys.executable, "-c", program, *names],
-        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2],
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[2],
+    )
     assert answer.returncode == 0, answer.stderr

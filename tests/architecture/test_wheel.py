@@ -34,8 +34,12 @@ def names(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> list[st
     target = tmp_path_factory.mktemp("wheel")
     answer = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", BUILD, str(target)],
-        cwd=tree, env=os.environ | {"PYTHONPATH": ""}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert answer.returncode == 0, answer.stderr
     (wheel,) = target.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

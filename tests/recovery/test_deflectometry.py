@@ -34,9 +34,12 @@ def test_perfect_mirror_has_no_bias(tmp_path, name):
 @pytest.mark.parametrize("name", SINGLE)
 def test_slope_errors_are_found_within_their_random_sigma(tmp_path, name):
     result = measure(
-        preset_scene(name), tmp_path / "m", seed=3, knowledge=Knowledge(pose_known=True),
+        preset_scene(name),
+        tmp_path / "m",
+        seed=3,
+        knowledge=Knowledge(pose_known=True),
         options=Options(align=Align.OUTLINE),
-    )  # fmt: skip
+    )
     found = agreement(result, tmp_path / "m")
     # 4500 to 6900 pixels: the 99.9 % band of chi2 / n is 1 +- 0.07; the quadrature of the images adds up to 0.01.
     assert np.all(np.abs(found.random_chi_square - 1) < 0.08), found.random_chi_square
@@ -56,9 +59,12 @@ def test_pose_from_the_outline_stays_within_the_common_sigma(tmp_path, name):
 def test_setup_that_is_off_by_its_sigmas_is_covered(tmp_path):
     """Camera, screen, pose and distance all wrong by draws of their sigmas: the whole sigma covers the whole error."""
     knowledge = Knowledge(
-        sigma_focal_px=0.3, sigma_center_px=0.3, sigma_screen_rotation_mrad=0.3, sigma_screen_translation_mm=2.0,
+        sigma_focal_px=0.3,
+        sigma_center_px=0.3,
+        sigma_screen_rotation_mrad=0.3,
+        sigma_screen_translation_mm=2.0,
         sigma_distance_mm=2.0,
-    )  # fmt: skip
+    )
     squares = []
     for seed in range(12):
         result = measure(perfect(preset_scene("small")), tmp_path / "m", seed=seed, knowledge=knowledge)

@@ -13,10 +13,19 @@ from heliogauge.measurement.load import load_heliostat
 from heliogauge.running.progress import SilentProgress
 
 NAMES = {
-    "wrong-actuator": "actuator_numbers", "moved": "position", "change-point": "change_point", "drift": "drift",
-    "backlash": "backlash", "outliers": "outliers", "wrong-target": "wrong_target", "south-azimuth": "sun_convention",
-    "local-time": "time_offset", "stuck-reading": "constant_column", "duplicates": "duplicates", "few": "too_few",
-}  # fmt: skip
+    "wrong-actuator": "actuator_numbers",
+    "moved": "position",
+    "change-point": "change_point",
+    "drift": "drift",
+    "backlash": "backlash",
+    "outliers": "outliers",
+    "wrong-target": "wrong_target",
+    "south-azimuth": "sun_convention",
+    "local-time": "time_offset",
+    "stuck-reading": "constant_column",
+    "duplicates": "duplicates",
+    "few": "too_few",
+}
 
 
 def named(folder, seed, heliostats):

@@ -122,10 +122,12 @@ def test_photos_become_spots_and_a_model_that_tracks(tmp_path):
         {key: value for key, value in values.items() if key in found.design.parameters.names}
     )
     site = Site(**truth.parameters["site"])
-    times = np.concatenate([
-        np.datetime64(f"2025-{month:02d}-21T09:00:00.000") + (3600_000 * np.arange(7)).astype("timedelta64[ms]")
-        for month in range(1, 13)
-    ])  # fmt: skip
+    times = np.concatenate(
+        [
+            np.datetime64(f"2025-{month:02d}-21T09:00:00.000") + (3600_000 * np.arange(7)).astype("timedelta64[ms]")
+            for month in range(1, 13)
+        ]
+    )
     one = truth.parameters["targets"][0]
     target = PlaneTarget.facing("upper", one["center_m"], np.radians(one["facing_azimuth_deg"]), 7.0, 7.0)
     offsets = commanded_offsets(real, found.design, sun_directions(times, site), target)

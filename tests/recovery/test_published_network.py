@@ -72,16 +72,22 @@ def test_backward_summary(backward):
 
 def test_backward_camera_as_printed(backward):
     table = read_table_csv(backward / "camera_millimetres.csv")
-    found = {name: (float(value), float(sigma)) for name, value, sigma in
-             zip(table["name"], table["value"], table["sigma"], strict=True)}  # fmt: skip
+    found = {
+        name: (float(value), float(sigma))
+        for name, value, sigma in zip(table["name"], table["value"], table["sigma"], strict=True)
+    }
     # result/report.txt and result/c4040z.xml of the demonstration.
     printed = {
-        "focal_mm": (7.45699532273933752, 0.00105), "principal_x_mm": (3.61546239970888994, 0.00082),
-        "principal_y_mm": (2.61329279848268081, 0.00098), "aspect": (3.89598e-4, 2.08e-5),
-        "K1": (0.00458860662755811253, 2.21e-5), "K2": (-4.51350997187018702e-05, 2.65e-6),
-        "K3": (-2.05253370760761127e-06, 1.01e-7), "P1": (-6.12803065099492536e-05, 3.52e-6),
+        "focal_mm": (7.45699532273933752, 0.00105),
+        "principal_x_mm": (3.61546239970888994, 0.00082),
+        "principal_y_mm": (2.61329279848268081, 0.00098),
+        "aspect": (3.89598e-4, 2.08e-5),
+        "K1": (0.00458860662755811253, 2.21e-5),
+        "K2": (-4.51350997187018702e-05, 2.65e-6),
+        "K3": (-2.05253370760761127e-06, 1.01e-7),
+        "P1": (-6.12803065099492536e-05, 3.52e-6),
         "P2": (-4.41170561685059337e-05, 3.94e-6),
-    }  # fmt: skip
+    }
     for name, (value, sigma) in printed.items():
         assert found[name][0] == pytest.approx(value, abs=2e-4 * sigma), name
         assert found[name][1] == pytest.approx(sigma, rel=6e-3), name
@@ -99,8 +105,10 @@ def test_backward_points(backward):
 @pytest.mark.slow
 def test_forward_summary(shared_data, tmp_path):
     camera = {
-        "distortion_direction": "ideal_to_measured", "free": ["focal_px", *LENS], "millimetres": MILLIMETRES,
-    }  # fmt: skip
+        "distortion_direction": "ideal_to_measured",
+        "free": ["focal_px", *LENS],
+        "millimetres": MILLIMETRES,
+    }
     summary = run(folder_of(shared_data, tmp_path / "in", camera), tmp_path / "out")
     numbers = {name: one["value"] if isinstance(one, dict) else one for name, one in summary["numbers"].items()}
     assert numbers["redundancy_count"] == 3726

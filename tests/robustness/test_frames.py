@@ -30,9 +30,11 @@ def refused(folder) -> str:
 def spoilt(folder, *faults, noise_dn=1.0, **lighting):
     scene = preset_scene("small")
     scene = replace(
-        scene, faults=tuple(Fault.parse(text) for text in faults), lighting=replace(scene.lighting, **lighting),
+        scene,
+        faults=tuple(Fault.parse(text) for text in faults),
+        lighting=replace(scene.lighting, **lighting),
         sensor=replace(scene.sensor, read_noise_dn=noise_dn),
-    )  # fmt: skip
+    )
     write_dataset(folder, scene, DatasetOptions(0, Knowledge(response=bool(lighting)), force=True))
     return folder
 

@@ -25,9 +25,17 @@ from tests.photogrammetry.network_jobs import (
 
 SIZE = {"width_px": 6000, "height_px": 4000}
 KNOWN = {
-    **SIZE, "focal_px": 6103.0, "aspect": 6103.0 / 6100.0 - 1, "center_x_px": 3010.0, "center_y_px": 1990.0,
-    "k1": -0.12, "k2": 0.08, "k3": -0.02, "p1": 3e-4, "p2": -2e-4,
-}  # fmt: skip
+    **SIZE,
+    "focal_px": 6103.0,
+    "aspect": 6103.0 / 6100.0 - 1,
+    "center_x_px": 3010.0,
+    "center_y_px": 1990.0,
+    "k1": -0.12,
+    "k2": 0.08,
+    "k3": -0.02,
+    "p1": 3e-4,
+    "p2": -2e-4,
+}
 
 
 @pytest.fixture(scope="module")

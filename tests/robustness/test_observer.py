@@ -204,10 +204,13 @@ def test_photos_too_far_apart_for_any_slope(trough):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("key", "new", "said"), [
-    ("focal_px = .*", "focal_px = 1040.3", r"with focal_px = 10(29|30)\.?\d* \+- 0\.\d+ instead of 1040.3"),
-    ("k1 = .*", "k1 = 0.0", r"k1 = -0.0\d+ \+- 0.\d+ instead of 0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("key", "new", "said"),
+    [
+        ("focal_px = .*", "focal_px = 1040.3", r"with focal_px = 10(29|30)\.?\d* \+- 0\.\d+ instead of 1040.3"),
+        ("k1 = .*", "k1 = 0.0", r"k1 = -0.0\d+ \+- 0.\d+ instead of 0"),
+    ],
+)
 def test_wrong_camera_is_named_and_the_collector_is_not_blamed(trough, rewrite, key, new, said):
     rewrite(trough, (rf"^{key}", new))
     warnings = warnings_of(trough)
@@ -251,9 +254,10 @@ def drawn_otherwise(folder: Path, **finish: float) -> Path:
 
 @pytest.mark.slow
 def test_tube_as_bright_as_the_sky_ends_with_the_reason(tmp_path):
-    assert re.search(r"absorber: 0 photos .* as bright as what is seen behind it", refused(
-        drawn_otherwise(tmp_path / "shiny", absorber=0.6)
-    ))  # fmt: skip
+    assert re.search(
+        r"absorber: 0 photos .* as bright as what is seen behind it",
+        refused(drawn_otherwise(tmp_path / "shiny", absorber=0.6)),
+    )
 
 
 @pytest.mark.slow

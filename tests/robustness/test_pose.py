@@ -42,7 +42,7 @@ def test_distance_off_by_5_cm_is_covered_by_sigma(folder, rewrite):
         (OUTLINE, "outline_m = [[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6]]", "does not fit the mirror's outline"),
         ('"paraboloid"\nfocal_length_m = 100.0', '"sphere"\nradius_m = 0.5', "does not reach its outline"),
     ],
-)  # fmt: skip
+)
 def test_refused(folder, rewrite, old, new, says):
     rewrite(folder, (old, new))
     assert says in refused(folder)

@@ -67,10 +67,12 @@ def test_more_observations_with_outliers_wind_and_other_noise(tmp_path):
     scene = scene.with_disturbances(outliers=0.2, spot_m=(0.001, 0.001), wind_rad=None)
     write_heliostat_dataset(tmp_path / "set", scene)
     rows, truth = rows_of(tmp_path / "set"), read_heliostat_truth(tmp_path / "set")
-    far = np.array([
-        np.hypot(float(row["x_m"]) - spot[0], float(row["y_m"]) - spot[1]) > 0.006
-        for row, spot in zip(rows, truth.spot_m, strict=True)
-    ])  # fmt: skip
+    far = np.array(
+        [
+            np.hypot(float(row["x_m"]) - spot[0], float(row["y_m"]) - spot[1]) > 0.006
+            for row, spot in zip(rows, truth.spot_m, strict=True)
+        ]
+    )
     assert truth.outlier.mean() == pytest.approx(0.2, abs=0.06)
     assert (far == truth.outlier).mean() > 0.99
 

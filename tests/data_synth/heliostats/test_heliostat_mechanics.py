@@ -106,10 +106,23 @@ def test_a_point_behind_the_heliostat_is_out_of_reach():
 
 
 # Gouws (2018): test vectors TV1 to TV4 recomputed from eqs. 5.1 to 5.49, lengths in m.
-GOUWS_1 = {**POSITION, "arm_normal": 0.4325, "arm_up": 0.24, "pylon_length": 1.5, "tilt_about_east": 0.0,
-           "tilt_about_north": 0.0, "azimuth_offset": 0.0, "elevation_offset": 0.0}  # fmt: skip
-GOUWS_11 = {**GOUWS_1, "arm_normal": 0.3, "arm_up": 0.3, "tilt_about_north": np.radians(-1.0),
-            "tilt_about_east": np.radians(1.5)}  # fmt: skip
+GOUWS_1 = {
+    **POSITION,
+    "arm_normal": 0.4325,
+    "arm_up": 0.24,
+    "pylon_length": 1.5,
+    "tilt_about_east": 0.0,
+    "tilt_about_north": 0.0,
+    "azimuth_offset": 0.0,
+    "elevation_offset": 0.0,
+}
+GOUWS_11 = {
+    **GOUWS_1,
+    "arm_normal": 0.3,
+    "arm_up": 0.3,
+    "tilt_about_north": np.radians(-1.0),
+    "tilt_about_east": np.radians(1.5),
+}
 DRONE = np.array([[12.256711, 21.229246, 20.569204]])
 
 
@@ -132,10 +145,15 @@ def test_published_pointing_of_the_drone_heliostat(values, aim, source, degrees,
 
 # Malan (2014), section 4.2 at lat -33.9281, 2012-09-02 08:00 UTC: 1 mrad or 0.1 m each, offsets right and up [mm].
 MALAN = {
-    "tilt_north": (10.296, -61.094), "tilt_east": (39.585, 6.934), "azimuth_offset": (60.072, 21.397),
-    "elevation_offset": (-14.640, 59.950), "non_orthogonality": (-38.210, -13.624), "position_u": (0.0, 95.100),
-    "position_e": (84.862, 16.356), "position_n": (52.901, -26.238),
-}  # fmt: skip
+    "tilt_north": (10.296, -61.094),
+    "tilt_east": (39.585, 6.934),
+    "azimuth_offset": (60.072, 21.397),
+    "elevation_offset": (-14.640, 59.950),
+    "non_orthogonality": (-38.210, -13.624),
+    "position_u": (0.0, 95.100),
+    "position_e": (84.862, 16.356),
+    "position_n": (52.901, -26.238),
+}
 
 
 @pytest.mark.parametrize("name", MALAN)

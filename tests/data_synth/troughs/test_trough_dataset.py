@@ -43,17 +43,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_folder_holds_what_a_surveyor_has_and_the_truth(folder: Path) -> None:
     assert sorted(file.name for file in folder.iterdir()) == [
-        "image_points_true.csv", "measurement.toml", "photo_001.png", "photo_002.png", "targets.csv", "truth.json",
+        "image_points_true.csv",
+        "measurement.toml",
+        "photo_001.png",
+        "photo_002.png",
+        "targets.csv",
+        "truth.json",
         "truth.npz",
-    ]  # fmt: skip
+    ]
     content = tomllib.loads((folder / "measurement.toml").read_text(encoding="utf-8"))
     assert content["kind"] == "observer"
     assert content["collector"]["focal_length_m"] == 1.49
     assert content["collector"]["glass_index"] == 1.47
     assert content["images"] == {"photos": "photo_*.png"}
     assert content["targets"] == {
-        "dictionary": "aicon-12", "diameter_mm": 90.0, "polarity": "black-on-white", "file": "targets.csv",
-    }  # fmt: skip
+        "dictionary": "aicon-12",
+        "diameter_mm": 90.0,
+        "polarity": "black-on-white",
+        "file": "targets.csv",
+    }
     assert content["camera"]["focal_px"] == 515.0
     assert read_image(folder / "photo_001.png").shape == (320, 240)
     listed = read_table_csv(folder / "targets.csv", ("target", "x_m", "sigma_x_mm"))
@@ -104,9 +112,23 @@ def test_a_folder_of_jpeg_with_a_rolling_shutter_and_slopes_of_a_file(tmp_path: 
     zero, design = np.zeros((20, 30)), np.broadcast_to(x / 2.98, (20, 30))
     errors = 1e-3 * np.sin(y)[:, None] * x, np.full((20, 30), 2e-3)
     measured = SlopeMap(
-        x, y, design + errors[0], errors[1], design, zero, zero, zero, 1.0, no_common_modes(), zero,
-        zero.astype(np.uint32), zero == 0, "trough", "trough", "nothing",
-    )  # fmt: skip
+        x,
+        y,
+        design + errors[0],
+        errors[1],
+        design,
+        zero,
+        zero,
+        zero,
+        1.0,
+        no_common_modes(),
+        zero,
+        zero.astype(np.uint32),
+        zero == 0,
+        "trough",
+        "trough",
+        "nothing",
+    )
     write_slope_map(tmp_path / "slopes.nc", {"mirror": measured})
     out = tmp_path / "set"
     arguments = ["trough", str(out), "--photos", "2", "--scale", "0.3", "-q", "--jpeg-quality", "95"]
@@ -145,9 +167,23 @@ def test_gaps_of_a_measured_map_get_the_nearest_slope(tmp_path: Path) -> None:
     error[:, 8:13] = np.nan
     gaps = np.where(np.isnan(error), np.uint32(SampleFlag.NOT_COVERED), np.uint32(0))
     slopes = SlopeMap(
-        x, y, error, zero * np.nan, zero, zero, zero + 1e-4, zero + 1e-4, 1.0, no_common_modes(), zero * np.nan, gaps,
-        np.ones(zero.shape, bool), design="trough", frame="trough", removed="nothing",
-    )  # fmt: skip
+        x,
+        y,
+        error,
+        zero * np.nan,
+        zero,
+        zero,
+        zero + 1e-4,
+        zero + 1e-4,
+        1.0,
+        no_common_modes(),
+        zero * np.nan,
+        gaps,
+        np.ones(zero.shape, bool),
+        design="trough",
+        frame="trough",
+        removed="nothing",
+    )
     write_slope_map(tmp_path / "s.nc", {"": slopes})
     found = read_slope_errors(tmp_path / "s.nc")
     np.testing.assert_allclose(found.slope_x[:, :10], 1e-3, rtol=1e-6)
@@ -189,8 +225,11 @@ def test_dots_without_a_code_are_told_by_their_places(tmp_path: Path) -> None:
     write_trough_dataset(tmp_path / "set", scene)
     targets = tomllib.loads((tmp_path / "set" / "measurement.toml").read_text(encoding="utf-8"))["targets"]
     assert targets == {
-        "uncoded_file": "uncoded.csv", "diameter_mm": 90.0, "polarity": "black-on-white", "file": "targets.csv",
-    }  # fmt: skip
+        "uncoded_file": "uncoded.csv",
+        "diameter_mm": 90.0,
+        "polarity": "black-on-white",
+        "file": "targets.csv",
+    }
     rough, listed = (read_table_csv(tmp_path / "set" / name) for name in ("uncoded.csv", "targets.csv"))
     assert rough["id"] == listed["target"] == [f"dot{k}" for k in range(1, 13)]
     # Seen from the other end they must not look the same.

@@ -43,11 +43,14 @@ cameras = st.builds(
     st.floats(150, 330),
     st.floats(-5, 5),
     st.tuples(
-        st.floats(-0.35, 0.35), st.floats(-0.1, 0.1), st.floats(-0.03, 0.03), st.floats(-3e-3, 3e-3),
+        st.floats(-0.35, 0.35),
+        st.floats(-0.1, 0.1),
+        st.floats(-0.03, 0.03),
+        st.floats(-3e-3, 3e-3),
         st.floats(-3e-3, 3e-3),
     ),
     st.sampled_from(BOTH),
-)  # fmt: skip
+)
 
 
 @given(cameras, st.floats(0.01, 1000))
@@ -178,8 +181,10 @@ def test_projection_jacobians_against_central_differences(direction):
     steps = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4])
     check(
         posed.d_pixel_d_parameters,
-        lambda d: camera.with_parameters(camera.parameters + d).project(points), 10, steps,
-    )  # fmt: skip
+        lambda d: camera.with_parameters(camera.parameters + d).project(points),
+        10,
+        steps,
+    )
 
 
 @pytest.mark.parametrize("direction", BOTH)
@@ -314,9 +319,13 @@ def test_a_lens_that_covers_the_image_says_so():
 )
 def test_impossible_cameras_are_refused(changes, message):
     arguments = {
-        "width_px": 640, "height_px": 480, "focal_x_px": 500.0, "focal_y_px": 500.0, "center_x_px": 320.0,
+        "width_px": 640,
+        "height_px": 480,
+        "focal_x_px": 500.0,
+        "focal_y_px": 500.0,
+        "center_x_px": 320.0,
         "center_y_px": 240.0,
-    }  # fmt: skip
+    }
     with pytest.raises(InputError, match=message):
         Camera(**{**arguments, **changes})
 

@@ -92,9 +92,20 @@ def test_colmap_counts_pixels_from_the_corner():
 @pytest.mark.parametrize("model", COLMAP_MODELS)
 def test_colmap_models_go_round(model):
     values = {
-        "f": 500.0, "fx": 500.0, "fy": 510.0, "cx": 321.0, "cy": 243.0, "k1": -0.2, "k2": 0.05, "k3": 0.01,
-        "p1": 1e-3, "p2": 2e-3, "k4": 0.0, "k5": 0.0, "k6": 0.0,
-    }  # fmt: skip
+        "f": 500.0,
+        "fx": 500.0,
+        "fy": 510.0,
+        "cx": 321.0,
+        "cy": 243.0,
+        "k1": -0.2,
+        "k2": 0.05,
+        "k3": 0.01,
+        "p1": 1e-3,
+        "p2": 2e-3,
+        "k4": 0.0,
+        "k5": 0.0,
+        "k6": 0.0,
+    }
     parameters = [values[name] for name in COLMAP_MODELS[model]]
     found, again = to_colmap(from_colmap(model, parameters, 640, 480))
     assert found == model
@@ -122,10 +133,17 @@ def test_impossible_colmap_parameters_are_refused(model, parameters, message):
 
 
 PRINTED = {
-    "focal_mm": 7.457, "principal_x_mm": 3.61546, "principal_y_mm": 2.61329,
-    "K1": 0.00458861, "K2": -4.51351e-5, "K3": -2.05253e-6, "P1": -6.12803e-5, "P2": -4.41171e-5,
-    "aspect": 0.000389598, "shear": 0.0,
-}  # fmt: skip
+    "focal_mm": 7.457,
+    "principal_x_mm": 3.61546,
+    "principal_y_mm": 2.61329,
+    "K1": 0.00458861,
+    "K2": -4.51351e-5,
+    "K3": -2.05253e-6,
+    "P1": -6.12803e-5,
+    "P2": -4.41171e-5,
+    "aspect": 0.000389598,
+    "shear": 0.0,
+}
 BROWN = SENSOR_NAMES[LensForm.BROWN]
 
 
@@ -276,9 +294,12 @@ def test_impossible_photogrammetric_parameters_are_refused(changes, message):
 
 
 @given(
-    st.floats(-0.2, 0.2), st.floats(-0.02, 0.02), st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.02, 0.02),
+    st.floats(-1e-3, 1e-3),
+    st.floats(-1e-3, 1e-3),
     st.sampled_from(list(DistortionDirection)),
-)  # fmt: skip
+)
 def test_the_converted_lens_has_the_residual_it_states(k1, k2, p1, p2, direction):
     lens = BrownDistortion(k1=k1, k2=k2, p1=p1, p2=p2, direction=direction)
     camera = Camera(1624, 1232, 2200.0, 2210.0, 803.2, 622.9, skew=0.5, distortion=lens)

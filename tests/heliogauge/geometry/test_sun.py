@@ -81,8 +81,10 @@ def test_records_of_a_plant(shared_data):
     recorded = direction_from_angles(azimuth_from_south_east(azimuth), elevation)
     tower = json.loads((folder / "tower" / "tower_measurements.json").read_text())["power_plant_properties"]
     site = Site(*tower["coordinates"])
-    away = {refracted: np.linalg.norm(sun_directions(times, site, refracted=refracted) - recorded, axis=1)
-            for refracted in (True, False)}  # fmt: skip
+    away = {
+        refracted: np.linalg.norm(sun_directions(times, site, refracted=refracted) - recorded, axis=1)
+        for refracted in (True, False)
+    }
     assert len(rows) > 900
     assert np.median(away[True]) < 0.03e-3
     assert np.quantile(away[True], 0.95) < 0.1e-3

@@ -191,8 +191,11 @@ def test_facet_area_centroid_corners_and_inside():
     assert facet.area_m2 == pytest.approx(3, abs=1e-12)
     np.testing.assert_allclose(facet.reference_point_m, [1000 + 2.5 / 3, 2000 + 2.5 / 3], rtol=1e-15)
     assert facet.contains([1000.5, 1001.5, 1000.5, 1001.5], [2000.5, 2000.5, 2001.5, 2001.5]).tolist() == [
-        True, True, True, False,
-    ]  # fmt: skip
+        True,
+        True,
+        True,
+        False,
+    ]
     np.testing.assert_allclose(facet.corners_m[:, 2], (shape**2).sum(1) / 4e6, rtol=1e-12)
 
 

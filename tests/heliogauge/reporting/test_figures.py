@@ -48,16 +48,33 @@ def make_map(rows: int = 48, columns: int = 60, height_m: float = 0.8) -> SlopeM
     common = CommonModes(("mirror pose", "camera"), rng.normal(0, 2e-5, (2, 2, 3)), np.zeros(2), 0.6)
     height = (x**2 + y**2) / (4 * FOCAL_M) - 4e-4 / 6 * np.cos(6 * x)
     return SlopeMap(
-        x_m, y_m, slope_x, slope_y, *design, sigma, sigma, 1.0, common, height, flags, aperture,
-        "paraboloid, f = 10 m", "facet", "nothing",
-    )  # fmt: skip
+        x_m,
+        y_m,
+        slope_x,
+        slope_y,
+        *design,
+        sigma,
+        sigma,
+        1.0,
+        common,
+        height,
+        flags,
+        aperture,
+        "paraboloid, f = 10 m",
+        "facet",
+        "nothing",
+    )
 
 
 SLOPE_MAP = make_map()
 SPOT = trace(
-    SLOPE_MAP, SLOPE_MAP.height_m, Illumination(PillboxSun()), target=facing_target(FOCAL_M, 0.3), rays=20_000,
+    SLOPE_MAP,
+    SLOPE_MAP.height_m,
+    Illumination(PillboxSun()),
+    target=facing_target(FOCAL_M, 0.3),
+    rays=20_000,
     rng=np.random.default_rng(2),
-)  # fmt: skip
+)
 GEOMETRY_M = {
     "camera": [0.4, 0.3, 9.6],
     "camera_axis": [-0.4, -0.3, -9.6],

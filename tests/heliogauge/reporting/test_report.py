@@ -48,9 +48,21 @@ def make_map() -> SlopeMap:
     common = CommonModes(("mirror pose", "mirror pose", "camera"), rng.normal(0, 2e-5, (3, 2, 3)), np.zeros(2), 0.6)
     height = (x**2 + y**2) / (4 * FOCAL_M) - 4e-4 / 6 * np.cos(6 * x)
     return SlopeMap(
-        x_m, y_m, *slopes, *design, sigma, sigma, 1.0, common, height, flags, np.ones(x.shape, bool),
-        "paraboloid, f = 10 m", "facet", "nothing",
-    )  # fmt: skip
+        x_m,
+        y_m,
+        *slopes,
+        *design,
+        sigma,
+        sigma,
+        1.0,
+        common,
+        height,
+        flags,
+        np.ones(x.shape, bool),
+        "paraboloid, f = 10 m",
+        "facet",
+        "nothing",
+    )
 
 
 def make_summary(slope_map: SlopeMap) -> Summary:
@@ -59,8 +71,10 @@ def make_summary(slope_map: SlopeMap) -> Summary:
         kind="deflectometry",
         name="Facet 7 & friends",
         numbers={
-            "sdx_rad": result.sdx_rad, "sigma_sdx_rad": result.sigma_sdx_rad,
-            "measured_share": slope_map.measured_share, "focal_length_x_m": None,
+            "sdx_rad": result.sdx_rad,
+            "sigma_sdx_rad": result.sigma_sdx_rad,
+            "measured_share": slope_map.measured_share,
+            "focal_length_x_m": None,
         },
         texts={"mounting orientation": "hanging, face down"},
         doubts=(WARNING,),
@@ -68,11 +82,12 @@ def make_summary(slope_map: SlopeMap) -> Summary:
         input_sha256={"fringe_00.png": "ab" * 32},
         not_determined={"focal_length_x_m": "left out here"},
         geometry_m={
-            "camera": [0.4, 0.3, 9.6], "camera_axis": [-0.4, -0.3, -9.6],
+            "camera": [0.4, 0.3, 9.6],
+            "camera_axis": [-0.4, -0.3, -9.6],
             "screen": [[-2, -1, 8], [2, -1, 8.5], [2, 1.5, 9]],
             "mirror": [[-0.6, -0.4, 0], [0.6, -0.4, 0], [0.6, 0.4, 0]],
         },
-    )  # fmt: skip
+    )
 
 
 def write_results(folder: Path) -> SlopeMap:
@@ -141,9 +156,18 @@ def test_the_page_says_what_the_files_say(text: str) -> None:
     shown = page.number_text(result.sdx_rad, result.sigma_sdx_rad, "rad")
     assert " \u00b1 " in shown
     for words in (
-        shown, "Facet 7 &amp; friends", "not determined: left out here", "paraboloid, f = 10 m", "hanging, face down",
-        "read images", "fringe_00.png", "ab" * 32, "at least one frame saturated", "1500000 rays", "0.070 px",
-    ):  # fmt: skip
+        shown,
+        "Facet 7 &amp; friends",
+        "not determined: left out here",
+        "paraboloid, f = 10 m",
+        "hanging, face down",
+        "read images",
+        "fringe_00.png",
+        "ab" * 32,
+        "at least one frame saturated",
+        "1500000 rays",
+        "0.070 px",
+    ):
         assert words in text, words
 
 

@@ -45,9 +45,18 @@ from heliogauge.results.folder import (
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 
 ARRAYS = (
-    "x_m", "y_m", "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y",
-    "height_m", "flags", "aperture",
-)  # fmt: skip
+    "x_m",
+    "y_m",
+    "slope_x",
+    "slope_y",
+    "design_slope_x",
+    "design_slope_y",
+    "sigma_random_x",
+    "sigma_random_y",
+    "height_m",
+    "flags",
+    "aperture",
+)
 
 
 def make_map(common: CommonModes | None = None, rows: int = 7, columns: int = 9, seed: int = 3) -> SlopeMap:
@@ -62,10 +71,23 @@ def make_map(common: CommonModes | None = None, rows: int = 7, columns: int = 9,
     if common is None:
         common = CommonModes(("mirror pose", "screen; a/b"), rng.normal(0, 1e-5, (2, 2, 6)), np.array([0.1, -0.2]), 0.7)
     return SlopeMap(
-        x_m, y_m, slopes[0] + x / 20, slopes[1] + y / 20, x / 20, y / 20,
-        rng.uniform(1e-6, 1e-5, x.shape), rng.uniform(1e-6, 1e-5, x.shape), 2.1, common, rng.normal(0, 1e-5, x.shape),
-        flags, np.hypot(x, y) < 0.65, "paraboloid, f = 10 m", "facet", "nothing",
-    )  # fmt: skip
+        x_m,
+        y_m,
+        slopes[0] + x / 20,
+        slopes[1] + y / 20,
+        x / 20,
+        y / 20,
+        rng.uniform(1e-6, 1e-5, x.shape),
+        rng.uniform(1e-6, 1e-5, x.shape),
+        2.1,
+        common,
+        rng.normal(0, 1e-5, x.shape),
+        flags,
+        np.hypot(x, y) < 0.65,
+        "paraboloid, f = 10 m",
+        "facet",
+        "nothing",
+    )
 
 
 def assert_same_map(first: SlopeMap, second: SlopeMap) -> None:

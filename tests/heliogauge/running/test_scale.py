@@ -86,9 +86,12 @@ def test_a_script_without_a_guard_is_not_run_again(tmp_path: Path, repository: P
     """Spawned processes import the caller's script, unless they are kept from it."""
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, str(tmp_path / "script.py")], env=os.environ | {"PYTHONPATH": str(repository)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, str(tmp_path / "script.py")],
+        env=os.environ | {"PYTHONPATH": str(repository)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout == "begin\n[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]\n", done.stderr
 
 

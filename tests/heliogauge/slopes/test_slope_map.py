@@ -20,11 +20,23 @@ def make_map(error_x=0.0, error_y=0.0, *, design=None, sigma=1e-5, common=None, 
     height, slope_x, slope_y = (design or paraboloid(10.0)).height_and_gradient(grid_x, grid_y)
     full = np.ones(grid_x.shape)
     return SlopeMap(
-        x_m=x, y_m=y, slope_x=slope_x + error_x, slope_y=slope_y + error_y, design_slope_x=slope_x,
-        design_slope_y=slope_y, sigma_random_x=sigma * full, sigma_random_y=2 * sigma * full,
-        noise_correlation=correlation, common=common or no_common_modes(), height_m=height, flags=0 * full,
-        aperture=full > 0,        design="paraboloid of focal length 10 m", frame="facet", removed="nothing",
-    )  # fmt: skip
+        x_m=x,
+        y_m=y,
+        slope_x=slope_x + error_x,
+        slope_y=slope_y + error_y,
+        design_slope_x=slope_x,
+        design_slope_y=slope_y,
+        sigma_random_x=sigma * full,
+        sigma_random_y=2 * sigma * full,
+        noise_correlation=correlation,
+        common=common or no_common_modes(),
+        height_m=height,
+        flags=0 * full,
+        aperture=full > 0,
+        design="paraboloid of focal length 10 m",
+        frame="facet",
+        removed="nothing",
+    )
 
 
 def modes(seed, k=3, degree=2):

@@ -22,11 +22,23 @@ def make_map(
     design_x, design_y = design.gradient(GRID_X, GRID_Y)
     full = np.ones(GRID_X.shape)
     return SlopeMap(
-        x_m=X, y_m=Y, slope_x=slope_x + error[0], slope_y=slope_y + error[1], design_slope_x=design_x,
-        design_slope_y=design_y, sigma_random_x=sigma[0] * full, sigma_random_y=sigma[1] * full,
-        noise_correlation=correlation, common=common or no_common_modes(), height_m=height, flags=0 * full,
-        aperture=full > 0 if aperture is None else aperture, design=design.describe(), frame="facet", removed="nothing",
-    )  # fmt: skip
+        x_m=X,
+        y_m=Y,
+        slope_x=slope_x + error[0],
+        slope_y=slope_y + error[1],
+        design_slope_x=design_x,
+        design_slope_y=design_y,
+        sigma_random_x=sigma[0] * full,
+        sigma_random_y=sigma[1] * full,
+        noise_correlation=correlation,
+        common=common or no_common_modes(),
+        height_m=height,
+        flags=0 * full,
+        aperture=full > 0 if aperture is None else aperture,
+        design=design.describe(),
+        frame="facet",
+        removed="nothing",
+    )
 
 
 def random_modes(seed, k=3, scale=3e-5):

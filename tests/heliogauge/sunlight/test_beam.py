@@ -34,10 +34,23 @@ def make_map(design, error=(0.0, 0.0), *, width=1.2, height=0.8, shape=(40, 60))
     z, p, q = design.height_and_gradient(grid_x, grid_y)
     zero = np.zeros(grid_x.shape)
     return SlopeMap(
-        x_m=x, y_m=y, slope_x=p + error[0], slope_y=q + error[1], design_slope_x=p, design_slope_y=q,
-        sigma_random_x=zero, sigma_random_y=zero, noise_correlation=1.0, common=no_common_modes(), height_m=z,
-        flags=zero, aperture=zero == 0, design=design.describe(), frame="facet", removed="nothing",
-    )  # fmt: skip
+        x_m=x,
+        y_m=y,
+        slope_x=p + error[0],
+        slope_y=q + error[1],
+        design_slope_x=p,
+        design_slope_y=q,
+        sigma_random_x=zero,
+        sigma_random_y=zero,
+        noise_correlation=1.0,
+        common=no_common_modes(),
+        height_m=z,
+        flags=zero,
+        aperture=zero == 0,
+        design=design.describe(),
+        frame="facet",
+        removed="nothing",
+    )
 
 
 def spot(slope_map, light, target, rays=200_000, seed=0):
