@@ -91,7 +91,7 @@ class RigidTransform:
             The moved transform.
         """
         step = float_array("step", step, (6,))
-        rotation = _orthonormal(rotation_from_vector(step[:3]) @ self.rotation)
+        rotation = nearest_rotation(rotation_from_vector(step[:3]) @ self.rotation)
         return RigidTransform(rotation, self.translation_m + step[3:])
 
     def origin_covariance(self, covariance: npt.ArrayLike) -> FloatArray:
@@ -191,8 +191,15 @@ def vector_from_rotation(rotation: npt.ArrayLike) -> FloatArray:
     return np.asarray(quaternion[:3] / sine * (2 * np.arctan2(sine, quaternion[3])))
 
 
-def _orthonormal(rotation: FloatArray) -> FloatArray:
-    left, _, right = np.linalg.svd(rotation)
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Return the rotation R with the largest ``tr(R^T matrix)``, shape (3, 3).
+
+    matrix (3, 3): Something near a rotation, which is thus made one; or the sum of ``b a^T``, for which R turns the
+        vectors a onto the vectors b as well as possible (Kabsch, Acta Cryst. A32 (1976) 922).
+    """
+    left, _, right = np.linalg.svd(matrix)
+    if np.linalg.det(left @ right) < 0:
+        left = left * [1.0, 1.0, -1.0]
     return np.asarray(left @ right)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from heliogauge.adjust.least_squares import VECTOR, Options, Problem, solve
 from heliogauge.errors import EstimationError
+from heliogauge.geometry.alignment import align_points
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector, skew
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.constraints import AXES, Constraint, Coordinate, Distance
@@ -15,8 +16,6 @@ from photogrammetry.bundle.state import BundleState
 
 #: With so many targets whose three coordinates are known the attitude follows from them at once.
 _ENOUGH_TARGETS = 4
-#: Targets whose extent in the second direction is less than this share of that in the first tell no turn about it.
-_ON_A_LINE = 1e-3
 #: Attitudes whose squared misfits differ by less than this share (and by 1e-8 of the size, squared) fit alike.
 _ALIKE = 1e-2
 
@@ -60,24 +59,13 @@ def best_fit(
     with_scale: Whether the scale may change too.
     Returns: The network with the smallest sum of squared distances.
     EstimationError: Fewer than three of the targets are in the network, or all are on one line.
-
-    Umeyama, IEEE Trans. PAMI 13 (1991) 376.
     """
     place = {name: i for i, name in enumerate(targets)}
     names = [name for name in wanted_m if name in place]
-    if len(names) < 3:
-        raise EstimationError(f"alignment: 3 control points in the network are needed, not {len(names)}")
     own = state.points_m[[place[name] for name in names]]
-    wanted = np.array([wanted_m[name] for name in names], dtype=np.float64)
-    own_arms, wanted_arms = own - own.mean(axis=0), wanted - wanted.mean(axis=0)
-    left, singular, right = np.linalg.svd(wanted_arms.T @ own_arms)
-    if singular[1] < 1e-9 * singular[0]:
-        raise EstimationError(f"alignment: the control points {', '.join(names)} are on one line; add one beside it")
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left @ np.diag(sign) @ right
-    scale = float((singular * sign).sum() / (own_arms**2).sum()) if with_scale else 1.0
-    shift = wanted.mean(axis=0) - scale * rotation @ own.mean(axis=0)
-    return transformed(state, RigidTransform(rotation, shift), scale)
+    wanted = np.array([wanted_m[name] for name in names], dtype=np.float64).reshape(-1, 3)
+    found = align_points(own, wanted, with_scale=with_scale, names=names)
+    return transformed(state, found.b_from_a, found.scale)
 
 
 def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Sequence[Constraint]) -> BundleState:
@@ -125,7 +113,7 @@ def _size(state: BundleState) -> float:
 def _attitude_of_coordinates(
     state: BundleState, place: Mapping[str, int], known: Sequence[Constraint]
 ) -> FloatArray | None:
-    """Return the best attitude for the targets of which all coordinates are known; None where those are too few."""
+    """Return the best attitude for the targets of which all coordinates are known; None where they leave a turn open."""
     listed: dict[str, dict[str, float]] = {}
     for one in known:
         if isinstance(one, Coordinate):
@@ -134,10 +122,10 @@ def _attitude_of_coordinates(
     if len(whole) < _ENOUGH_TARGETS:
         return None
     own, wanted = state.points_m[[place[name] for name in whole]], np.array(list(whole.values()))
-    left, singular, right = np.linalg.svd((wanted - wanted.mean(axis=0)).T @ (own - own.mean(axis=0)))
-    if singular[1] < _ON_A_LINE * singular[0]:
+    try:
+        return align_points(own, wanted, with_scale=True).b_from_a.rotation
+    except EstimationError:
         return None
-    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right)
 
 
 def _attitudes() -> list[FloatArray]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.alignment import align_points
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.start_values.network import LeftOut
@@ -112,7 +113,7 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
     Shapes: known_m (3,).
     points_m (n, 3): Points without a name in the network's frame, which must have the right scale [m].
     listed: The list; three names of the network in it settle the frame.
-    EstimationError: Nothing fits, or two different frames fit equally well.
+    EstimationError: Nothing fits, the common names are on one line, or two different frames fit equally well.
 
     Without common names, triples of points with the three distances of listed targets give frames; the one in which
     most listed targets find a point is taken. Mirror images are never taken. A rival is a frame with other names, as
@@ -121,7 +122,7 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
     common = [k for k, name in enumerate(listed.names) if name in known_m]
     if len(common) >= 3:
         own = np.array([known_m[listed.names[k]] for k in common])
-        return _fitted(own, listed.points_m[common])
+        return align_points(own, listed.points_m[common], names=[listed.names[k] for k in common]).b_from_a
     if len(listed) < 3 or len(points_m) < 3:
         raise EstimationError(
             f"listed targets: {len(listed)} of them and {len(points_m)} points without a code cannot tell the list's "
@@ -165,14 +166,16 @@ def _trials(points_m: FloatArray, listed: ListedTargets, base: tuple[int, int, i
     for i, j in zip(*np.nonzero(np.abs(sides - ab) < reach), strict=True):
         third = np.nonzero((np.abs(sides[i] - ac) < reach) & (np.abs(sides[j] - bc) < reach))[0]
         for k in third.tolist():
-            one = _settled(_fitted(points_m[[i, j, k]], listed.points_m[[a, b, c]]), points_m, listed, reach)
-            if one is not None:
-                found.append(one)
+            try:
+                start = align_points(points_m[[i, j, k]], listed.points_m[[a, b, c]]).b_from_a
+                found.append(_settled(start, points_m, listed, reach))
+            except EstimationError:
+                continue
     return found
 
 
-def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame | None:
-    """Fit a frame to all targets that find a point; None with fewer than three."""
+def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame:
+    """Fit a frame to all targets that find a point; fewer than three, or on a line, are refused."""
     sigma = np.sqrt((listed.sigma_m**2).mean(axis=1))
     # A triple carries its errors outwards: twice the reach at first.
     for limit in (2 * reach, reach, reach):
@@ -180,9 +183,7 @@ def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets,
         nearest = np.argmin(far, axis=1)
         own = far[np.arange(len(listed)), nearest]
         good = (own < limit) & (np.argmin(far, axis=0)[nearest] == np.arange(len(listed)))
-        if good.sum() < 3:
-            return None
-        frame = _fitted(points_m[nearest[good]], listed.points_m[good])
+        frame = align_points(points_m[nearest[good]], listed.points_m[good]).b_from_a
     return _Frame(frame, np.where(good, nearest, -1), float(((own / sigma)[good] ** 2).sum()))
 
 
@@ -212,11 +213,3 @@ def _best(points_m: FloatArray, listed: ListedTargets, reach: float) -> RigidTra
                 "control points, or list three coded targets too"
             )
     return best.list_from_world
-
-
-def _fitted(own_m: FloatArray, wanted_m: FloatArray) -> RigidTransform:
-    """Return the rigid motion that moves points best onto others (Kabsch); never a mirror image."""
-    middle, aim = own_m.mean(axis=0), wanted_m.mean(axis=0)
-    left, _, right = np.linalg.svd((wanted_m - aim).T @ (own_m - middle))
-    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return RigidTransform(turn, aim - turn @ middle)

@@ -8,7 +8,7 @@ import numpy as np
 from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, adjust, bundle_state
 from photogrammetry.image_points import ImagePoints
@@ -66,8 +66,7 @@ def parallax_rad(rays: FloatArray) -> float:
     rays (2, n, 3): Unit lines of sight of the same targets in two camera frames.
     Returns: Median angle [rad]; near the noise for two photos from one place.
     """
-    left, _, right = np.linalg.svd(rays[1].T @ rays[0])
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    rotation = nearest_rotation(rays[1].T @ rays[0])
     return float(np.median(np.linalg.norm(rays[0] @ rotation.T - rays[1], axis=1)))
 
 
@@ -119,8 +118,7 @@ def _candidates(shared: SharedTargets, tolerance: float) -> list[RigidTransform]
     for turn, shift in candidates:
         length = float(np.linalg.norm(shift))
         if length > 1e-9 and np.isfinite(turn).all() and np.linalg.det(turn) > 0:
-            left, _, right = np.linalg.svd(turn)
-            poses.append(RigidTransform(left @ right, shift.ravel() / length))
+            poses.append(RigidTransform(nearest_rotation(turn), shift.ravel() / length))
     return poses
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.adjust.chi_square import chi_square_cdf, chi_square_limit
 from heliogauge.errors import EstimationError
+from heliogauge.geometry.alignment import align_points
 from heliogauge.geometry.rigid import RigidTransform, skew
 from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.surface.fitted import SurfacePoints
@@ -70,13 +71,11 @@ def rigid_fit(points_a: SurfacePoints, points_b: SurfacePoints, fitted: BoolArra
     Returns: The fit and the differences with their joint covariance.
     EstimationError: Fewer than three fitted points, or all on one line.
 
-    The start is Kabsch's; then generalised least squares with ``R C_a R^T + C_b``. What a rigid motion does to the
+    The start has equal weights; then generalised least squares with ``R C_a R^T + C_b``. What a rigid motion does to the
     points may have no variance under an inner datum: it is given some, which does not change the estimate.
     """
     names = [name for name, one in zip(points_b.ids, fitted, strict=True) if one]
-    if len(names) < 3:
-        raise EstimationError(f"rigid fit: three common targets are needed, not {len(names)} ({', '.join(names)})")
-    pose = _kabsch(points_a.points_m[fitted], points_b.points_m[fitted], names)
+    pose = align_points(points_a.points_m[fitted], points_b.points_m[fitted], names=names).b_from_a
     rows = np.repeat(fitted, 3)
     for _ in range(20):
         turned = points_a.points_m @ pose.rotation.T
@@ -105,15 +104,6 @@ def rigid_fit(points_a: SurfacePoints, points_b: SurfacePoints, fitted: BoolArra
         squares / freedom if freedom > 0 else float("nan"),
         freedom,
     )
-
-
-def _kabsch(a: FloatArray, b: FloatArray, names: list[str]) -> RigidTransform:
-    arms_a, arms_b = a - a.mean(axis=0), b - b.mean(axis=0)
-    left, singular, right = np.linalg.svd(arms_b.T @ arms_a)
-    if singular[1] < 1e-6 * singular[0]:
-        raise EstimationError(f"rigid fit: the targets {', '.join(names[:8])} are on one line; one beside it is needed")
-    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return RigidTransform(rotation, b.mean(axis=0) - rotation @ a.mean(axis=0))
 
 
 def _turned(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -210,7 +200,7 @@ def _agreeing(before: SurfacePoints, now: SurfacePoints) -> BoolArray:
     for _ in range(60):
         three = rng.choice(count, 3, replace=False)
         try:
-            pose = _kabsch(a[three], b[three], [now.ids[i] for i in three])
+            pose = align_points(a[three], b[three]).b_from_a
         except EstimationError:
             continue
         size = np.linalg.norm(b - pose.apply(a), axis=1)

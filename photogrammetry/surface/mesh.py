@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.surface.design import Feet, null_motions
 from photogrammetry.surface.fit import quick_fit
@@ -160,8 +160,8 @@ def mesh_start(points_m: FloatArray, mesh: MeshSurface, viewer_m: FloatArray) ->
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = start.rotation, start.translation_m
         result = open3d.pipelines.registration.registration_icp(source, target, 0.5 * reach, matrix, how, limits)
-        left, _, right = np.linalg.svd(np.array(result.transformation)[:3, :3])
-        fit = quick_fit(points_m, mesh, RigidTransform(left @ right, np.array(result.transformation)[:3, 3]))
+        moved = np.array(result.transformation)
+        fit = quick_fit(points_m, mesh, RigidTransform(nearest_rotation(moved[:3, :3]), moved[:3, 3]))
         feet = mesh.feet(fit.pose.apply(points_m))
         towards = np.einsum("ni,ni->n", feet.normals, fit.pose.apply(viewer_m) - fit.pose.apply(points_m))
         if np.isfinite(fit.rms_m) and np.median(towards) > 0:

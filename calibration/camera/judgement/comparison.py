@@ -8,7 +8,7 @@ from calibration.camera.judgement.projection_sigma import covariance_root, map_n
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import FloatArray
 
 #: Combinations of intrinsics that move rays this much less than the most uncertain one are left out of the test: there
@@ -103,8 +103,7 @@ def compare(camera: Camera, other: Camera) -> Comparison:
     others, d_others = _rays_and_moves(other, flat)
     moves = np.concatenate([d_own, d_others], axis=2)
     good = np.isfinite(own).all(axis=1) & np.isfinite(others).all(axis=1) & np.isfinite(moves).all(axis=(1, 2))
-    left, _, right = np.linalg.svd(others[good].T @ own[good])
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    rotation = nearest_rotation(others[good].T @ own[good])
     turned = own @ rotation.T
     free = np.full_like(moves, np.nan)
     free[good] = without_rotation(own[good], moves[good])[0]

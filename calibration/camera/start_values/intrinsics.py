@@ -9,8 +9,8 @@ from calibration.camera.boards import LEAST_POINTS
 from calibration.camera.corners.detection import BoardPoints
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
+from heliogauge.validate import FloatArray
 
 #: Focal lengths of real lenses over the image's longer side: fisheye to long telephoto.
 _SHORTEST, _LONGEST = 0.3, 20.0
@@ -118,9 +118,7 @@ def start_pose(matrix: FloatArray, camera: Camera) -> RigidTransform:
     columns = np.linalg.solve(camera.matrix, matrix)
     columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
     raw = np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])])
-    left, _, right = np.linalg.svd(raw)
-    turn = left @ np.diag([1.0, 1.0, float(np.linalg.det(left @ right))]) @ right
-    return RigidTransform(float_array("turn", turn, (3, 3)), float_array("shift", columns[:, 2], (3,)))
+    return RigidTransform(nearest_rotation(raw), columns[:, 2])
 
 
 def tilt_and_roll(pose: RigidTransform) -> tuple[float, float]:

@@ -91,7 +91,7 @@ def test_only_common_names_count_and_their_order_does_not() -> None:
     [
         (("A", "B"), PLACES[:2], (), "three common targets are needed, not 0"),
         (("T0", "T1", "T2"), PLACES[:3], ("T0", "T1", "X"), "stable targets X are not measured"),
-        (("T0", "T1", "T2"), PLACES[:3], ("T0", "T1"), "three common targets"),
+        (("T0", "T1", "T2"), PLACES[:3], ("T0", "T1"), "three common points"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(names, places, stable, words) -> None:
