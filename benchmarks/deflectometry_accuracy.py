@@ -4,7 +4,6 @@ Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/deflectometry_a
 """
 
 import tempfile
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,9 +18,8 @@ from data_synth.fringes.scene import FringeScene, expected_light
 from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map
 from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, Observation, evaluate_frames
-from deflectometry.pipeline.measure import Options, run, write
+from deflectometry.pipeline.measure import Options, run
 from deflectometry.setup.patterns import Axis, make_pattern
-from heliogauge.errors import QualityWarning
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement.load import load_measurement
 from heliogauge.results.slope_map_file import read_pixels, read_slope_map
@@ -113,7 +111,7 @@ def real_facet():
         folder = Path(scratch)
         import_real_facet(folder / "in", with_pose=True)
         # Their slopes are in the frame that was turned to the design's normal, as with Align.NORMAL here.
-        write(run(load_measurement(folder / "in"), Options(align=Align.NORMAL)), folder)
+        run(load_measurement(folder / "in"), Options(align=Align.NORMAL)).write(folder)
         pixels, slope_map = read_pixels(folder / "pixels.nc"), read_slope_map(folder / "slope_map.nc")
     own = np.stack([pixels["slope_x"][mask], pixels["slope_y"][mask]])
     read = np.stack([bilinear(slope_map, one, x_m, y_m) for one in (slope_map.slope_x, slope_map.slope_y)])
@@ -326,7 +324,6 @@ def drawn_setups(stage, knowledge, align, label):
 
 
 def main():
-    warnings.simplefilter("ignore", QualityWarning)
     cv2.setNumThreads(1)
     real_facet()
     ratios = synthetic_facet()

@@ -10,7 +10,6 @@ import sys
 import tempfile
 import time
 import tracemalloc
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +32,6 @@ from data_synth.fringes.presets import full_scene
 from data_synth.fringes.scene import render_fringes
 from deflectometry.frames.checks import check_frames
 from deflectometry.pipeline.evaluate import Choices, Observation, evaluate_frames
-from heliogauge.errors import QualityWarning
 
 ASKED_CPU_S, ASKED_MIB = 0.5, 300
 INCUMBENT_CPU_S, INCUMBENT_MIB = 4.5, 1370
@@ -172,7 +170,6 @@ def peak_of(function):
 
 
 def main():
-    warnings.simplefilter("ignore", QualityWarning)
     cv2.setNumThreads(1)
     if len(sys.argv) == 3:
         measure_memory(sys.argv[1], Path(sys.argv[2]))

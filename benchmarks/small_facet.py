@@ -9,7 +9,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from _measure import ONE_THREAD, OPENCSP, ROOT, import_real_facet, row, title
 
 from data_synth.fringes.dataset import write_dataset
 from data_synth.fringes.presets import small_scene
-from heliogauge.errors import QualityWarning
 
 ASKED_CPU_S, INCUMBENT_CPU_S = 1.0, 1.3
 RUNS = 7
@@ -40,7 +38,6 @@ def measure(environment, commands):
 
 
 def main():
-    warnings.simplefilter("ignore", QualityWarning)
     with tempfile.TemporaryDirectory() as scratch:
         folder, out = Path(scratch) / "measurement", Path(scratch) / "result"
         if OPENCSP.is_dir():

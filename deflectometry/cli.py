@@ -13,10 +13,9 @@ from heliogauge.running.commands import (
     OutFolder,
     Quiet,
     Verbose,
-    into_folder,
+    deliver,
     make_app,
     parse_periods,
-    tell,
 )
 
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
@@ -45,10 +44,8 @@ def run_command(
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
     from deflectometry.pipeline.evaluate import Align
-    from deflectometry.pipeline.headline import headline_text
-    from deflectometry.pipeline.measure import Options, run, write
+    from deflectometry.pipeline.measure import Options, run
     from heliogauge.measurement.load import load_measurement
-    from heliogauge.results.folder import read_summary
     from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
@@ -59,15 +56,14 @@ def run_command(
         remove=None if remove is None else Removal(remove),
         jobs=jobs,
     )
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_measurement(folder), options, progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
+        quiet=quiet,
         report=not no_report,
     )
-    tell(result.doubts, lambda: headline_text(read_summary(out)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-opencsp")
@@ -97,10 +93,7 @@ def import_opencsp_command(
     ] = False,
 ) -> None:
     """Write a measurement folder from files made with OpenCSP (SOFAST)."""
-    import warnings
-
     from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
-    from heliogauge.errors import QualityWarning
 
     options = OpencspOptions(
         pose_from=pose_from,
@@ -108,13 +101,11 @@ def import_opencsp_command(
         focal_length_m=focal_length_m,
         sigma_distance_mm=sigma_distance_mm,
     )
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", QualityWarning)
-        taken = import_opencsp(files, folder, options)
-    for line in taken:
+    imported = import_opencsp(files, folder, options)
+    for line in imported.taken:
         typer.echo(line)
-    for one in caught:
-        typer.echo(f"warning: {one.message}", err=True)
+    for doubt in imported.doubts:
+        typer.echo(f"warning: {doubt.text}", err=True)
     typer.echo(f"measurement folder: {folder}; evaluate it with `heliogauge deflectometry {folder} -o RESULT`")
 
 

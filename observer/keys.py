@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from heliogauge.doubts import Doubt
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.models import ImageFiles, Number, Positive, Section, Sigma, Text
 from photogrammetry.keys.cameras import CameraSections, NetworkCameraSection
@@ -206,7 +207,7 @@ class ObserverMeasurement:
     model: ObserverModel
     photo_files: tuple[Path, ...]
     absorber_files: tuple[Path, ...]
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     coordinates: tuple[CoordinateSection, ...] | None = None
 
     @property

@@ -1,7 +1,6 @@
 """Turn the files of an OpenCSP/SOFAST measurement into a measurement folder."""
 
 import datetime
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,8 @@ from deflectometry.exchange.opencsp import (
     TableRecord,
     read_opencsp_file,
 )
-from heliogauge.errors import InputError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import parse_measurement
@@ -56,7 +56,19 @@ class OpencspOptions:
     sigma_distance_mm: float = 10.0
 
 
-def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What an import took.
+
+    taken: What was taken from which file, one line each.
+    doubts: What must be looked at in the measurement folder.
+    """
+
+    taken: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
+
+
+def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
     files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
@@ -64,7 +76,7 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
         the copy inside a result file.
     folder: Where to write; it must be empty or not there yet.
     options: What the files leave open.
-    Returns: What was taken from which file, one line each.
+    Returns: What was taken from which file, and what is doubtful.
     InputError: A kind of file is missing, given twice, not readable, or does not fit the others.
 
     The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
@@ -73,7 +85,7 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     with WholeFolder(folder, _MEASUREMENT) as working:
         parts = _Parts([read_opencsp_file(Path(path)) for path in files])
         _write(working, parts, options or OpencspOptions())
-    return parts.taken
+    return Imported(tuple(parts.taken), tuple(parts.doubts))
 
 
 def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
@@ -84,9 +96,7 @@ def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
     date = _date(fringes.date)
     if date is not None:
         content["date"] = date
-    content["camera"] = _camera_section(
-        parts.needed(CameraRecord, "a camera (Camera)"), (height_px, width_px), options.correct_principal_point
-    )
+    content["camera"] = _camera_section(parts, (height_px, width_px), options.correct_principal_point)
     screen, table = _screen_section(
         parts.needed(RectangleRecord | TableRecord, "a display shape (DisplayShape)"),
         parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)"),
@@ -132,11 +142,12 @@ _WORDS: dict[type, str] = {
 
 
 class _Parts:
-    """The records of all files, with a note of what was taken from where."""
+    """The records of all files, with notes of what was taken from where and what is doubtful."""
 
     def __init__(self, files: list[OpencspFile]) -> None:
         self.files = files
         self.taken: list[str] = []
+        self.doubts: list[Doubt] = []
 
     def wanted_all(self, kind: type[_T]) -> list[_T]:
         """Return the records of a kind: from files made for it, else from result files."""
@@ -169,18 +180,18 @@ class _Parts:
         return record
 
 
-def _camera_section(camera: CameraRecord, shape: tuple[int, int], correct: bool) -> dict[str, Any]:
+def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dict[str, Any]:
+    camera: CameraRecord = parts.needed(CameraRecord, "a camera (Camera)")
     width_px, height_px = camera.size_for(*shape)
     if correct:
         camera = camera.corrected()
     elif camera.averaged > 1.001:
-        warnings.warn(
+        text = (
             f"camera '{camera.name}' belongs to images averaged over {camera.averaged:.4g} x {camera.averaged:.4g} px,"
             f" but its principal point misses the shift of {camera.principal_point_shift_px:.4f} px that averaging"
-            " causes; imported as given (import again with --correct-principal-point to repair it)",
-            QualityWarning,
-            stacklevel=3,
+            " causes; imported as given (import again with --correct-principal-point to repair it)"
         )
+        parts.doubts.append(Doubt("principal_point_not_shifted", text, {"shift_px": camera.principal_point_shift_px}))
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
     return {
         "width_px": width_px, "height_px": height_px,
@@ -255,12 +266,11 @@ def _design_keys(parts: _Parts, options: OpencspOptions) -> dict[str, Any]:
         return {"design": "paraboloid", "focal_length_m": positive("focal length", options.focal_length_m, "metres")}
     start = parts.wanted(FocalLengthRecord)
     if start is None:
-        warnings.warn(
+        text = (
             "no file given holds the design focal length; the design is written as a plane, so slope errors will"
-            " contain the mirror's curvature (give --focal-length-m, or edit [mirror] in measurement.toml)",
-            QualityWarning,
-            stacklevel=4,
+            " contain the mirror's curvature (give --focal-length-m, or edit [mirror] in measurement.toml)"
         )
+        parts.doubts.append(Doubt("design_focal_length_missing", text))
         return {"design": "plane"}
     if start.focal_length_x_m == start.focal_length_y_m:
         return {"design": "paraboloid", "focal_length_m": start.focal_length_x_m}

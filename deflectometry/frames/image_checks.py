@@ -1,6 +1,5 @@
 """What image files say before any phase is computed: their size, where they saturate, what compression did to them."""
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +9,8 @@ import numpy.typing as npt
 from deflectometry.fringes.phase import NoiseModel, solve_steps
 from deflectometry.setup.patterns import FringePattern
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError, InputError
 
 #: Largest readings of cameras with 10, 12 and 14 bits, as they are or moved to the upper end of 16 bits [DN].
 _FULL_WELLS_DN = frozenset(((1 << bits) - 1) << shift for bits in (10, 12, 14) for shift in (0, 16 - bits))
@@ -44,28 +44,26 @@ def saturation_level(frames: npt.NDArray[Any], full_scale_dn: float) -> float:
     return top if full_scale_dn > 255 and top in _FULL_WELLS_DN else full_scale_dn
 
 
-def warn_of_compression(names: Sequence[str]) -> None:
-    """Warn of images that lost details when they were stored.
-
-    Warns QualityWarning: At least one is a JPEG.
-    """
+def check_compression(names: Sequence[str]) -> Doubt | None:
+    """Return a doubt where images lost details when they were stored: where at least one is a JPEG."""
     lossy = [name for name in names if name.lower().endswith((".jpg", ".jpeg"))]
-    if lossy:
-        warnings.warn(
-            f"{len(lossy)} of {len(names)} fringe images are JPEG files ({lossy[0]}, ...): their compression changes "
-            "the phase in blocks of 8 x 8 px, which sigma does not contain; store PNG or TIFF",
-            QualityWarning,
-            stacklevel=2,
-        )
+    if not lossy:
+        return None
+    return Doubt(
+        "fringe_images_compressed",
+        f"{len(lossy)} of {len(names)} fringe images are JPEG files ({lossy[0]}, ...): their compression changes "
+        "the phase in blocks of 8 x 8 px, which sigma does not contain; store PNG or TIFF",
+        {"jpeg_count": len(lossy), "images_count": len(names)},
+    )
 
 
-def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseModel) -> None:
+def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseModel) -> Doubt | None:
     """Compare a stated noise with the scatter of the frames about their sinusoids.
 
     Shapes: frames (n, h, w).
     pattern: What was shown.
+    Returns: A doubt where it is less than half, or more than twice of it.
     EstimationError: Less than a quarter of what the frames show, or more than 16 times as much.
-    Warns QualityWarning: Less than half, or more than twice of it.
     """
     step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / 20000)))
     readings = frames[:, ::step, ::step].reshape(len(frames), -1).astype(np.float64)
@@ -75,7 +73,7 @@ def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseMo
         left += ((solver.residual @ readings[position]) ** 2).sum(axis=0)
         freedom += solver.redundancy
     if freedom == 0:
-        return
+        return None
     # Without fringes a pixel has the noise of darkness; the median pixel that has some stands for the mirror.
     spread = readings.std(axis=0)
     on_mirror = spread > 0.3 * np.quantile(spread, 0.99)
@@ -87,10 +85,11 @@ def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseMo
             f"images.pixel_noise_dn = {stated_dn:g}, but the readings scatter by {seen_dn:.2g} DN about their "
             "sinusoids; leave the key out to take the noise from the frames, or check the linearity of the display"
         )
-    if not 2 / _NOISE_FACTOR < ratio < _NOISE_FACTOR / 2:
-        warnings.warn(
-            f"images.pixel_noise_dn = {stated_dn:g}, but the readings scatter by {seen_dn:.2g} DN about their "
-            "sinusoids; all sigmas follow the stated number",
-            QualityWarning,
-            stacklevel=2,
-        )
+    if 2 / _NOISE_FACTOR < ratio < _NOISE_FACTOR / 2:
+        return None
+    return Doubt(
+        "stated_noise_contradicts_frames",
+        f"images.pixel_noise_dn = {stated_dn:g}, but the readings scatter by {seen_dn:.2g} DN about their "
+        "sinusoids; all sigmas follow the stated number",
+        {"stated_noise_dn": stated_dn, "seen_noise_dn": seen_dn},
+    )

@@ -1,8 +1,8 @@
 """How good the frames are: light, contrast, linearity; and the words for what is wrong."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 from deflectometry.frames.content import FrameContent, FrameSample, SetFit, fit_sets
 from deflectometry.fringes.phase import LightResponse, NoiseModel, residual_distortion, solve_steps
 from deflectometry.setup.patterns import FringePattern
+from heliogauge.doubts import Doubt
 from heliogauge.validate import FloatArray
 
 #: Standard errors that an effect must exceed to be named: once in 5e8 by chance.
@@ -18,21 +19,21 @@ SIGNIFICANT = 6.0
 
 
 class FaultKind(StrEnum):
-    """What can be wrong with frames."""
+    """What can be wrong with frames: the codes of doubts."""
 
-    FRAME_COUNT = "frame_count"
-    NOT_FINITE = "not_finite"
-    LOW_MODULATION = "low_modulation"
-    REPEATED = "repeated"
-    STALE = "stale"
-    SWAPPED = "swapped"
-    CORRUPT = "corrupt"
-    WRONG_STEP = "wrong_step"
-    SETS_DISAGREE = "sets_disagree"
-    SATURATION = "saturation"
-    GAMMA = "gamma"
-    EXPOSURE = "exposure"
-    RESPONSE = "response"
+    FRAME_COUNT = "frames_count"
+    NOT_FINITE = "frames_not_finite"
+    LOW_MODULATION = "fringes_weak"
+    REPEATED = "frame_repeated"
+    STALE = "frame_stale"
+    SWAPPED = "frames_swapped"
+    CORRUPT = "frame_corrupt"
+    WRONG_STEP = "fringe_steps_wrong"
+    SETS_DISAGREE = "fringe_sets_disagree"
+    SATURATION = "frames_saturated"
+    GAMMA = "fringes_not_sinusoidal"
+    EXPOSURE = "light_changes"
+    RESPONSE = "response_misfits_frames"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,13 +42,20 @@ class FrameFault:
 
     frames: Frames concerned, from 0; empty where it concerns all.
     message: What was seen, in numbers, and what to do.
-    severity: An error makes the result wrong; a warning makes it worse.
+    severity: An error makes the result wrong; a doubt makes it worse.
+    numbers: The numbers of a doubt.
     """
 
     kind: FaultKind
     frames: tuple[int, ...]
     message: str
-    severity: Literal["error", "warning"]
+    severity: Literal["error", "doubt"]
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def doubt(self) -> Doubt:
+        """The fault as a doubt."""
+        return Doubt(self.kind.value, self.message, self.numbers)
 
 
 def saturation_limit(dtype: np.dtype[Any], saturation_dn: float) -> float:
@@ -66,7 +74,8 @@ def check_finite(sample: FrameSample) -> Iterator[FrameFault]:
         frames,
         f"frames {_list(frames)} hold values that are not finite (up to {share.max():.1%} of one); export them again",
         # Single pixels are left out and flagged; a frame that is mostly nothing leaves nothing to evaluate.
-        "error" if share.max() > 0.5 else "warning",
+        "error" if share.max() > 0.5 else "doubt",
+        {"frames_count": len(frames), "largest_share": float(share.max())},
     )
 
 
@@ -82,7 +91,8 @@ def check_saturation(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: f
             frames,
             f"{share:.1%} of the pixels with fringes reach {limit:g} DN in at least one frame; their phase is biased "
             "and they will be left out: shorten the exposure or lower the display's brightest level",
-            "error" if share > 0.5 else "warning",
+            "error" if share > 0.5 else "doubt",
+            {"saturated_share": share, "saturation_dn": limit},
         )
 
 
@@ -104,11 +114,13 @@ def check_exposure(content: FrameContent, pattern: FringePattern) -> Iterator[Fr
     if drifts:
         seen = f"the light drifts by {total:+.1%} from frame 0 to frame {len(change) - 1}"
         remedy = "let the light source and the display warm up, or lock the exposure"
+        largest = total
     else:
         worst = int(np.argmax(np.abs(change)))
+        largest = float(change[worst])
         seen = f"the light changes between frames, by {change[worst]:+.1%} in {pattern.describe_frame(worst)}"
         remedy = "use an exposure of whole display refresh periods, and switch automatic exposure and room light off"
-    yield FrameFault(FaultKind.EXPOSURE, frames, f"{seen}; {remedy}", "warning")
+    yield FrameFault(FaultKind.EXPOSURE, frames, f"{seen}; {remedy}", "doubt", {"change_share": largest})
 
 
 def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
@@ -123,7 +135,8 @@ def check_modulation(fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> 
                 f"{fringes.axis} fringes with {fringes.periods:g} periods: {share:.0%} of the pixels have less "
                 f"modulation than noise can imitate (median {np.median(fit.modulation[index]):.2g} DN); focus nearer "
                 "to the display, use fewer periods, or expose longer",
-                "warning",
+                "doubt",
+                {"periods_count": fringes.periods, "weak_share": share},
             )
 
 
@@ -138,7 +151,8 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
             f"the fringes are not sinusoidal: the second harmonic is {share:+.1%} of the modulation, as from a display "
             f"with light = level**{gamma:.2f} at full contrast; calibrate the response, or display compensated frames "
             "(with 3 or 4 steps the third harmonic goes straight into the phase)",
-            "warning",
+            "doubt",
+            {"second_harmonic_share": share, "gamma_ratio": gamma},
         )
 
 
@@ -189,7 +203,8 @@ def check_response_range(sample: FrameSample, response: LightResponse) -> Iterat
             (),
             f"{share:.0%} of the readings (up to {sample.readings.max():.0f} DN) lie above the brightest one of the "
             "response: it was measured for another exposure, or is cut off; measure it up to the brightest level",
-            "error" if share > 0.1 else "warning",
+            "error" if share > 0.1 else "doubt",
+            {"beyond_response_share": share},
         )
 
 
@@ -210,7 +225,8 @@ def check_response(sample: FrameSample, pattern: FringePattern) -> Iterator[Fram
             f"with the response the fringes depart from sinusoids by {shares[1]:.1%} of their modulation, without it "
             f"by {shares[0]:.1%}: it was measured for another display or exposure, or the frames were compensated "
             "already; leave response_file out or measure it again",
-            "warning",
+            "doubt",
+            {"departure_share": shares[1], "departure_without_response_share": shares[0]},
         )
 
 

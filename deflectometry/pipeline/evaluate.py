@@ -1,6 +1,5 @@
 """From frames in memory to slope maps: the stages of a measurement as functions that follow each other."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -23,7 +22,8 @@ from deflectometry.shape.common_modes import PixelSamples, UncertainPose, common
 from deflectometry.shape.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.shape.slope_image import SlopeImage, measure_slopes
 from deflectometry.shape.slopes import RoundLimits, ShapeSolution, solve_shape
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
@@ -111,6 +111,7 @@ class LocatedMirror:
     outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from
         `pose` only where that was given.
     evidence: The adjustment, where the outline gave the pose.
+    doubts: What makes the pose doubtful.
     """
 
     facets: tuple[Facet, ...]
@@ -119,6 +120,16 @@ class LocatedMirror:
     source: str
     outline_pose: RigidTransform
     evidence: MirrorPose | None = None
+    doubts: tuple[Doubt, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _UsableFacets:
+    """Facets that show fringes: their numbers, some of their pixels, and why others were left out."""
+
+    numbers: list[int]
+    samples: list[PixelSamples]
+    doubts: list[Doubt]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +143,7 @@ class Evaluation:
     images: Pixels of each measured facet.
     maps: Slope map of each measured facet, with nothing taken out but by the alignment.
     choices: How the slopes are reported.
+    doubts: What makes pose, facets or maps doubtful.
     """
 
     located: LocatedMirror
@@ -141,6 +153,7 @@ class Evaluation:
     images: dict[str, SlopeImage]
     maps: dict[str, SlopeMap]
     choices: Choices
+    doubts: tuple[Doubt, ...] = ()
 
 
 def evaluate_frames(
@@ -152,7 +165,6 @@ def evaluate_frames(
     Returns: Slopes of pixels and maps.
     InputError: Frames that do not fit camera or pattern.
     EstimationError: No mirror found, or none of its facets shows fringes.
-    Warns QualityWarning: Everything that makes the result doubtful.
     """
     height, width = observation.frames.shape[1:]
     if (width, height) != (setup.camera.width_px, setup.camera.height_px):
@@ -171,11 +183,12 @@ def evaluate_frames(
         flags = np.where(masks.flags != 0, masks.flags, screen_map.flags)
         screen_map = replace(screen_map, flags=flags)
     with progress.stage("slopes"):
-        measured, samples = _usable_facets(located, screen_map, masks.facet_index)
+        usable = _usable_facets(located, screen_map, masks.facet_index)
+        samples = usable.samples
         align = choices.align is Align.NORMAL
         solution = _solve(setup, samples, located.pose.cam_from_mirror, align=align)
         images = {}
-        for index, sample, surface in zip(measured, samples, solution.surfaces, strict=True):
+        for index, sample, surface in zip(usable.numbers, samples, solution.surfaces, strict=True):
             pose = solution.cam_from_mirror @ sample.facet.ensemble_from_facet
             images[sample.facet.name] = measure_slopes(setup, screen_map, masks.facet_index == index, pose, surface)
     with progress.stage("uncertainty"):
@@ -183,13 +196,15 @@ def evaluate_frames(
         modes = common_modes(setup, thinned, solution, located.pose, align=align)
     with progress.stage("maps", steps=len(images)) as stage:
         plan = _plan_grid(images, [sample.facet for sample in samples], choices, len(located.facets))
-        maps = {}
+        gridded = {}
         for sample, surface, common in zip(samples, solution.surfaces, modes, strict=True):
             facet = sample.facet
             view = (setup.camera, solution.cam_from_mirror @ facet.ensemble_from_facet)
-            maps[facet.name] = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
+            gridded[facet.name] = grid_slopes(images[facet.name], surface, view, facet, plan=plan, common=common)
             stage.advance()
-    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices)
+    doubts = gather_doubts(located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
+    maps = {name: one.slope_map for name, one in gridded.items()}
+    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices, doubts)
 
 
 def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
@@ -206,7 +221,8 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
         checked = check_given_pose(image, setup.camera, mirror.facets, *mirror.known_pose)
         source = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
         pose = UncertainPose(*mirror.known_pose)
-        return LocatedMirror(mirror.facets, pose, checked.margin_px, source, checked.outline_pose)
+        doubts = gather_doubts(checked.doubt)
+        return LocatedMirror(mirror.facets, pose, checked.margin_px, source, checked.outline_pose, doubts=doubts)
     if not mirror.facets:
         return _locate_without_outline(observation, image, setup, mirror)
     evidence = locate_mirror(image, setup.camera, mirror.facets, mirror.knowledge)
@@ -215,7 +231,13 @@ def locate(observation: Observation, setup: Setup, mirror: MirrorInput) -> Locat
         f"{evidence.n_rejected} rejected"
     )
     return LocatedMirror(
-        mirror.facets, _uncertain(evidence), evidence.mask_margin_px, source, evidence.cam_from_mirror, evidence
+        mirror.facets,
+        _uncertain(evidence),
+        evidence.mask_margin_px,
+        source,
+        evidence.cam_from_mirror,
+        evidence,
+        evidence.doubts,
     )
 
 
@@ -244,29 +266,29 @@ def _locate_without_outline(
         pose = UncertainPose(*reflect(setup), lambda other: reflect(other)[0])
         source = "reflection at the middle of the mirror and the measured distance (no outline given)"
     facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
-    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence)
+    doubts = () if evidence is None else evidence.doubts
+    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence, doubts)
 
 
-def _usable_facets(
-    located: LocatedMirror, screen_map: ScreenMap, facet_index: npt.NDArray[np.int16]
-) -> tuple[list[int], list[PixelSamples]]:
-    """Pick the facets that show fringes, with some of their pixels; warn of the others by name and reason."""
-    measured, samples = [], []
+def _usable_facets(located: LocatedMirror, screen_map: ScreenMap, facet_index: npt.NDArray[np.int16]) -> _UsableFacets:
+    """Pick the facets that show fringes, with some of their pixels."""
+    found = _UsableFacets([], [], [])
     for index, facet in enumerate(located.facets):
         region = facet_index == index
         usable = np.flatnonzero(region & (screen_map.flags == 0))
         if usable.size < FEWEST_PIXELS:
-            warnings.warn(_why_not(facet, region, screen_map), QualityWarning, stacklevel=2)
+            numbers = {"usable_pixels_count": usable.size, "pixels_count": int(np.count_nonzero(region))}
+            found.doubts.append(Doubt("facet_not_measured", _why_not(facet, region, screen_map), numbers))
             continue
         most = max(ALIGN_PIXELS // len(located.facets), SHAPE_PIXELS)
         chosen = usable[spread_indices(usable.size, most)]
         row, column = np.divmod(chosen, facet_index.shape[1])
         pixels = np.stack([column, row], axis=-1).astype(np.float64)
-        measured.append(index)
-        samples.append(PixelSamples(facet, pixels, screen_map.u.flat[chosen], screen_map.v.flat[chosen]))
-    if not samples:
+        found.numbers.append(index)
+        found.samples.append(PixelSamples(facet, pixels, screen_map.u.flat[chosen], screen_map.v.flat[chosen]))
+    if not found.samples:
         raise EstimationError(_why_not(located.facets[0], facet_index == 0, screen_map))
-    return measured, samples
+    return found
 
 
 def _solve(setup: Setup, samples: Sequence[PixelSamples], start: RigidTransform, *, align: bool) -> ShapeSolution:

@@ -8,7 +8,7 @@ import numpy as np
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.setup.bench import RectangularScreen, Screen, Setup, TabulatedScreen
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
-from deflectometry.setup.screen_table import check_screen_table
+from deflectometry.setup.screen_table import refuse_other_units
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
@@ -89,7 +89,7 @@ def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
     names = ("u", "v", "x_m", "y_m", "z_m")
     file = measurement.path(section.file)
     columns = read_number_columns(file, names)
-    check_screen_table(columns, str(file))
+    refuse_other_units(columns, str(file))
     try:
         return TabulatedScreen(columns[0], columns[1], columns[2:].T)
     except InputError as error:

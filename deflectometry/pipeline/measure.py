@@ -1,20 +1,27 @@
 """A measurement folder to results: read, check, evaluate, write."""
 
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from calibration.screen.response import ScreenResponse
 from deflectometry.frames.checks import check_frames
-from deflectometry.frames.image_checks import check_noise, check_size, saturation_level, warn_of_compression
+from deflectometry.frames.image_checks import check_compression, check_noise, check_size, saturation_level
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits
 from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, MirrorInput, Observation, evaluate_frames
-from deflectometry.pipeline.headline import Numbers, canting_numbers, facet_numbers, flag_words, geometry, pose_numbers
+from deflectometry.pipeline.headline import (
+    Numbers,
+    canting_numbers,
+    facet_numbers,
+    flag_words,
+    geometry,
+    headline_text,
+    pose_numbers,
+)
 from deflectometry.pipeline.inputs import (
     build_facets,
     build_knowledge,
@@ -26,15 +33,16 @@ from deflectometry.pipeline.inputs import (
 from deflectometry.pose.mirror_pose import MirrorPose
 from deflectometry.setup.bench import Setup
 from deflectometry.setup.patterns import FringePattern
-from deflectometry.setup.screen_table import warn_beyond_table
+from deflectometry.setup.screen_table import check_beyond_table, check_screen_points
 from deflectometry.shape.assemble import assemble_maps
-from deflectometry.shape.plausibility import doubts, refuse_impossible
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from deflectometry.shape.plausibility import implausible, refuse_impossible
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import skew
-from heliogauge.images.photos import read_frames
+from heliogauge.images.photos import Frames, read_frames
 from heliogauge.measurement.designs import build_design
 from heliogauge.measurement.load import DeflectometryMeasurement
-from heliogauge.measurement.models import Section
+from heliogauge.measurement.models import Section, TabulatedScreenSection
 from heliogauge.results.folder import (
     PhotoPose,
     Summary,
@@ -42,9 +50,9 @@ from heliogauge.results.folder import (
     write_cameras_json,
     write_pixels,
     write_slope_map,
-    write_summary,
     write_table_csv,
 )
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import ASSEMBLED
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
@@ -69,10 +77,9 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """Everything a measurement gave, ready to be written.
 
-    name: Name of the mirror.
     setup: Camera and screen as used.
     pattern: What was shown.
     evaluation: Poses, pixels and the map of each facet as measured.
@@ -81,12 +88,9 @@ class Result:
     assembled_as_measured: The same before anything was removed.
     numbers: Headline numbers of the mirror.
     facets: Headline numbers of each facet; empty for a single one.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = "deflectometry"
     setup: Setup
     pattern: FringePattern
     evaluation: Evaluation
@@ -95,9 +99,38 @@ class Result:
     assembled_as_measured: SlopeMap
     numbers: Numbers
     facets: dict[str, Numbers]
-    doubts: tuple[str, ...]
-    durations_s: dict[str, float]
-    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        texts = {
+            "design": self.assembled.design,
+            "removed": self.assembled.removed,
+            "frame": self.assembled.frame,
+            "camera": f"{self.setup.camera.width_px} x {self.setup.camera.height_px} px",
+            "screen": self.setup.screen.describe(),
+            "pattern": _pattern_words(self.pattern),
+            "pose": self.evaluation.located.source,
+            "pixels": flag_words(self.evaluation),
+            "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
+        }
+        return self._summary(self.numbers, texts, facets=self.facets, geometry_m=geometry(self.setup, self.evaluation))
+
+    def write_files(self, folder: Path) -> None:
+        """Write maps, pixels, cameras and outline into an existing folder."""
+        evaluation = self.evaluation
+        maps = dict(self.maps)
+        if len(evaluation.located.facets) > 1:
+            maps[ASSEMBLED] = self.assembled
+        attributes = {"name": self.name, "input_sha256": self.input_sha256, "pose": evaluation.located.source}
+        write_slope_map(folder / "slope_map.nc", maps, attributes)
+        write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": self.name})
+        write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
+        if evaluation.located.evidence is not None:
+            write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
 
 
 def run(
@@ -106,39 +139,41 @@ def run(
     """Evaluate a measurement.
 
     options: Choices that override the file's.
-    Returns: Maps, pixels, poses and warnings.
+    Returns: Maps, pixels, poses and doubts.
     InputError: Images or tables that cannot be used.
     EstimationError: Frames that contradict the pattern, no mirror, or no slopes.
     """
     options, progress = options or Options(), progress or SilentProgress()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", QualityWarning)
-        setup, pattern = build_setup(measurement), build_pattern(measurement)
-        observation = read_observation(measurement, pattern, options, progress)
-        check_size(observation.frames, setup.camera, str(measurement.folder))
-        warn_of_compression([file.name for file in measurement.fringe_files])
-        with progress.stage("check frames"):
-            refuse_faulty_frames(observation)
-        warn_of_missing_sigmas(measurement, setup)
-        mirror = describe_mirror(measurement, setup)
-        if mirror.known_pose is not None:
-            refuse_impossible(setup, mirror.known_pose[0])
-        evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
-        refuse_impossible(setup, evaluation.solution.cam_from_mirror)
-        as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)
-        removal = evaluation.choices.removal
-        maps = {name: remove(one, removal) for name, one in evaluation.maps.items()}
-        assembled = as_measured if removal is Removal.NOTHING else assemble_maps(evaluation, maps, removal)
-        with progress.stage("statistics"):
-            numbers, facets = _numbers(evaluation, maps, (assembled, as_measured))
-        warn_beyond_table(setup.screen, evaluation.screen_map)
-        for doubt in doubts(numbers, facets, evaluation):
-            warnings.warn(doubt, QualityWarning, stacklevel=2)
-        with progress.stage("hash inputs"):
-            hashes = hash_files(measurement.input_files, measurement.folder)
-    said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
+    setup, pattern = build_setup(measurement), build_pattern(measurement)
+    frames = read_frames(_image_files(measurement), jobs=options.jobs, progress=progress)
+    observation = observe(measurement, pattern, frames)
+    check_size(observation.frames, setup.camera, str(measurement.folder))
+    with progress.stage("check frames"):
+        frame_doubts = refuse_faulty_frames(observation)
+    mirror = describe_mirror(measurement, setup)
+    if mirror.known_pose is not None:
+        refuse_impossible(setup, mirror.known_pose[0])
+    evaluation = evaluate_frames(observation, setup, mirror, _choices(measurement, options), progress)
+    refuse_impossible(setup, evaluation.solution.cam_from_mirror)
+    as_measured = assemble_maps(evaluation, evaluation.maps, Removal.NOTHING)
+    removal = evaluation.choices.removal
+    maps = {name: remove(one, removal) for name, one in evaluation.maps.items()}
+    assembled = as_measured if removal is Removal.NOTHING else assemble_maps(evaluation, maps, removal)
+    with progress.stage("statistics"):
+        numbers, facets = _numbers(evaluation, maps, (assembled, as_measured))
+    doubts = gather_doubts(
+        check_screen_points(setup.screen, _screen_file(measurement)),
+        frames.doubts,
+        check_compression([file.name for file in measurement.fringe_files]),
+        frame_doubts,
+        check_missing_sigmas(measurement, setup),
+        evaluation.doubts,
+        check_beyond_table(setup.screen, evaluation.screen_map),
+        implausible(numbers, facets, evaluation),
+    )
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
     return Result(
-        measurement.model.name,
         setup,
         pattern,
         evaluation,
@@ -147,25 +182,31 @@ def run(
         as_measured,
         numbers,
         facets,
-        said,
-        dict(progress.durations_s),
-        hashes,
+        name=measurement.model.name,
+        doubts=doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
     )
 
 
-def read_observation(
-    measurement: DeflectometryMeasurement, pattern: FringePattern, options: Options, progress: Progress
-) -> Observation:
-    """Read the images of a measurement.
+def _screen_file(measurement: DeflectometryMeasurement) -> str:
+    section = measurement.model.screen
+    return str(measurement.path(section.file)) if isinstance(section, TabulatedScreenSection) else ""
 
-    options: How many threads decode.
+
+def _image_files(measurement: DeflectometryMeasurement) -> tuple[Path, ...]:
+    """Return the fringe frames, then the dark and the bright frame where there are any."""
+    section = measurement.model.images
+    extra = (measurement.path(text) for text in (section.dark, section.bright) if text is not None)
+    return (*measurement.fringe_files, *extra)
+
+
+def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frames: Frames) -> Observation:
+    """Put together what the images of a measurement show.
+
     Returns: Frames, response, noise and limits.
-    InputError: An image that cannot be read, or images of different sizes.
     """
     section = measurement.model.images
-    extra = [measurement.path(text) for text in (section.dark, section.bright) if text is not None]
-    files = (*measurement.fringe_files, *extra)
-    frames = read_frames(files, jobs=options.jobs, progress=progress)
     fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
     lit = None
     if section.bright is not None:
@@ -193,8 +234,8 @@ def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | Non
         raise InputError(f"{measurement.path(name)}: {error}") from None
 
 
-def refuse_faulty_frames(observation: Observation) -> None:
-    """Warn of doubtful frames; refuse frames that contradict the pattern.
+def refuse_faulty_frames(observation: Observation) -> tuple[Doubt, ...]:
+    """Refuse frames that contradict the pattern; return what is doubtful about the others.
 
     EstimationError: At least one fault that makes the phases wrong, each with the frames and the remedy.
     """
@@ -202,30 +243,30 @@ def refuse_faulty_frames(observation: Observation) -> None:
         observation.frames, observation.pattern, response=observation.response,
         saturation_dn=observation.limits.saturation_dn,
     )  # fmt: skip
-    for fault in faults:
-        if fault.severity == "warning":
-            warnings.warn(fault.message, QualityWarning, stacklevel=2)
     errors = [fault.message for fault in faults if fault.severity == "error"]
     if errors:
         raise EstimationError("images.fringes: " + "\n  ".join(errors))
+    noise = None
     if observation.noise is not None and observation.response is None:
-        check_noise(observation.frames, observation.pattern, observation.noise)
+        noise = check_noise(observation.frames, observation.pattern, observation.noise)
+    return gather_doubts((fault.doubt for fault in faults), noise)
 
 
-def warn_of_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> None:
-    """Say which inputs count as exact because nobody said how well they are known; a sigma of 0.0 is a statement."""
+def check_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> Doubt | None:
+    """Return which inputs count as exact because no sigma is given; a sigma of 0.0 is a statement."""
     exact = []
     if not setup.camera.covariance.any() and not _states_sigma(measurement.model.camera):
         exact.append("the camera ([camera] sigma_focal_px ...)")
     if not setup.covariance_cam_from_screen.any() and not _states_sigma(measurement.model.screen):
         exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
-    if exact:
-        warnings.warn(
-            f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
-            "uncertainty (focus, astigmatism, twist) is too small",
-            QualityWarning,
-            stacklevel=2,
-        )
+    if not exact:
+        return None
+    return Doubt(
+        "sigma_of_setup_missing",
+        f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
+        "uncertainty (focus, astigmatism, twist) is too small",
+        {"inputs_count": len(exact)},
+    )
 
 
 def _states_sigma(section: Section) -> bool:
@@ -257,24 +298,6 @@ def _choices(measurement: DeflectometryMeasurement, options: Options) -> Choices
     )
 
 
-def write(result: Result, folder: Path) -> None:
-    """Write the files of a result into an existing folder.
-
-    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-    """
-    evaluation = result.evaluation
-    maps = dict(result.maps)
-    if len(evaluation.located.facets) > 1:
-        maps[ASSEMBLED] = result.assembled
-    attributes = {"name": result.name, "input_sha256": result.input_sha256, "pose": evaluation.located.source}
-    write_slope_map(folder / "slope_map.nc", maps, attributes)
-    write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": result.name})
-    write_cameras_json(folder / "cameras.json", {"camera": result.setup.camera}, _facet_poses(evaluation))
-    if evaluation.located.evidence is not None:
-        write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
-    write_summary(folder / "summary.json", summarise(result))
-
-
 def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
     """Return the pose of each facet; a turn of an ensemble also shifts the facets away from its origin."""
     located, cam_from_mirror = evaluation.located, evaluation.solution.cam_from_mirror
@@ -302,33 +325,6 @@ def _numbers(
         return numbers, {}
     facets = {name: canting_numbers(one) | facet_numbers(maps[name], one) for name, one in evaluation.maps.items()}
     return numbers, facets
-
-
-def summarise(result: Result) -> Summary:
-    """Collect the headline numbers of a result with their sigmas, warnings and provenance."""
-    evaluation = result.evaluation
-    texts = {
-        "design": result.assembled.design,
-        "removed": result.assembled.removed,
-        "frame": result.assembled.frame,
-        "camera": f"{result.setup.camera.width_px} x {result.setup.camera.height_px} px",
-        "screen": result.setup.screen.describe(),
-        "pattern": _pattern_words(result.pattern),
-        "pose": evaluation.located.source,
-        "pixels": flag_words(evaluation),
-        "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
-    }
-    return Summary(
-        kind="deflectometry",
-        name=result.name,
-        numbers=result.numbers,
-        texts=texts,
-        doubts=result.doubts,
-        durations_s=result.durations_s,
-        input_sha256=result.input_sha256,
-        facets=result.facets,
-        geometry_m=geometry(result.setup, evaluation),
-    )
 
 
 def _pattern_words(pattern: FringePattern) -> str:

@@ -1,6 +1,5 @@
 """A pose that was measured otherwise, held against the mirror's outline in the image."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,8 @@ from deflectometry.pose.pose_observations import KnownPoints
 from deflectometry.pose.pose_start import mirror_regions
 from deflectometry.setup.facet import find_mirrors
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import Float32Array, FloatArray
@@ -33,11 +33,13 @@ class OutlineCheck:
         mirror is.
     margin_px: Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
     residual_rms_px: RMS distance of the projected outline from the edges; NaN where no edges were found [px].
+    doubt: The outline lies off the edges by more than pose and image allow, or could not be compared.
     """
 
     outline_pose: RigidTransform
     margin_px: float
     residual_rms_px: float
+    doubt: Doubt | None = None
 
 
 def check_given_pose(
@@ -52,7 +54,6 @@ def check_given_pose(
     image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
     covariance (6, 6): Its covariance for steps of `RigidTransform.moved` [rad, m].
     Returns: The pose and margin for the mask, and how far the outline of the given pose is off the edges.
-    Warns QualityWarning: The outline lies off the edges by more than pose and image allow.
     """
     image = np.nan_to_num(np.ascontiguousarray(image_dn, dtype=np.float32), posinf=0.0, neginf=0.0)
     try:
@@ -62,23 +63,24 @@ def check_given_pose(
         fit = OutlineSearch(image, camera, facets, found.noise_dn, facet_px).follow(pose, KnownPoints())
         _refuse_strayed(fit, camera, facets, pose, facet_px)
     except EstimationError as error:
-        warnings.warn(
-            f"the given pose of the mirror could not be held against the image: {error}", QualityWarning, stacklevel=3
+        doubt = Doubt(
+            "given_pose_unchecked", f"the given pose of the mirror could not be held against the image: {error}"
         )
-        return OutlineCheck(pose, SHARP_MARGIN_PX, float("nan"))
+        return OutlineCheck(pose, SHARP_MARGIN_PX, float("nan"), doubt)
     edges = fit.edges.subset(fit.used)
     residuals, derivatives = edges.rows(camera, pose)
     rms = float(np.sqrt(np.mean(residuals**2)))
     by_pose = float(np.einsum("ni,ij,nj->n", derivatives, covariance, derivatives).mean())
     allowed = _OFF_SIGMAS * float(np.sqrt(fit.sigma_px**2 + by_pose))
+    off = None
     if rms > max(allowed, _OFF_WIDTH * edges.width_px):
-        warnings.warn(
+        off = Doubt(
+            "given_pose_off_outline",
             f"the given pose of the mirror puts its outline {rms:.2f} px RMS off its edges in the image (its sigmas "
             f"allow {allowed:.2f} px); check [mirror.pose], or leave it out and the outline gives the pose",
-            QualityWarning,
-            stacklevel=3,
+            {"residual_rms_px": rms, "allowed_px": allowed},
         )
-    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms)
+    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms, off)
 
 
 def _refuse_strayed(

@@ -4,8 +4,7 @@ The observations are edge points along all sides, each measured across the side 
 they fit among themselves, so that a distance measured with its own sigma takes exactly its share.
 """
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,8 @@ from deflectometry.setup.facet import find_mirrors
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray, freeze
@@ -79,6 +79,7 @@ class MirrorPose:
     residuals_px (n_points, 2): Projected outline (or point) minus measured; of an edge point the part across the
         side [px].
     observations: What the pose was adjusted to.
+    doubts: A distance contradicts the image, two tilts fit equally well, or facets are not seen.
     """
 
     cam_from_mirror: RigidTransform
@@ -95,6 +96,7 @@ class MirrorPose:
     points_px: FloatArray
     residuals_px: FloatArray
     observations: "PoseObservations"
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def mask_margin_px(self) -> float:
@@ -117,7 +119,6 @@ def locate_mirror(
     Returns: The pose. Which corner of a symmetric mirror is which follows from the expected roll.
     InputError: Image and camera differ in size.
     EstimationError: No mirror in view, cut by the border, or an outline that does not fit the design.
-    Warns QualityWarning: A distance contradicts the image, two tilts fit equally well, or facets are not seen.
 
     Edge points are measured along normals of the projected outline, the pose is adjusted, and both are repeated with
     a shorter reach. Lens distortion and the curved edge of a curved mirror are in the projection. The residuals give
@@ -141,11 +142,12 @@ def locate_mirror(
     best = fits[0]
     allowed_px = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
     _check_outline(best, allowed_px)
+    ambiguity = None
     if len(fits) > 1:
-        best = _resolve_tilt(best, fits[1], knowledge)
+        best, ambiguity = _resolve_tilt(best, fits[1], knowledge)
     pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
     _check_distance(pose, allowed_px)
-    return pose
+    return replace(pose, doubts=gather_doubts(ambiguity, pose.doubts))
 
 
 def _check_distance(pose: MirrorPose, allowed_px: float) -> None:
@@ -177,19 +179,20 @@ def _check_outline(best: OutlineFit, allowed_px: float) -> None:
         )
 
 
-def _resolve_tilt(best: OutlineFit, other: OutlineFit, knowledge: Knowledge) -> OutlineFit:
-    """Choose between the two tilts in which a flat object looks alike."""
+def _resolve_tilt(best: OutlineFit, other: OutlineFit, knowledge: Knowledge) -> tuple[OutlineFit, Doubt | None]:
+    """Choose between the two tilts in which a flat object looks alike; a doubt where both fit."""
     normals = [fit.pose.rotation[:, 2] for fit in (best, other)]
     angle_rad = float(np.arccos(np.clip(normals[0] @ normals[1], -1, 1)))
     # Difference of chi-square if the better one is right; 9 is three sigma.
     evidence = best.used.sum() / best.correlation_points * ((other.rms_px / max(best.rms_px, 1e-12)) ** 2 - 1)
     if angle_rad < 1e-3 or evidence > 9.0:
-        return best
+        return best, None
     chosen = best
     if knowledge.distances:
         # The mirror is seen to reflect the screen: the right normal points between camera and screen.
         chosen = min((best, other), key=lambda fit: _off_bisector(fit.pose, knowledge.distances[0]))
-    warnings.warn(
+    doubt = Doubt(
+        "mirror_tilt_ambiguous",
         f"two tilts of the mirror, {np.degrees(angle_rad):.2f} degrees apart, fit its outline equally well (residuals"
         f" {best.rms_px:.3f} and {other.rms_px:.3f} px); "
         + (
@@ -197,10 +200,9 @@ def _resolve_tilt(best: OutlineFit, other: OutlineFit, knowledge: Knowledge) -> 
             if knowledge.distances
             else "the one that fits better was taken: measure a distance or a known point off the plane to be sure"
         ),
-        QualityWarning,
-        stacklevel=3,
+        {"apart_rad": angle_rad, "residual_rms_px": best.rms_px, "other_residual_rms_px": other.rms_px},
     )
-    return chosen
+    return chosen, doubt
 
 
 def _off_bisector(pose: RigidTransform, distance: DistanceObservation) -> float:
@@ -228,14 +230,14 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
-    _warn(tests, share, rms)
     n_rejected = int((~best.used).sum())
+    rejected = None
     if n_rejected > MAX_REJECTED_SHARE * best.used.size:
-        warnings.warn(
+        rejected = Doubt(
+            "outline_points_rejected",
             f"{n_rejected} of {best.used.size} edge points do not lie on the outline that the others agree on; is"
             " outline_m right, or a part of the mirror covered or dark?",
-            QualityWarning,
-            stacklevel=3,
+            {"rejected_count": n_rejected, "edge_points_count": best.used.size},
         )
     return MirrorPose(
         cam_from_mirror=final.state,
@@ -252,6 +254,7 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         points_px=freeze(edges.image_px),
         residuals_px=freeze(edges.rows(camera, final.state)[0][:, None] * edges.normals),
         observations=observations,
+        doubts=gather_doubts(_doubts(tests, share, rms), rejected),
     )
 
 
@@ -339,23 +342,29 @@ def _in_doubt(tests: Sequence[DistanceTest], image_only: RigidTransform, final: 
     return np.outer(step, step)
 
 
-def _warn(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[float]) -> None:
+def _doubts(tests: tuple[DistanceTest, ...], share: FloatArray, rms_px: Sequence[float]) -> Iterator[Doubt]:
+    """Yield what distances contradict and which facets are not seen."""
     for test in tests:
         if test.probability < MIN_PROBABILITY:
-            warnings.warn(
+            yield Doubt(
+                "distance_contradicts_image",
                 f"{_contradiction(test)}: probability {test.probability:.2g}. The pose in between leaves"
                 f" {1e3 * test.residual_m:.1f} mm and {rms_px[1]:.3f} px (the image alone: {rms_px[0]:.3f} px); the way"
                 f" from one to the other counts as uncertainty; {_DISTANCE_REMEDY}",
-                QualityWarning,
-                stacklevel=4,
+                {
+                    "measured_m": test.measured_m,
+                    "image_only_m": test.image_only_m,
+                    "sigma_image_only_m": test.sigma_image_only_m,
+                    "agreement_probability": test.probability,
+                },
             )
     unseen = np.flatnonzero(share < MIN_LIT_SHARE)
     if unseen.size:
-        warnings.warn(
+        yield Doubt(
+            "facets_dark",
             f"{unseen.size} of {share.size} facets are bright on less than {MIN_LIT_SHARE:.0%} of their area (numbers"
             f" {', '.join(map(str, unseen[:12]))}): they are dark, covered, missing, or see past the screen",
-            QualityWarning,
-            stacklevel=4,
+            {"dark_count": unseen.size, "facets_count": share.size},
         )
 
 
@@ -385,13 +394,12 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
             " the camera"
         )
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
-    _warn(tests, np.ones(1), rms)
     nan = float("nan")
     misses = freeze(camera.project(final.state.apply(points.points_m)) - points.image_px)
     count = len(points.points_m)
     return MirrorPose(
         final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, count, 0, np.zeros(0), tests,
-        points.image_px, misses, observations,
+        points.image_px, misses, observations, tuple(_doubts(tests, np.ones(1), rms)),
     )  # fmt: skip
 
 

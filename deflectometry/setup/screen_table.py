@@ -1,12 +1,11 @@
 """Whether a table of measured screen points can be trusted: its units, single wrong points, what it covers."""
 
-import warnings
-
 import numpy as np
 
 from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.setup.bench import Screen, TabulatedScreen
-from heliogauge.errors import InputError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import InputError
 from heliogauge.slopes.map import monomials
 from heliogauge.validate import FloatArray
 
@@ -19,13 +18,12 @@ _OUTLIER_M = 5e-3
 _BEYOND_SHARE = 0.01
 
 
-def check_screen_table(columns: FloatArray, name: str) -> None:
-    """Refuse a table in other units, warn of points that stand out of the wall.
+def refuse_other_units(columns: FloatArray, name: str) -> None:
+    """Refuse a table in other units.
 
     columns (5, n): u, v, x, y, z of each point.
     name: The file, for messages.
     InputError: Display coordinates that are no fractions.
-    Warns QualityWarning: Points far off the smooth surface through all of them.
     """
     display = columns[:2]
     if display.size and (display.min() < -_FARTHEST or display.max() > 1 + _FARTHEST):
@@ -33,33 +31,40 @@ def check_screen_table(columns: FloatArray, name: str) -> None:
             f"{name}: u, v go from {display.min():g} to {display.max():g}; fractions of the displayed image are needed "
             "(0 to 1, u from its left edge, v from its top edge)"
         )
-    terms = monomials(2 * columns[0] - 1, 2 * columns[1] - 1, 4)
-    if columns.shape[1] < 2 * len(terms):
-        return
-    weight = np.ones(columns.shape[1])
+
+
+def check_screen_points(screen: Screen, name: str) -> Doubt | None:
+    """Return a doubt where measured points are far off the smooth surface through all of them.
+
+    name: The file, for the text.
+    """
+    if not isinstance(screen, TabulatedScreen):
+        return None
+    terms = monomials(2 * screen.u - 1, 2 * screen.v - 1, 4)
+    if screen.u.size < 2 * len(terms):
+        return None
+    weight = np.ones(screen.u.size)
     for _ in range(4):
-        fitted = np.linalg.lstsq((terms * weight).T, (columns[2:] * weight).T, rcond=None)[0]
-        away = np.linalg.norm(columns[2:] - fitted.T @ terms, axis=0)
+        fitted = np.linalg.lstsq((terms * weight).T, screen.xyz_m * weight[:, None], rcond=None)[0]
+        away = np.linalg.norm(screen.xyz_m.T - fitted.T @ terms, axis=0)
         # A single point that is half a metre off must not bend the surface by which it is judged.
         weight = 1.0 / np.maximum(away, max(float(np.median(away)), 1e-9))
     wrong = np.flatnonzero((away > _OUTLIER_SIGMAS * np.median(away)) & (away > _OUTLIER_M))
-    if wrong.size:
-        worst = int(wrong[np.argmax(away[wrong])])
-        warnings.warn(
-            f"{name}: {wrong.size} of {away.size} points stand out of the smooth surface of all, the worst in line "
-            f"{worst + 2} (u = {columns[0, worst]:g}, v = {columns[1, worst]:g}) by {1e3 * away[worst]:.3g} mm",
-            QualityWarning,
-            stacklevel=2,
-        )
+    if not wrong.size:
+        return None
+    worst = int(wrong[np.argmax(away[wrong])])
+    return Doubt(
+        "screen_points_stand_out",
+        f"{name}: {wrong.size} of {away.size} points stand out of the smooth surface of all, the worst in line "
+        f"{worst + 2} (u = {screen.u[worst]:g}, v = {screen.v[worst]:g}) by {1e3 * away[worst]:.3g} mm",
+        {"points_count": wrong.size, "line_count": worst + 2, "largest_departure_m": float(away[worst])},
+    )
 
 
-def warn_beyond_table(screen: Screen, screen_map: ScreenMap) -> None:
-    """Warn where the mirror shows parts of the display that no measured point surrounds.
-
-    Warns QualityWarning: More than a hundredth of the pixels see beyond the table.
-    """
+def check_beyond_table(screen: Screen, screen_map: ScreenMap) -> Doubt | None:
+    """Return a doubt where the mirror shows parts of the display that no measured point surrounds."""
     if not isinstance(screen, TabulatedScreen):
-        return
+        return None
     good = screen_map.flags == 0
     beyond = np.zeros(np.count_nonzero(good), dtype=np.bool_)
     reach = []
@@ -70,10 +75,11 @@ def warn_beyond_table(screen: Screen, screen_map: ScreenMap) -> None:
         beyond |= (seen[good] < low - margin) | (seen[good] > high + margin)
         reach.append(f"{name} from {low:.3g} to {high:.3g}")
     share = float(beyond.mean()) if beyond.size else 0.0
-    if share > _BEYOND_SHARE:
-        warnings.warn(
-            f"screen table: {share:.0%} of the pixels see beyond the measured points ({', '.join(reach)}); there the "
-            "screen is a guess: measure points up to the edges of the displayed image",
-            QualityWarning,
-            stacklevel=2,
-        )
+    if share <= _BEYOND_SHARE:
+        return None
+    return Doubt(
+        "screen_seen_beyond_table",
+        f"screen table: {share:.0%} of the pixels see beyond the measured points ({', '.join(reach)}); there the "
+        "screen is a guess: measure points up to the edges of the displayed image",
+        {"beyond_share": share},
+    )

@@ -1,6 +1,5 @@
 """From the pixels of a facet to the regular grid of a slope map."""
 
-import warnings
 from dataclasses import dataclass
 
 import cv2
@@ -9,7 +8,8 @@ import numpy as np
 from deflectometry.shape.slope_image import SlopeImage
 from deflectometry.shape.slopes import FittedSurface
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
@@ -21,6 +21,14 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray
 MOST_NODES = 1_000_000
 #: A map of so many nodes takes 3 GB; more was hardly meant.
 MOST_ASKED_NODES = 2e7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GriddedFacet:
+    """The map of a facet, and what is doubtful about it."""
+
+    slope_map: SlopeMap
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +74,7 @@ def grid_slopes(
     *,
     plan: GridPlan,
     common: CommonModes,
-) -> SlopeMap:
+) -> GriddedFacet:
     """Read the slopes of a facet at the nodes of a regular grid.
 
     surface: Smooth shape of the facet.
@@ -111,8 +119,13 @@ def grid_slopes(
         raise EstimationError(f"grid: no pixel of facet {facet.name} carries a slope; see the flags of pixels.nc")
     remainder = np.full((2, *aperture.shape), np.nan)
     remainder[:, aperture] = residual
-    height = fields[6] + _remaining_height(facet, remainder, step_m)
-    return SlopeMap(
+    doubts: tuple[Doubt, ...] = ()
+    try:
+        height = fields[6] + integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
+    except EstimationError as error:
+        text = f"facet {facet.name} has slopes but no height map: {error}"
+        doubts, height = (Doubt("facet_without_heights", text),), np.full(aperture.shape, np.nan)
+    slope_map = SlopeMap(
         x_m=x_m, y_m=y_m,
         slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
         sigma_random_x=fields[4], sigma_random_y=fields[5],
@@ -120,15 +133,7 @@ def grid_slopes(
         height_m=height, flags=flags, aperture=aperture,
         design=facet.design.describe(), frame=plan.frame, removed=plan.removed,
     )  # fmt: skip
-
-
-def _remaining_height(facet: Facet, remainder: FloatArray, step_m: float) -> FloatArray:
-    """Integrate what the smooth shape leaves of the slopes; NaN with a warning where it cannot be integrated."""
-    try:
-        return integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
-    except EstimationError as error:
-        warnings.warn(f"facet {facet.name} has slopes but no height map: {error}", QualityWarning, stacklevel=4)
-        return np.full(remainder.shape[1:], np.nan)
+    return GriddedFacet(slope_map, doubts)
 
 
 def _sample(

@@ -11,6 +11,7 @@ import numpy as np
 from deflectometry.pipeline.evaluate import Align, Evaluation
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.setup.bench import Setup
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 
@@ -52,7 +53,7 @@ def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
         )
 
 
-def doubts(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation) -> Iterator[str]:
+def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation) -> Iterator[Doubt]:
     """Yield what makes a result doubtful as a whole.
 
     numbers: Headline numbers of the mirror.
@@ -66,15 +67,20 @@ def doubts(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluati
         f"focal lengths x {_number(numbers, 'focal_length_x_m'):.4g} m, y {_number(numbers, 'focal_length_y_m'):.4g} m"
     )
     if error > _GROSS_MRAD:
-        yield (
+        yield Doubt(
+            "slopes_too_far_off_design",
             f"the slopes are {error:.1f} mrad RMS off the design (best fit: {lengths}): too far for any solar mirror; "
             "check the design and its unit, size and pose of the screen, the axes of [[pattern.set]], and that no "
-            "program has mirrored or turned the images"
+            "program has mirrored or turned the images",
+            {"slope_error_mrad": error},
+            Severity.SERIOUS,
         )
     elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
-        yield (
+        yield Doubt(
+            "design_curvature_is_not_the_mirrors",
             f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
-            f"left with {lengths}; check the design and its focal length or radius [m]"
+            f"left with {lengths}; check the design and its focal length or radius [m]",
+            {"slope_error_mrad": error, "best_quadratic_mrad": rest},
         )
 
 
@@ -83,19 +89,21 @@ def _number(numbers: Numbers, name: str) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _rejection_doubt(evaluation: Evaluation) -> Iterator[str]:
+def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
     """Tell how much of the mirror is missing, and why."""
     on_mirror = evaluation.facet_index >= 0
     rejected = on_mirror & (evaluation.screen_map.flags != 0)
     share = float(np.count_nonzero(rejected)) / max(int(np.count_nonzero(on_mirror)), 1)
     if share > _REJECTED_SHARE:
-        yield (
+        yield Doubt(
+            "pixels_rejected",
             f"{share:.0%} of the pixels on the mirror were rejected ({flag_words(evaluation)}); all numbers are of the "
-            "rest: check the mirror's pose or outline, and what covers or dims it"
+            "rest: check the mirror's pose or outline, and what covers or dims it",
+            {"rejected_share": share},
         )
 
 
-def _turn_doubt(evaluation: Evaluation) -> Iterator[str]:
+def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
     """Compare the orientation that the reflection says with the one that the outline says."""
     located = evaluation.located
     if evaluation.choices.align is not Align.NORMAL or located.evidence is None:
@@ -105,14 +113,16 @@ def _turn_doubt(evaluation: Evaluation) -> Iterator[str]:
     covariance = located.pose.covariance[:3, :3] + _MOUNTING_RAD**2 * np.eye(3)
     if float(turn @ np.linalg.solve(covariance, turn)) > _TURN_SIGMAS**2:
         sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
-        yield (
+        yield Doubt(
+            "reflection_contradicts_outline",
             f"the reflection says another orientation of the mirror than its outline: {1e3 * np.linalg.norm(turn):.1f} "
             f"mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check camera (distortion and its "
-            "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images"
+            "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images",
+            {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
         )
 
 
-def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[str]:
+def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
     """Tell slopes that no surface can have: the curl of a surface's slopes is zero."""
     doubtful = []
     for name, numbers in facets.items():
@@ -123,8 +133,11 @@ def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[str]:
     if doubtful:
         name, curl, expected = max(doubtful, key=lambda one: one[1])
         where = f" (facet {name}, one of {len(doubtful)})" if name else ""
-        yield (
+        yield Doubt(
+            "slopes_of_no_surface",
             f"no surface has these slopes: their curl is {1e3 * curl:.3g} mrad/m RMS{where}, where noise makes "
             f"{1e3 * expected:.3g}; check the shape and pose of the screen, the axes of [[pattern.set]], that the "
-            "images are neither mirrored nor strongly compressed, and that nothing moved"
+            "images are neither mirrored nor strongly compressed, and that nothing moved",
+            {"curl_rms_per_m": curl, "curl_expected_rms_per_m": expected},
+            Severity.SERIOUS,
         )

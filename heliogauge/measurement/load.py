@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from calibration.heliostat.keys import HeliostatMeasurement, HeliostatModel, paint_measurement
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.faults import fault_lines
@@ -230,7 +231,7 @@ def load_observer(folder: Path) -> ObserverMeasurement:
     """
     file, model = _checked(folder, ObserverModel)
     images = model.images
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     if images.video is not None:
         # OpenCV costs 0.1 s, which only a video is worth.
         from heliogauge.images.video import list_frames

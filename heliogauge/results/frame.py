@@ -47,11 +47,8 @@ class InstrumentResult(ABC):
         """Write everything but ``summary.json`` into an existing folder."""
 
     @abstractmethod
-    def headline(self, summary: Summary) -> str:
-        """Return the most important numbers in a few lines for the terminal.
-
-        summary: What `summarise` returned.
-        """
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
 
     def write(self, folder: Path) -> Summary:
         """Write all files into an existing folder, usually that of `heliogauge.results.folder.ResultFolder`.
@@ -63,11 +60,15 @@ class InstrumentResult(ABC):
         write_summary(folder / SUMMARY_FILE, summary)
         return summary
 
-    def _summary(self, numbers: Numbers, texts: Mapping[str, str], **more: Mapping[str, Any]) -> Summary:
-        """Return a summary with what every result has.
-
-        more: `Summary.not_determined`, `Summary.facets`, `Summary.geometry_m`.
-        """
+    def _summary(
+        self,
+        numbers: Numbers,
+        texts: Mapping[str, str],
+        not_determined: Mapping[str, str] | None = None,
+        facets: Mapping[str, Numbers] | None = None,
+        geometry_m: Mapping[str, Any] | None = None,
+    ) -> Summary:
+        """Return a summary with what every result has."""
         return Summary(
             self.kind,
             self.name,
@@ -76,5 +77,7 @@ class InstrumentResult(ABC):
             self.doubts,
             self.durations_s,
             self.input_sha256,
-            **more,
+            not_determined or {},
+            facets or {},
+            geometry_m or {},
         )

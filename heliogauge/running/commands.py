@@ -142,7 +142,7 @@ def deliver(
 
             with progress.stage("report"):
                 build_report(working)
-    say_ending(summary.doubts, result.headline(summary), f"results: {out}{hint}", quiet=quiet)
+    say_ending(summary.doubts, result.headline(), f"results: {out}{hint}", quiet=quiet)
 
 
 def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bool) -> None:

@@ -11,8 +11,7 @@ from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.presets import preset_scene
 from data_synth.heliostats.dataset import HeliostatTruth, read_heliostat_truth, write_heliostat_dataset
 from data_synth.heliostats.presets import heliostat_scene
-from deflectometry.pipeline.headline import headline_text
-from deflectometry.pipeline.measure import Result, run, summarise, write
+from deflectometry.pipeline.measure import Result, run
 from heliogauge.measurement.load import load_heliostat, load_measurement
 from heliogauge.results.folder import ResultFolder
 from heliogauge.running.progress import SilentProgress
@@ -35,7 +34,7 @@ def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report
         write_dataset(folder, preset_scene("small"), DatasetOptions(seed=0), progress)
         result = run(load_measurement(folder), progress=progress)
         with progress.stage("write results"):
-            write(result, working)
+            result.write(working)
         if report:
             from heliogauge.reporting.build import build_report
 
@@ -43,7 +42,7 @@ def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report
                 build_report(working)
         calibrated = calibrate_heliostats(working / HELIOSTATS, progress, report=report)
         compared = compare_with_truth(result, folder)
-    progress.say(headline_text(summarise(result)))
+    progress.say(result.headline())
     progress.say(compared)
     progress.say(calibrated)
     pages = f"; open {out / 'report.html'} and {out / HELIOSTATS / 'report.html'} in a browser"

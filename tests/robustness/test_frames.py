@@ -18,7 +18,7 @@ from heliogauge.measurement.load import load_measurement
 def said(folder) -> tuple[str, ...]:
     """What the evaluation warns of, without the missing sigmas of every synthetic measurement."""
     result = run(load_measurement(folder))
-    return tuple(text for text in result.doubts if "no sigma is given" not in text)
+    return tuple(one.text for one in result.doubts if one.code != "sigma_of_setup_missing")
 
 
 def refused(folder) -> str:

@@ -3,7 +3,6 @@
 import datetime
 import json
 import tomllib
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import pytest
 from deflectometry.exchange.opencsp import CalculationRecord, CameraRecord, FringeRecord, TableRecord, read_opencsp_file
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from deflectometry.pipeline.measure import Options, run
-from heliogauge.errors import InputError, QualityWarning
+from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.load import load_measurement
 
@@ -76,9 +75,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
 
 
 def _import(files: dict[str, Path], folder: Path, **options: Any) -> dict[str, Any]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
-        import_opencsp(list(files.values()), folder, OpencspOptions(**{"focal_length_m": 50.0} | options))
+    import_opencsp(list(files.values()), folder, OpencspOptions(**{"focal_length_m": 50.0} | options))
     return tomllib.loads((folder / "measurement.toml").read_text())
 
 
@@ -126,8 +123,8 @@ def test_principal_point_of_averaged_images_is_corrected_on_request(files: dict[
     # Averaging 4 x 4: full-size pixel x = 4 * small + 1.5, so small = (x - 1.5) / 4.
     camera = _import(files, tmp_path / "out", correct_principal_point=True)["camera"]
     assert camera["center_x_px"] == pytest.approx((4 * 4.0 - 1.5) / 4)
-    with pytest.warns(QualityWarning, match="4 x 4 px.*-0.3750 px"):
-        import_opencsp(list(files.values()), tmp_path / "other", OpencspOptions(focal_length_m=1.0))
+    (doubt,) = import_opencsp(list(files.values()), tmp_path / "other", OpencspOptions(focal_length_m=1.0)).doubts
+    assert (doubt.code, doubt.numbers["shift_px"]) == ("principal_point_not_shifted", pytest.approx(-0.375))
 
 
 @pytest.mark.parametrize(
@@ -191,9 +188,11 @@ def test_an_existing_measurement_is_not_overwritten(files: dict[str, Path], tmp_
         _import(files, tmp_path / "out")
 
 
-def test_without_a_focal_length_the_design_is_a_plane_with_a_warning(files: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.warns(QualityWarning, match="written as a plane"):
-        import_opencsp(list(files.values()), tmp_path / "out", OpencspOptions(correct_principal_point=True))
+def test_without_a_focal_length_the_design_is_a_plane_with_a_doubt(files: dict[str, Path], tmp_path: Path) -> None:
+    options = OpencspOptions(correct_principal_point=True)
+    imported = import_opencsp(list(files.values()), tmp_path / "out", options)
+    assert [one.code for one in imported.doubts] == ["design_focal_length_missing"]
+    assert any(line.startswith("camera: ") for line in imported.taken)
 
 
 def test_ensemble_places_each_facet(files: dict[str, Path], tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_step_sigmas_are_honest(n: int) -> None:
 @pytest.mark.parametrize("steps", [4, 16])
 def test_gamma(steps: int) -> None:
     fault = _only(check_frames(_frames(PATTERNS[steps], gamma=2.2), PATTERNS[steps]))
-    assert (fault.kind, fault.severity) == (FaultKind.GAMMA, "warning")
+    assert (fault.kind, fault.severity) == (FaultKind.GAMMA, "doubt")
     assert "level**2.2" in fault.message or "level**2.1" in fault.message
 
 
@@ -147,7 +147,7 @@ def test_flicker_and_drift() -> None:
     flicker = frames.copy()
     flicker[4] *= 1.04
     fault = _only(check_frames(np.rint(flicker).astype(np.uint8), PATTERNS[4]))
-    assert (fault.kind, fault.frames, fault.severity) == (FaultKind.EXPOSURE, (4,), "warning")
+    assert (fault.kind, fault.frames, fault.severity) == (FaultKind.EXPOSURE, (4,), "doubt")
     drift = frames * np.linspace(1, 0.92, 32)[:, None, None]
     fault = _only(check_frames(np.rint(drift).astype(np.uint8), PATTERNS[4]))
     assert fault.kind is FaultKind.EXPOSURE
@@ -156,7 +156,7 @@ def test_flicker_and_drift() -> None:
 
 def test_saturation() -> None:
     fault = _only(check_frames(_frames(PATTERNS[4], offset_dn=163.5), PATTERNS[4]))
-    assert (fault.kind, fault.severity) == (FaultKind.SATURATION, "warning")
+    assert (fault.kind, fault.severity) == (FaultKind.SATURATION, "doubt")
     fault = _only(check_frames(_frames(PATTERNS[4], offset_dn=200.0), PATTERNS[4]))
     assert (fault.kind, fault.severity) == (FaultKind.SATURATION, "error")
     fault = _only(check_frames(_frames(PATTERNS[4]), PATTERNS[4], saturation_dn=199.0))
@@ -186,4 +186,4 @@ def test_wrong_number_and_not_finite() -> None:
     assert (fault.kind, fault.frames, fault.severity) == (FaultKind.NOT_FINITE, (3,), "error")
     few = frames.astype(np.float32)
     few[3, :9] = np.inf
-    assert _only(check_frames(few, PATTERNS[4])).severity == "warning"
+    assert _only(check_frames(few, PATTERNS[4])).severity == "doubt"

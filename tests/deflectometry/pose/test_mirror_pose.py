@@ -1,7 +1,7 @@
 """The pose of mirrors drawn with exact pixel areas: recovery, honest covariance, contradictions, refusals."""
 
 import importlib.util
-import warnings
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from deflectometry.pose.outline_edges import correlation_points
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric, paraboloid
@@ -86,8 +86,8 @@ def test_curved_and_distorted_sides_leave_no_residual() -> None:
     found = locate_mirror(_draw(POSE, [deep]), CAMERA, [deep], IDEAL_SIDES)
     assert found.residual_rms_px < 0.03
     assert _chi_square(found, POSE) < 22.5
-    with pytest.warns(QualityWarning):
-        flat = locate_mirror(_draw(POSE, [deep]), CAMERA, [_rectangle()], Knowledge((_distance(POSE),), side_share=0.0))
+    flat = locate_mirror(_draw(POSE, [deep]), CAMERA, [_rectangle()], Knowledge((_distance(POSE),), side_share=0.0))
+    assert flat.doubts
     assert flat.residual_rms_px > 2 * found.residual_rms_px
 
 
@@ -100,9 +100,7 @@ def test_covariance_is_honest() -> None:
         clean = draw_mirror(CAMERA, pose, [_rectangle()], blur_px=(0.0, 0.6, 1.5)[scene % 3])
         for _ in range(3):
             image = clean + rng.normal(0, 1.5, clean.shape)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", QualityWarning)
-                total += _chi_square(locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES), pose)
+            total += _chi_square(locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES), pose)
             runs += 1
     # 99.9 % band of chi-square over its 360 degrees of freedom, with a tenth for the fixed part of pixel sampling.
     assert 0.70 < total / (6 * runs) < 1.27 * 1.1
@@ -131,10 +129,13 @@ def test_measured_distance_is_weighted_not_forced() -> None:
     assert moved == pytest.approx(share * (test.measured_m - test.image_only_m), rel=0.05)
 
 
-def test_wrong_distance_is_warned_of_with_both_residuals() -> None:
+def test_wrong_distance_is_doubted_with_both_residuals() -> None:
     image = _draw(POSE, [_rectangle()])
-    with pytest.warns(QualityWarning, match=r"contradicts the image.*mm and .* px"):
-        found = locate_mirror(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.08, 0.002),)))
+    found = locate_mirror(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.08, 0.002),)))
+    (doubt,) = found.doubts
+    assert doubt.code == "distance_contradicts_image"
+    assert re.search(r"contradicts the image.*mm and .* px", doubt.text)
+    assert doubt.numbers["measured_m"] - doubt.numbers["image_only_m"] == pytest.approx(0.08, abs=0.03)
     assert found.distance_tests[0].probability < 1e-4
     assert found.residual_rms_px > found.image_only_rms_px
     assert abs(found.distance_tests[0].residual_m) > 0.0005
@@ -164,9 +165,7 @@ def test_a_shape_without_symmetry_needs_no_roll() -> None:
 def test_round_mirror_is_followed_by_its_many_sides() -> None:
     angles = 2 * np.pi * np.arange(48) / 48
     facet = Facet("round", 0.6 * np.column_stack([np.cos(angles), np.sin(angles)]), paraboloid(20.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
-        found = locate_mirror(_draw(POSE, [facet]), CAMERA, [facet], IDEAL_SIDES)
+    found = locate_mirror(_draw(POSE, [facet]), CAMERA, [facet], IDEAL_SIDES)
     np.testing.assert_allclose(found.cam_from_mirror.translation_m, POSE.translation_m, atol=0.02)
     assert found.residual_rms_px < 0.05
 
@@ -181,8 +180,8 @@ def test_two_tilts_that_look_alike_are_told_apart_by_the_screen() -> None:
     screen = far.translation_m + 2000 * (2 * (bisector @ line) * bisector - line)
     image = _draw(far, [facet], camera=camera, noise=3.0)
     distance = DistanceObservation(float(np.linalg.norm(far.translation_m - screen)), 20.0, np.zeros(3), screen)
-    with pytest.warns(QualityWarning, match="two tilts of the mirror"):
-        found = locate_mirror(image, camera, [facet], Knowledge((distance,)))
+    found = locate_mirror(image, camera, [facet], Knowledge((distance,)))
+    assert "mirror_tilt_ambiguous" in [one.code for one in found.doubts]
     assert found.cam_from_mirror.rotation[:, 2] @ bisector > np.cos(0.1)
 
 
@@ -243,12 +242,11 @@ def test_ensemble_of_24_is_found_also_with_one_missing(missing: tuple[int, ...])
     facets = _ensemble()
     seen = [facet for number, facet in enumerate(facets) if number not in missing]
     image = _draw(WIDE_POSE, seen, camera=WIDE_CAMERA)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        found = locate_mirror(image, WIDE_CAMERA, facets, IDEAL_SIDES)
+    found = locate_mirror(image, WIDE_CAMERA, facets, IDEAL_SIDES)
     assert _chi_square(found, WIDE_POSE) < 22.5
     assert np.flatnonzero(found.facet_share < 0.5).tolist() == list(missing)
-    assert [f"numbers {missing[0]})" in str(item.message) for item in caught] == [True] * len(missing)
+    assert [one.code for one in found.doubts] == ["facets_dark"] * len(missing)
+    assert all(f"numbers {missing[0]})" in one.text for one in found.doubts)
 
 
 def test_ensemble_with_gaps_too_narrow_to_see_is_found_by_its_rim() -> None:

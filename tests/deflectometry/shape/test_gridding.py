@@ -8,7 +8,6 @@ from deflectometry.shape.slope_image import SlopeImage
 from deflectometry.shape.slopes import start_surface
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
-from heliogauge.errors import QualityWarning
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, plane
@@ -34,7 +33,8 @@ def image_of(slope_x, slope_y, flags=None):
 
 def gridded(image, step_m):
     plan = GridPlan(step_m, "facet frame", "nothing")
-    return grid_slopes(image, start_surface(FACET), (CAMERA, POSE), FACET, plan=plan, common=no_common_modes())
+    found = grid_slopes(image, start_surface(FACET), (CAMERA, POSE), FACET, plan=plan, common=no_common_modes())
+    return found.slope_map
 
 
 @pytest.mark.parametrize("step_m", [0.004, 0.013, 0.02, 0.03, 0.04, 0.08])
@@ -85,8 +85,11 @@ def test_slopes_that_cannot_be_integrated_keep_their_map():
         lambda x, y: np.where(lonely, 1e-3, np.nan), lambda x, y: np.where(lonely, 0.0, np.nan),
         np.where(lonely, 0, np.uint32(SampleFlag.LOW_MODULATION)).astype(np.uint32),
     )  # fmt: skip
-    with pytest.warns(QualityWarning, match="facet flat has slopes but no height map: height: no two neighbouring"):
-        slope_map = gridded(image, PITCH_M)
+    plan = GridPlan(PITCH_M, "facet frame", "nothing")
+    found = grid_slopes(image, start_surface(FACET), (CAMERA, POSE), FACET, plan=plan, common=no_common_modes())
+    slope_map, (doubt,) = found.slope_map, found.doubts
+    assert doubt.code == "facet_without_heights"
+    assert "facet flat has slopes but no height map: height: no two neighbouring" in doubt.text
     assert np.isnan(slope_map.height_m).all()
     assert slope_map.slope_x[slope_map.valid] == pytest.approx(1e-3)
     assert slope_map.valid.sum() > 1000
