@@ -52,11 +52,11 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
 def canting_numbers(as_measured: SlopeMap) -> Numbers:
     """Collect the canting of one facet of an ensemble, from its map before anything was removed."""
     canted = canting(as_measured)
-    sigma = np.sqrt(np.diag(canted.covariance_slope_rad2))
+    sigma = np.sqrt(np.diag(canted.covariance_components_rad2))
     return {
-        "canting_x_mrad": 1e3 * float(canted.slope_rad[0]),
+        "canting_x_mrad": 1e3 * float(canted.components_rad[0]),
         "sigma_canting_x_mrad": 1e3 * float(sigma[0]),
-        "canting_y_mrad": 1e3 * float(canted.slope_rad[1]),
+        "canting_y_mrad": 1e3 * float(canted.components_rad[1]),
         "sigma_canting_y_mrad": 1e3 * float(sigma[1]),
     }
 

@@ -22,9 +22,9 @@ from heliogauge.reporting.canvas import (
     new_figure,
     nice_ceiling,
     robust_limit,
-    values_within,
 )
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.normal_angles import normal_angles
 
 if TYPE_CHECKING:
     from heliogauge.sunlight.beam import SpotImage
@@ -35,19 +35,20 @@ ENERGY_SHARES = (0.5, 0.9, 0.99)
 
 
 def histogram(slope_map: SlopeMap, axis: str) -> Figure:
-    """Draw the distribution of the slope errors with its mean, SD and the normal distribution of the same width.
+    """Draw the distribution of the normal's angles with its mean, SD and the normal distribution of the same width.
 
     axis: "x" or "y".
     """
-    error = slope_map.slope_error_x if axis == "x" else slope_map.slope_error_y
-    values = values_within(error, slope_map.valid) * MRAD
+    slopes = slope_map.slope_x, slope_map.slope_y, slope_map.design_slope_x, slope_map.design_slope_y
+    angles = normal_angles(*(one[slope_map.valid] for one in slopes))
+    values = angles["xy".index(axis)] * MRAD
     rms = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
     limit = robust_limit(values)
     color = LINE_X if axis == "x" else LINE_Y
     figure, axes = chart_figure(
-        f"Distribution of the slope error in {axis}",
+        f"Distribution of the normal's angle from the design's in {axis}",
         f"SD{axis} (RMS about zero) {rms:.3f} mrad",
-        f"slope error in {axis} [mrad]",
+        f"angle of the normal in {axis} [mrad]",
         "share of the nodes per mrad",
     )
     bins = np.linspace(-1.25 * limit, 1.25 * limit, 81)

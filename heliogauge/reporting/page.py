@@ -44,14 +44,14 @@ __all__ = [
 
 #: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
 LABELS: dict[str, str] = {
-    "sdx": "SDx, RMS slope error in x",
-    "sdy": "SDy, RMS slope error in y",
+    "sdx": "SDx, RMS angle of the normal from the design's in x",
+    "sdy": "SDy, RMS angle of the normal from the design's in y",
     "sd": "SD, RMS angle between measured and design normal",
     "sdx_best_focus": "SDx with tilt and focus removed",
     "sdy_best_focus": "SDy with tilt and focus removed",
     "sd_best_focus": "SD with tilt and focus removed",
-    "mean_x": "Mean slope error in x",
-    "mean_y": "Mean slope error in y",
+    "mean_x": "Mean angle of the normal in x",
+    "mean_y": "Mean angle of the normal in y",
     "focal_length_x": "Best-fit focal length in x",
     "focal_length_y": "Best-fit focal length in y",
     "canting_x": "Canting in x",

@@ -5,14 +5,14 @@ area, as spec C-03 asks. Nodes that were not measured count nowhere, and the sha
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from heliogauge.slopes.grid import Derivative, curl, curvature, difference, resample
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles, tangents
 from heliogauge.slopes.removal import (
-    MeasuredNodes,
-    Projection,
     Removal,
     inverse_length,
     joined_removals,
@@ -42,18 +42,26 @@ __all__ = [
 ]
 
 
+class FocusDeviation(NamedTuple):
+    """RMS miss of the reflected beam on a target: in x, in y, and in both [m]."""
+
+    x_m: float
+    y_m: float
+    both_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeStatistics:
-    """RMS slope deviations of the normal, with everything that must be said beside them.
+    """RMS angles between measured and reference normals, with everything that must be said beside them.
 
     Parameters
     ----------
     sdx_rad, sdy_rad : float
-        RMS of the slope error in x and in y [rad].
+        RMS of the angle's components in x and in y [rad].
     sd_rad : float
-        RMS angle between measured and reference normal [rad].
+        RMS of the whole angle; its square is the sum of the squares of SDx and SDy [rad].
     mean_x_rad, mean_y_rad : float
-        Mean slope error before anything was removed [rad].
+        Mean of the two components before anything was removed [rad].
     sigma_sdx_rad, sigma_sdy_rad, sigma_sd_rad : float
         Standard deviation of the three RMS values, from random and common errors of measurement [rad].
     noise_rms_x_rad, noise_rms_y_rad : float
@@ -67,7 +75,9 @@ class SlopeStatistics:
 
     Notes
     -----
-    Gouws/STE guideline section 1.2.1.2 (spec C-03). Angles of the *normal*: the beam turns by twice as much.
+    Gouws/STE guideline section 1.2.1.2 (spec C-03), with the components of `heliogauge.slopes.normal_angles`. Angles
+    of the *normal*: the beam turns by twice as much. The RMS of the slope errors themselves is larger by 1 + p^2 where
+    the slope is p.
     """
 
     sdx_rad: float
@@ -84,7 +94,7 @@ class SlopeStatistics:
     reference: str
     measured_share: float
 
-    def focus_deviation_m(self, distance_m: float) -> tuple[float, float, float]:
+    def focus_deviation_m(self, distance_m: float) -> FocusDeviation:
         """Return the RMS miss at a distance from the mirror: ``FD = 2 d SD`` in x, in y and in both.
 
         Parameters
@@ -94,11 +104,16 @@ class SlopeStatistics:
 
         Returns
         -------
-        tuple of float
+        FocusDeviation
             FDx, FDy and FD [m].
+
+        Raises
+        ------
+        InputError
+            The distance is not a positive number.
         """
         reach = 2 * positive("distance_m", distance_m, "metres")
-        return reach * self.sdx_rad, reach * self.sdy_rad, reach * self.sd_rad
+        return FocusDeviation(reach * self.sdx_rad, reach * self.sdy_rad, reach * self.sd_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,8 +126,8 @@ class QuadraticFit:
         A, B [1/m], C, D and E [1/m].
     covariance : ndarray, shape (5, 5)
         Their covariance from the errors of measurement, random and common.
-    residual_rms_x_rad, residual_rms_y_rad : float
-        RMS slope that the quadratic leaves [rad].
+    residual_slope_rms_x, residual_slope_rms_y : float
+        RMS of dz/dx and of dz/dy that the quadratic leaves.
 
     Notes
     -----
@@ -121,8 +136,8 @@ class QuadraticFit:
 
     coefficients: FloatArray
     covariance: FloatArray
-    residual_rms_x_rad: float
-    residual_rms_y_rad: float
+    residual_slope_rms_x: float
+    residual_slope_rms_y: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", float_array("coefficients", self.coefficients, (5,)))
@@ -160,12 +175,13 @@ class Canting:
 
     Parameters
     ----------
-    slope_rad : ndarray, shape (2,)
-        Mean slope error in x and y over the measured nodes [rad].
-    covariance_slope_rad2 : ndarray, shape (2, 2)
-        Its covariance, random and common [rad^2].
+    components_rad : ndarray, shape (2,)
+        Components in x and in y of the angle from the mean design normal to the mean measured normal, with the signs
+        of slope errors: positive where the facet rises too much towards +x or +y [rad].
+    covariance_components_rad2 : ndarray, shape (2, 2)
+        Their covariance, random and common [rad^2].
     angle_rad : float
-        Angle between the mean measured and the mean design normal [rad].
+        The whole angle [rad].
     sigma_angle_rad : float
         Standard deviation of that angle [rad].
     measured_share : float
@@ -177,15 +193,15 @@ class Canting:
     hole in the map of a curved facet then does not look like a tilt.
     """
 
-    slope_rad: FloatArray
-    covariance_slope_rad2: FloatArray
+    components_rad: FloatArray
+    covariance_components_rad2: FloatArray
     angle_rad: float
     sigma_angle_rad: float
     measured_share: float
 
 
 def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> SlopeStatistics:
-    """Form the RMS slope deviations against the design, or against a best fit.
+    """Form the RMS angles between the measured normals and those of the design, or of a best fit.
 
     Parameters
     ----------
@@ -207,72 +223,55 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
 
     Notes
     -----
-    The angle between normals is ``atan2(|n x m|, n.m)``: arccos would lose everything below 1e-8 rad.
+    Removal is of slopes, as in `remove`; the angles are those of the normals with the slopes that are left.
 
-    Sigma is first order: with e the errors left, g = dSD/de and c the map's noise correlation,
+    Sigma is first order: with e the slope errors left, g = dSD/de and c the map's noise correlation,
     ``var SD = c sum g^2 sigma^2 + sum_k (g . mode_k)^2``, where g is projected like the errors. Because e contains
-    the noise, the random part overcounts by ``sum sigma^4 / 2``, which is taken off; it matters only where SD is near
-    the noise. The expected value of SD^2 contains ``noise_rms^2``; it is reported, not subtracted.
+    the noise, the random part overcounts by half the squared covariance of each node's angles, which is taken off; it
+    matters only where SD is near the noise. The expected value of SD^2 contains ``noise_rms^2``; it is reported, not
+    subtracted.
 
     Tilt is the mean slope error. On steep designs (slope p) a rigid rotation leaves about p^2 of itself.
     """
     nodes = measured_nodes(slope_map)
     projection = projection_of(removal_columns(slope_map, nodes, removed))
-    left = projection.leave(nodes.errors)
-    count = nodes.count
-    in_x = (np.arange(2 * count) < count).astype(np.float64)
-    sdx, sdy = (float(np.sqrt(np.mean(half**2))) for half in left.reshape(2, -1))
-    angle, pull, metric = _normal_angles(slope_map, nodes, left)
-    sd = float(np.sqrt(np.mean(angle**2)))
-    amounts = projection.amounts(nodes.errors)
+    design = np.stack([slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]])
+    errors_left = projection.leave(nodes.errors)
+    left = design + errors_left.reshape(2, -1)
+    angles, by_slope = normal_angles(*left, *design), d_angles_d_slopes(*left)
+    noise = np.einsum("ijn,jn,kjn->ikn", by_slope, nodes.variance.reshape(2, -1), by_slope)
+
+    def sigma_of_rms(chosen: list[int]) -> float:
+        """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors)."""
+        squares = float(np.sum(angles[chosen] ** 2))
+        if squares == 0:
+            return 0.0
+        pull = projection.leave(np.einsum("in,ijn->jn", angles[chosen], by_slope[chosen]).reshape(-1))
+        overcount = 0.5 * float(np.sum(noise[np.ix_(chosen, chosen)] ** 2))
+        random = nodes.noise_correlation * max(float(pull**2 @ nodes.variance) - overcount, 0.0)
+        common = float(np.sum((nodes.modes @ pull) ** 2))
+        return float(np.sqrt((random + common) / (nodes.count * squares)))
+
+    sdx, sdy = np.sqrt(np.mean(angles**2, axis=1)).tolist()
+    mean_x, mean_y = normal_angles(*(design + nodes.errors.reshape(2, -1)), *design).mean(axis=1).tolist()
+    noise_x, noise_y = (float(np.sqrt(noise[i, i].mean())) for i in (0, 1))
     return SlopeStatistics(
         sdx_rad=sdx,
         sdy_rad=sdy,
-        sd_rad=sd,
-        mean_x_rad=float(nodes.errors[:count].mean()),
-        mean_y_rad=float(nodes.errors[count:].mean()),
-        sigma_sdx_rad=_sigma_of_rms(sdx, in_x * left, in_x, nodes, projection),
-        sigma_sdy_rad=_sigma_of_rms(sdy, (1 - in_x) * left, 1 - in_x, nodes, projection),
-        sigma_sd_rad=_sigma_of_rms(sd, pull, metric, nodes, projection),
-        noise_rms_x_rad=float(np.sqrt(nodes.variance[:count].mean())),
-        noise_rms_y_rad=float(np.sqrt(nodes.variance[count:].mean())),
-        removed=joined_removals(slope_map.removed, removal_words(slope_map, nodes, removed, amounts)),
+        sd_rad=float(np.hypot(sdx, sdy)),
+        mean_x_rad=mean_x,
+        mean_y_rad=mean_y,
+        sigma_sdx_rad=sigma_of_rms([0]),
+        sigma_sdy_rad=sigma_of_rms([1]),
+        sigma_sd_rad=sigma_of_rms([0, 1]),
+        noise_rms_x_rad=noise_x,
+        noise_rms_y_rad=noise_y,
+        removed=joined_removals(
+            slope_map.removed, removal_words(slope_map, nodes, removed, projection.amounts(nodes.errors))
+        ),
         reference=reference_words(slope_map, removed),
         measured_share=slope_map.measured_share,
     )
-
-
-def _sigma_of_rms(
-    rms: float, pull: FloatArray, metric: FloatArray, nodes: MeasuredNodes, projection: Projection
-) -> float:
-    """Return the sigma of an RMS over nodes, with ``n rms^2`` changing by ``2 pull . d(errors)``.
-
-    `metric` is how each squared error counts in n rms^2 (cross terms left out: they matter only for noise squared).
-    """
-    if rms == 0:
-        return 0.0
-    gradient = projection.leave(pull)
-    doubled = float(np.sum((metric * nodes.variance) ** 2)) / 2
-    random = nodes.noise_correlation * max(float(gradient**2 @ nodes.variance) - doubled, 0.0)
-    common = float(np.sum((nodes.modes @ gradient) ** 2))
-    return float(np.sqrt(random + common)) / (nodes.count * rms)
-
-
-def _normal_angles(
-    slope_map: SlopeMap, nodes: MeasuredNodes, left: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the angles between normals (n,), half the gradient of their squares and its metric (2n,)."""
-    p, q = slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]
-    dp, dq = left[: nodes.count], left[nodes.count :]
-    # |n x m| for n = (-p, -q, 1), m = n - (dp, dq, 0): the small differences appear as factors, never subtracted
-    cross = np.sqrt(dp**2 + dq**2 + (p * dq - q * dp) ** 2)
-    dot = 1 + p * (p + dp) + q * (q + dq)
-    # Metric of the normals at half way: angle^2 = e^T G e to third order
-    middle_p, middle_q = p + 0.5 * dp, q + 0.5 * dq
-    scale = (1 + middle_p**2 + middle_q**2) ** 2
-    metric_x, metric_y, mixed = (1 + middle_q**2) / scale, (1 + middle_p**2) / scale, -middle_p * middle_q / scale
-    pull = np.concatenate([metric_x * dp + mixed * dq, metric_y * dq + mixed * dp])
-    return np.arctan2(cross, dot), pull, np.concatenate([metric_x, metric_y])
 
 
 def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
@@ -302,9 +301,8 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())
     x, y = nodes.x_m - x0, nodes.y_m - y0
     zero, one = np.zeros(nodes.count), np.ones(nodes.count)
-    columns = np.stack(
-        [np.concatenate(pair) for pair in ((2 * x, zero), (zero, 2 * y), (one, zero), (zero, one), (y, x))]
-    )
+    pairs = ((2 * x, zero), (zero, 2 * y), (one, zero), (zero, one), (y, x))
+    columns = np.stack([np.concatenate(pair) for pair in pairs])
     projection = projection_of(columns)
     slopes = np.concatenate([slope_map.slope_x[nodes.valid], slope_map.slope_y[nodes.valid]])
     centred = projection.amounts(slopes)
@@ -318,8 +316,8 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     return QuadraticFit(
         coefficients=back @ centred,
         covariance=_symmetric(back @ covariance @ back.T),
-        residual_rms_x_rad=float(np.sqrt(np.mean(left[: nodes.count] ** 2))),
-        residual_rms_y_rad=float(np.sqrt(np.mean(left[nodes.count :] ** 2))),
+        residual_slope_rms_x=float(np.sqrt(np.mean(left[: nodes.count] ** 2))),
+        residual_slope_rms_y=float(np.sqrt(np.mean(left[nodes.count :] ** 2))),
     )
 
 
@@ -334,7 +332,7 @@ def canting(slope_map: SlopeMap) -> Canting:
     Returns
     -------
     Canting
-        Mean slope error with covariance, and the angle between the mean normals.
+        The angle between the mean normals and its components, with sigma and covariance.
 
     Raises
     ------
@@ -343,17 +341,21 @@ def canting(slope_map: SlopeMap) -> Canting:
     """
     nodes = measured_nodes(slope_map)
     valid = nodes.valid
-    mean_slope = nodes.errors.reshape(2, -1).mean(axis=1)
-    modes = nodes.modes.reshape(-1, 2, nodes.count).mean(axis=2)
-    random = nodes.noise_correlation * nodes.variance.reshape(2, -1).sum(axis=1) / nodes.count**2
-    covariance = np.diag(random) + modes.T @ modes
-    measured = _mean_normal(slope_map.slope_x[valid], slope_map.slope_y[valid])
+    slopes = slope_map.slope_x[valid], slope_map.slope_y[valid]
+    mean_normal = _mean_normal(*slopes)
+    mean_slopes = -mean_normal[:2] / mean_normal[2]
     design = _mean_normal(slope_map.design_slope_x[valid], slope_map.design_slope_y[valid])
-    angle = float(np.arctan2(np.linalg.norm(np.cross(design, measured)), design @ measured))
-    length = float(np.linalg.norm(mean_slope))
-    direction = mean_slope / length if length > 0 else np.array([1.0, 0.0])
+    components = normal_angles(*mean_slopes, *(-design[:2] / design[2]))
+    # A turn of one node's normal counts in the mean with its part across the mean normal.
+    share = 1 / (nodes.count * np.linalg.norm(mean_normal))
+    across = np.einsum("ic,kcn->ikn", share * tangents(*mean_slopes), tangents(*slopes))
+    by_slope = np.einsum("ikn,kjn->ijn", across, d_angles_d_slopes(*slopes)).reshape(2, -1)
+    modes = nodes.modes @ by_slope.T
+    covariance = nodes.noise_correlation * (by_slope * nodes.variance) @ by_slope.T + modes.T @ modes
+    angle = float(np.hypot(*components))
+    direction = components / angle if angle > 0 else np.array([1.0, 0.0])
     sigma = float(np.sqrt(direction @ covariance @ direction))
-    return Canting(mean_slope, covariance, angle, sigma, slope_map.measured_share)
+    return Canting(components, covariance, angle, sigma, slope_map.measured_share)
 
 
 def _mean_normal(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:

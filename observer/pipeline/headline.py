@@ -34,17 +34,17 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -
     untilted = statistics(across, removed=Removal.TILT)
     sigma = slope_map.sigma_slope()[0][slope_map.valid]
     seeable, measured = shares(visible, slope_map.aperture, slope_map.valid)
-    theta_ra, theta_r = (part[slope_map.valid] for part in (angles.theta_ra_rad, angles.theta_r_rad))
+    theta_ra = angles.theta_ra_rad[slope_map.valid]
     turn = 1 / (1 + slope_map.slope_x[slope_map.valid] ** 2)
     return {
         "sdx_rad": whole.sdx_rad,
         "sigma_sdx_rad": whole.sigma_sdx_rad,
         "sdx_tilt_removed_rad": untilted.sdx_rad,
         "sigma_sdx_tilt_removed_rad": untilted.sigma_sdx_rad,
-        "mean_theta_r_rad": float(theta_r.mean()),
-        "rms_theta_r_rad": float(np.sqrt((theta_r**2).mean())),
+        "mean_theta_r_rad": -whole.mean_x_rad,
+        "rms_theta_r_rad": whole.sdx_rad,
         "rms_theta_ra_rad": float(np.sqrt((theta_ra**2).mean())),
-        "sigma_rms_theta_r_rad": _sigma_rms(angles.theta_r_rad, slope_map),
+        "sigma_rms_theta_r_rad": whole.sigma_sdx_rad,
         "sigma_rms_theta_ra_rad": _sigma_rms(angles.theta_ra_rad, angles.to_tube),
         "median_sigma_slope_x_rad": float(np.median(sigma)),
         "median_sigma_theta_r_rad": float(np.median(turn * sigma)),
@@ -180,9 +180,8 @@ def headline_text(summary: Summary) -> str:
 
     return "\n".join([
         f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
-        f"  slope error SDx  {said('sdx_rad')} of dz/dx; without mean tilt {said('sdx_tilt_removed_rad')}",
-        f"  as an angle      theta_r {said('rms_theta_r_rad')} RMS; with the absorber, theta_ra "
-        f"{said('rms_theta_ra_rad')}",
+        f"  normal, SDx      {said('sdx_rad')} (RMS of theta_r); without mean tilt {said('sdx_tilt_removed_rad')}",
+        f"  with the absorber theta_ra {said('rms_theta_ra_rad')} RMS",
         f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
         "theta_ra (median)",
         f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",

@@ -277,11 +277,14 @@ def summarise(result: PlanResult) -> Summary:
     slope_map, path = result.simulated.slope_map, result.simulated.absorber
     valid = slope_map.valid
     sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
+    sigma_theta_r = sigma / (1 + slope_map.slope_x[valid] ** 2)
     sigma_x, sigma_z = path.sigma_at(path.y_m)
     eyes = _place_variances(result)
     figures, spread = result.figures, result.spread
     numbers: dict[str, float | int | None] = {
         "photos_count": len(result.network.poses),
+        "sigma_theta_r_median_rad": float(np.median(sigma_theta_r)),
+        "sigma_theta_r_95_percent_rad": float(np.percentile(sigma_theta_r, 95)),
         "sigma_slope_x_median_rad": float(np.median(sigma)),
         "sigma_slope_x_95_percent_rad": float(np.percentile(sigma, 95)),
         "sigma_random_slope_x_median_rad": float(np.median(own)),
@@ -305,8 +308,9 @@ def summarise(result: PlanResult) -> Summary:
     texts = {
         "design": slope_map.design,
         "datum": result.bundle.datum,
-        "sigma": "of dz/dx at a node before any removal: noise, what lies between photos, slopes along the trough as "
-        "far as their prior, cameras and absorber, which all nodes share",
+        "sigma": "at a node before any removal, of dz/dx (sigma_slope_x) and of the normal (sigma_theta_r): noise, "
+        "what lies between photos, slopes along the trough as far as their prior, cameras and absorber, which all "
+        "nodes share",
         "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
     }
     return Summary(
@@ -324,8 +328,8 @@ def headline_text(summary: Summary) -> str:
 
     lines = [
         f"{summary.name}: {numbers['photos_count']} photos",
-        f"  sigma of theta_r  {value('sigma_slope_x_median_rad')} mrad median, 95 % of the points below "
-        f"{value('sigma_slope_x_95_percent_rad')} mrad",
+        f"  sigma of theta_r  {value('sigma_theta_r_median_rad')} mrad median, 95 % of the points below "
+        f"{value('sigma_theta_r_95_percent_rad')} mrad",
         f"  measured          {value('measured_share', 100)} % of the mirror, see missing.csv",
         f"  absorber          sigma x {value('sigma_absorber_x_rms_m')} mm, z {value('sigma_absorber_z_rms_m')} mm",
         f"  cameras           sigma {value('sigma_camera_position_rms_m')} mm from the targets alone",
@@ -336,7 +340,7 @@ def headline_text(summary: Summary) -> str:
     if "monte_carlo_runs_count" in numbers:
         lines.append(
             f"  Monte Carlo       {numbers['monte_carlo_runs_count']} runs: "
-            f"{value('monte_carlo_rms_slope_x_rad')} mrad RMS, 95 % within {value('monte_carlo_95_percent_rad')} mrad; "
+            f"{value('monte_carlo_rms_slope_x_rad')} mrad RMS of dz/dx, 95 % within {value('monte_carlo_95_percent_rad')} mrad; "
             f"over stated sigma {value('monte_carlo_over_sigma_ratio', 1)}"
         )
     return "\n".join(lines)

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 _MM, _MRAD = 1e3, 1e3
 #: Numbers of the headline table and what they are called there.
 LABELS: dict[str, str] = {
-    "sigma_slope_x_median_rad": "Sigma of a point of the map, median",
-    "sigma_slope_x_95_percent_rad": "95 % of the points are below",
+    "sigma_theta_r_median_rad": "Sigma of theta_r at a point of the map, median",
+    "sigma_theta_r_95_percent_rad": "95 % of the points are below",
+    "sigma_slope_x_median_rad": "Sigma of dz/dx at a point of the map, median",
     "sigma_random_slope_x_median_rad": "its random share, median",
     "measured_share": "Share of the mirror that will be measured",
     "sigma_absorber_x_rms_m": "Sigma of the absorber, X_a",
@@ -36,7 +37,7 @@ LABELS: dict[str, str] = {
     "pixel_on_aperture_m": "Pixel on the mirror",
     "camera_angle_step_rad": "Step of the camera angle from photo to photo",
     "longitudinal_incidence_deg": "Largest longitudinal incidence",
-    "monte_carlo_rms_slope_x_rad": "Monte Carlo: RMS error",
+    "monte_carlo_rms_slope_x_rad": "Monte Carlo: RMS error of dz/dx",
     "monte_carlo_over_sigma_ratio": "Monte Carlo: RMS error over stated sigma",
 }
 

@@ -31,10 +31,9 @@ __all__ = [
 
 #: Numbers of the headline table and what they are called there; the others are folded away.
 LABELS: dict[str, str] = {
-    "sdx_rad": "SDx, RMS slope error dz/dx across the trough",
+    "sdx_rad": "SDx, RMS angle of the normal from the design's across the trough",
     "sdx_tilt_removed_rad": "SDx without the mean tilt",
     "mean_theta_r_rad": "Mean of theta_r (tilt of the whole mirror, + towards +x)",
-    "rms_theta_r_rad": "RMS of theta_r, the same as angle of the normal",
     "rms_theta_ra_rad": "RMS of theta_ra, mirror and absorber together",
     "median_sigma_theta_r_rad": "Uncertainty of theta_r at one point (median)",
     "median_sigma_theta_ra_rad": "Uncertainty of theta_ra at one point (median)",
@@ -68,10 +67,9 @@ def in_words(summary: Summary) -> Html:
         return _text(summary, key)
 
     sentences = [
-        f"The mirror's slopes across the trough depart from the design by {said('sdx_rad')} RMS, "
-        f"{said('sdx_tilt_removed_rad')} without a mean tilt. Where the mirror is steep the normal turns by less "
-        f"than dz/dx changes: theta_r, its angle, is {said('rms_theta_r_rad')} RMS, at one point known to "
-        f"{said('median_sigma_theta_r_rad')}; {said('measured_share')} of the mirror could be measured.",
+        f"Across the trough the mirror's normals depart from the design's by {said('sdx_rad')} RMS, "
+        f"{said('sdx_tilt_removed_rad')} without a mean tilt; this angle, theta_r, is known at one point to "
+        f"{said('median_sigma_theta_r_rad')}. {said('measured_share')} of the mirror could be measured.",
         f"On average the absorber is {said('absorber_mean_x_m')} beside the plane of symmetry (+ towards +x) and "
         f"{said('absorber_mean_z_offset_m')} above the focal line (+ away from the mirror).",
         f"Mirror and absorber together, which is what the sun meets, are theta_ra, {said('rms_theta_ra_rad')} RMS, at "

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.surfaces import Facet
+from heliogauge.slopes.normal_angles import tangents
 from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.surface.design import DesignSurface
 from photogrammetry.surface.fit import roughness
@@ -30,8 +31,9 @@ class FacetPoints:
 class FacetCanting:
     """How a facet stands against its design.
 
-    canting (2,): Slope of the facet's normal beyond the design's at its reference point, in x and y: +x means that
-        the surface rises more towards +x, so that the normal leans to -x [rad].
+    canting (2,): Components in x and y of the angle from the design's normal to the facet's at its reference point
+        (`heliogauge.slopes.normal_angles`): +x means that the surface rises more towards +x, so that the normal leans
+        to -x [rad].
     covariance_canting (2, 2): From errors of measurement and the facet's roughness [rad^2].
     sigma_canting_measurement (2,): From errors of measurement alone [rad].
     piston_m, sigma_piston_m: Height over the design along its normal [m].
@@ -79,9 +81,9 @@ def facet_canting(fit: SurfaceFit, facet: FacetPoints) -> FacetCanting:
     center, normal = np.array([x, y, float(quadric.height(x, y))]), quadric.normal(x, y)
     first = np.cross([0.0, 1.0, 0.0], normal)
     first /= np.linalg.norm(first)
-    tangents = np.stack([first, np.cross(normal, first)])
+    axes = np.stack([first, np.cross(normal, first)])
     # Distances of points on a facet that turned by w about its center grow by (w x arm) . n.
-    jacobian = np.column_stack([np.cross(points - center, feet.normals) @ tangents.T, feet.normals @ normal])
+    jacobian = np.column_stack([np.cross(points - center, feet.normals) @ axes.T, feet.normals @ normal])
     with_length = feet.d_distance_d_curvature.shape[1] == 1 and count >= 6
     if with_length:
         # A point on a surface of larger curvature lies where the design's distance is not yet reduced by it.
@@ -95,15 +97,16 @@ def facet_canting(fit: SurfaceFit, facet: FacetPoints) -> FacetCanting:
     step = estimator @ feet.distance_m
     measured = estimator @ covariance @ estimator.T
     total = measured + rough**2 * estimator @ estimator.T
-    to_slope = _slope_by_turn(normal, tangents)
+    # Turned by w the normal moves by w x n; angles count against e_x and e_y.
+    to_angle = -tangents(*(-normal[:2] / normal[2])) @ np.cross(axes, normal).T
     rest = feet.distance_m - jacobian @ step
     length = _length(facet.design, step, total) if with_length else (float("nan"), float("nan"), "")
     return FacetCanting(
         facet.facet.name,
         count,
-        freeze(to_slope @ step[:2]),
-        freeze(to_slope @ total[:2, :2] @ to_slope.T),
-        freeze(np.sqrt(np.diag(to_slope @ measured[:2, :2] @ to_slope.T))),
+        freeze(to_angle @ step[:2]),
+        freeze(to_angle @ total[:2, :2] @ to_angle.T),
+        freeze(np.sqrt(np.diag(to_angle @ measured[:2, :2] @ to_angle.T))),
         float(step[2]),
         float(np.sqrt(total[2, 2])),
         float(np.sqrt(np.mean(rest**2))),
@@ -118,14 +121,6 @@ def _refuse_line(name: str, columns: FloatArray, count: int) -> None:
             f"canting of facet {name}: its {count} points do not determine its normal; three or more that are not on "
             "one line are needed"
         )
-
-
-def _slope_by_turn(normal: FloatArray, tangents: FloatArray) -> FloatArray:
-    """Return the change of dz/dx and dz/dy of a surface for turns about the tangents, shape (2, 2)."""
-    turned = np.cross(tangents, normal)
-    # slope = -n_x / n_z, so d slope = -(dn_x n_z - n_x dn_z) / n_z^2.
-    change = -(turned[:, :2] * normal[2] - normal[:2] * turned[:, 2:]) / normal[2] ** 2
-    return np.asarray(change.T)
 
 
 def _length(design: DesignSurface, step: FloatArray, total: FloatArray) -> tuple[float, float, str]:

@@ -108,7 +108,7 @@ def test_ensemble_of_24_keeps_the_canting_of_each_facet(tmp_path):
     for index, facet in enumerate(scene.facets):
         found = agreement(result, tmp_path / "m", facet=index)
         assert np.all(np.abs(found.random_chi_square - 1) < 0.07)
-        measured.append(canting(result.evaluation.maps[facet.name]).slope_rad)
+        measured.append(canting(result.evaluation.maps[facet.name]).components_rad)
         true_x, true_y = facet.surface(found.x_m, found.y_m)[1:]
         design = result.evaluation.solution.surfaces[index].design.gradient(found.x_m, found.y_m)
         true.append([np.mean(true_x - design[0]), np.mean(true_y - design[1])])

@@ -147,7 +147,7 @@ def test_the_page_has_many_figures_and_no_code(text: str) -> None:
 def test_warnings_come_before_every_number_and_figure(text: str) -> None:
     place = text.index("2.0 % of the mirror was not measured &lt;saturated&gt;")
     assert place < text.index("IMAGE")
-    assert place < text.index("SDx, RMS slope error")
+    assert place < text.index("SDx, RMS angle of the normal")
 
 
 @pytest.mark.slow
@@ -289,7 +289,7 @@ def test_only_numbers_with_a_name_stand_in_the_headline(tmp_path: Path) -> None:
     numbers = {**summary.numbers, "alignment_turn_mrad": 3.0, "sigma_random_x_rms_mrad": 0.5}
     write_summary(tmp_path / "summary.json", replace(summary, numbers=numbers))
     headline, folded = page.headline_table(page.open_results(tmp_path)).text.split("<details>")
-    assert "SDx, RMS slope error in x" in headline
+    assert "SDx, RMS angle of the normal" in headline
     assert "Alignment turn" not in headline
     assert "Alignment turn" in folded
     # A number that is itself a sigma, of nothing in the table, is shown.

@@ -131,6 +131,18 @@ def test_canting_of_a_facet_that_rises_is_positive(axis: int) -> None:
     assert found.length_m == pytest.approx(50, rel=2e-3)
 
 
+def test_canting_of_a_steep_facet_is_the_angle_by_which_it_was_turned() -> None:
+    """A facet on a slope of 0.8, turned by 1 mrad about y: its dz/dx changes by 1.64 times as much."""
+    steep, turn = (
+        RigidTransform.from_rotation_vector([0, angle, 0], np.zeros(3)) for angle in (-np.arctan(0.8), -1e-3)
+    )
+    surface = design(plane).transformed(steep)
+    fit = exact(turn.apply(on_surface(surface, grid_xy(4, 1.0))), surface)
+    facet = Facet("f", np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]), surface.quadric)
+    found = facet_canting(fit, FacetPoints(facet, surface, np.ones(16, dtype=bool)))
+    np.testing.assert_allclose(found.canting, [1e-3, 0.0], rtol=1e-3, atol=1e-9)
+
+
 def test_canting_sigma_is_the_scatter_alignment_included() -> None:
     # Four facets aligned together: an error of one facet's points also turns the frame of the others.
     surface, rng = design(paraboloid, 20.0), np.random.default_rng(8)
