@@ -340,7 +340,7 @@ def headline_text(summary: Summary) -> str:
     if "monte_carlo_runs_count" in numbers:
         lines.append(
             f"  Monte Carlo       {numbers['monte_carlo_runs_count']} runs: "
-            f"{value('monte_carlo_rms_slope_x_rad')} mrad RMS of dz/dx, 95 % within {value('monte_carlo_95_percent_rad')} mrad; "
-            f"over stated sigma {value('monte_carlo_over_sigma_ratio', 1)}"
+            f"{value('monte_carlo_rms_slope_x_rad')} mrad RMS of dz/dx, 95 % within "
+            f"{value('monte_carlo_95_percent_rad')} mrad; over stated sigma {value('monte_carlo_over_sigma_ratio', 1)}"
         )
     return "\n".join(lines)
