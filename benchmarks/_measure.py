@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from calibration.screen.response import ScreenResponse
-from data_synth.fringes.knowledge import Knowledge, measurement_content, response_table
-from data_synth.fringes.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
-from data_synth.fringes.scene import FringeScene, SyntheticFringes
-from data_synth.optics.mirror import Design, SyntheticFacet
-from data_synth.optics.wall import Wall
+from data_synth.fringes import (
+    FULL_CAMERA,
+    FringeScene,
+    Knowledge,
+    SyntheticFringes,
+    facet_scene,
+    measurement_content,
+    rectangle,
+    response_table,
+    standard_errors,
+)
+from data_synth.optics import Design, SyntheticFacet, Wall
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from deflectometry.fringes.screen_map import ScreenMapLimits
 from deflectometry.pipeline.evaluate import MirrorInput, Observation

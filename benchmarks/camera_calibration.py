@@ -9,23 +9,28 @@ import shutil
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from bundle import look_at
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calibration.camera.boards import Chessboard
 from calibration.camera.corners.detection import BoardPoints, find_chessboard
 from calibration.camera.pipeline.measure import Options, run
-from data_synth.optics.markers import chessboard_print
-from data_synth.optics.photo import View
-from data_synth.optics.sheets import Sheet
-from data_synth.targets.board_scene import board_scene, board_table
-from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
-from data_synth.targets.presets import LARGE_CAMERA, look_at
-from data_synth.targets.scene import Conditions, TargetScene, render_photo
+from data_synth.optics import Sheet, chessboard_print
+from data_synth.targets import (
+    PhotoOptions,
+    board_scene,
+    board_table,
+    camera_content,
+    render_photo,
+    target_scene,
+    write_target_dataset,
+)
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.load import load_camera_calibration
@@ -136,11 +141,12 @@ def drawn(folder: Path, seeds: int) -> None:
 
 def large(folder: Path) -> None:
     """CPU time for one photo of 24 megapixel beside decoding it."""
+    single = target_scene("single")
     pose = look_at(np.array([0.15, 0.2, 0.75]), np.zeros(3), 0.1)
-    view = View("photo_001", LARGE_CAMERA, pose)
+    view = replace(single.views[0], cam_from_world=pose)
     for columns, rows, side in ((9, 6, 0.06), (20, 19, 0.028)):
         sheet = Sheet("", chessboard_print(columns + 1, rows + 1, side), RigidTransform.identity())
-        scene = TargetScene("one photo", (sheet,), (view,), Conditions(blur_sigma_px=0.8))
+        scene = replace(single, sheets=(sheet,), views=(view,)).with_sensor(blur_sigma_px=0.8)
         file = folder / f"large{columns}.jpg"
         cv2.imwrite(str(file), render_photo(scene, view, np.random.default_rng(0)), [cv2.IMWRITE_JPEG_QUALITY, 92])
         decode, find, ours = [], [], []

@@ -12,10 +12,8 @@ import h5py
 import numpy as np
 from _measure import EXPECTED, evaluation_inputs, import_real_facet, row, title
 
-from data_synth.fringes.knowledge import Knowledge
-from data_synth.fringes.presets import STANDARD_PERIODS, preset_scene
-from data_synth.fringes.scene import FringeScene, expected_light
-from data_synth.optics.surface_errors import SurfaceErrors
+from data_synth.fringes import STANDARD_PERIODS, FringeScene, Knowledge, expected_light, preset_scene
+from data_synth.optics import SurfaceErrors
 from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map
 from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, Observation, evaluate_frames
 from deflectometry.pipeline.measure import Options, run

@@ -11,6 +11,7 @@ import tempfile
 import time
 import tracemalloc
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -27,9 +28,7 @@ from _measure import (
     title,
 )
 
-from data_synth.fringes.knowledge import Knowledge
-from data_synth.fringes.presets import full_scene
-from data_synth.fringes.scene import render_fringes
+from data_synth.fringes import Knowledge, preset_scene, render_fringes
 from deflectometry.frames.checks import check_frames
 from deflectometry.pipeline.evaluate import Choices, Observation, evaluate_frames
 
@@ -46,7 +45,7 @@ SIGMAS = {
     "sigma_screen_translation_mm": 2.0,
 }
 CASES = {
-    "facet": (full_scene, Knowledge(**SIGMAS), "facet 1.2 m at 9.65 m, pose from the outline"),
+    "facet": (partial(preset_scene, "full"), Knowledge(**SIGMAS), "facet 1.2 m at 9.65 m, pose from the outline"),
     "large": (large_facet_scene, Knowledge(**SIGMAS), "facet 2.4 m x 1.8 m fills two thirds of the frame"),
 }
 

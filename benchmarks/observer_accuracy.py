@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from _measure import row, title
 
-from data_synth.troughs.dataset import read_trough_truth
+from data_synth.troughs import read_trough_truth
 from heliogauge.measurement.load import load_observer
 from observer.pipeline.measure import Options, Result, run
 from observer.trough.visibility import shares

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from _measure import ONE_THREAD, OPENCSP, ROOT, import_real_facet, row, title
 
-from data_synth.fringes.dataset import write_dataset
-from data_synth.fringes.presets import small_scene
+from data_synth.fringes import preset_scene, write_dataset
 
 ASKED_CPU_S, INCUMBENT_CPU_S = 1.0, 1.3
 RUNS = 7
@@ -44,7 +43,7 @@ def main():
             import_real_facet(folder, with_pose=False)
             name = "real facet, pose from the outline"
         else:
-            write_dataset(folder, small_scene())
+            write_dataset(folder, preset_scene("small"))
             name = "synthetic facet (the real one is not on this machine)"
         title(
             f"Whole process, {name}, 203 x 154 px x 32 frames: CPU s, median of {RUNS}",

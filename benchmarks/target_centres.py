@@ -5,7 +5,7 @@ import time
 import numpy as np
 from _measure import row, title
 
-from data_synth.targets.isolated_target import IsolatedTarget, draw_isolated
+from data_synth.targets import IsolatedTarget, draw_isolated
 from heliogauge.errors import EstimationError
 from photogrammetry.centers.centroid import CENTER_OPERATORS
 from photogrammetry.centers.ellipse import Ellipse

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 from _measure import row, title
 
-from data_synth.targets.presets import target_scene
-from data_synth.targets.scene import image_truth, render_photo
+from data_synth.targets import image_truth, render_photo, target_scene
 from photogrammetry.detection.detect import SearchLimits, find_candidates
 from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
 from photogrammetry.targets.coded_targets import Polarity, ring_dictionary

@@ -35,9 +35,9 @@ def fringes(
     noise_dn: Annotated[float, typer.Option(min=0.0, help="Noise of each pixel, whatever its signal.")] = 1.0,
     shot_gain_dn: Annotated[float, typer.Option(min=0.0, help="DN per electron; 0: no shot noise.")] = 0.0,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the images.")] = 8,
-    gamma: Annotated[float, typer.Option(min=0.1, help="Exponent of the display; response.csv tells it.")] = 1.0,
+    gamma: Annotated[float, typer.Option(min=0.1, help="Exponent of the display; written to response.csv.")] = 1.0,
     blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
     ] = None,
     periods: Annotated[
         str, typer.Option(help="Periods over the screen, both directions, with commas.")
@@ -50,7 +50,7 @@ def fringes(
             "gamma:EXPONENT, drift:SHARE. May be given several times."
         ),
     ] = None,
-    pose_known: Annotated[bool, typer.Option("--pose-known", help="Tell the mirror's pose exactly.")] = False,
+    pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -96,13 +96,15 @@ def targets(
     ] = False,
     sigma_px: Annotated[float, typer.Option(min=0.0, help="Noise of those image points.")] = 0.02,
     dictionary: Annotated[
-        str | None, typer.Option(help="Ring codes: aicon-N or metashape-N; the preset's without.")
+        str | None, typer.Option(help="Ring codes: aicon-N or metashape-N; default: from the preset.")
     ] = None,
     light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Print white on black.")] = False,
     mirrored: Annotated[bool, typer.Option("--mirrored", help="Print the wrong way round.")] = False,
-    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    noise_dn: Annotated[
+        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
+    ] = None,
     blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
     ] = None,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
     jpeg_quality: Annotated[
@@ -136,9 +138,11 @@ def board(
     flat: Annotated[bool, typer.Option("--flat", help="A flat and square print; real ones are neither.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
     scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
-    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    noise_dn: Annotated[
+        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
+    ] = None,
     blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
     ] = None,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
     jpeg_quality: Annotated[
@@ -149,7 +153,7 @@ def board(
     verbose: Verbose = False,
 ) -> None:
     """Photograph a calibration board that is bent and sheared as real ones are."""
-    from data_synth.targets.board_scene import board_scene, board_table
+    from data_synth.targets.boards import board_scene, board_table
     from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
     from heliogauge.running.terminal import terminal_progress
 
@@ -176,7 +180,7 @@ def trough(
         int, typer.Option(min=0, help="Seed of errors, paths and noise; the same seed gives the same files.")
     ] = 0,
     photos: Annotated[
-        int | None, typer.Option(min=2, help="Number of photos over the same path; the preset's without.")
+        int | None, typer.Option(min=2, help="Number of photos over the same path; default: from the preset.")
     ] = None,
     scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
     dictionary: Annotated[
@@ -184,10 +188,10 @@ def trough(
     ] = "aicon-12",
     orientation_deg: Annotated[
         float | None,
-        typer.Option(help="Turn of the collector from zenith, right-handed about +y; the preset's without."),
+        typer.Option(help="Turn of the collector from zenith, right-handed about +y; default: from the preset."),
     ] = None,
     slopes: Annotated[
-        Path | None, typer.Option(help="Slope map (NetCDF) whose errors the mirror gets instead of the preset's.")
+        Path | None, typer.Option(help="Slope map (NetCDF) whose errors replace those of the preset.")
     ] = None,
     ground_targets: Annotated[
         int, typer.Option(min=0, help="Targets on the ground beside both rims, of unknown coordinates.")
@@ -201,9 +205,11 @@ def trough(
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
-    noise_dn: Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; the preset's without.")] = None,
+    noise_dn: Annotated[
+        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
+    ] = None,
     blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; the preset's without.")
+        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
     ] = None,
     jpeg_quality: Annotated[
         int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
@@ -244,15 +250,15 @@ def heliostat(
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of errors, times and noise; the same seed gives the same files.")
     ] = 0,
-    heliostats: Annotated[int | None, typer.Option(min=1, help="How many; the preset's without.")] = None,
+    heliostats: Annotated[int | None, typer.Option(min=1, help="How many; default: from the preset.")] = None,
     observations: Annotated[
-        int | None, typer.Option(min=1, help="About so many of each heliostat; the preset's without.")
+        int | None, typer.Option(min=1, help="About so many of each heliostat; default: from the preset.")
     ] = None,
     spot_sigma_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Noise of a spot, right and up; the preset's without.")
+        float | None, typer.Option(min=0.0, help="Noise of a spot, right and up; default: from the preset.")
     ] = None,
     wind_mrad: Annotated[
-        float | None, typer.Option(min=0.0, help="The normal in the wind, about each axis; the preset's without.")
+        float | None, typer.Option(min=0.0, help="The normal in the wind, about each axis; default: from the preset.")
     ] = None,
     outliers: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Share of spots that are wrong by half a metre.")

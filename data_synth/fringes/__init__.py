@@ -1,1 +1,31 @@
-"""Fringe images of mirrors with known errors."""
+"""Fringe images of mirrors with known errors: scenes, photos, what the person who measures knows, truth."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from data_synth.fringes.dataset import DatasetOptions as DatasetOptions
+    from data_synth.fringes.dataset import read_truth as read_truth
+    from data_synth.fringes.dataset import write_dataset as write_dataset
+    from data_synth.fringes.knowledge import Knowledge as Knowledge
+    from data_synth.fringes.presets import STANDARD_PERIODS as STANDARD_PERIODS
+    from data_synth.fringes.presets import preset_scene as preset_scene
+    from data_synth.fringes.scene import FringeScene as FringeScene
+    from data_synth.fringes.scene import expected_light as expected_light
+    from data_synth.fringes.scene import render_fringes as render_fringes
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "DatasetOptions": "data_synth.fringes.dataset",
+        "FringeScene": "data_synth.fringes.scene",
+        "Knowledge": "data_synth.fringes.knowledge",
+        "STANDARD_PERIODS": "data_synth.fringes.presets",
+        "expected_light": "data_synth.fringes.scene",
+        "preset_scene": "data_synth.fringes.presets",
+        "read_truth": "data_synth.fringes.dataset",
+        "render_fringes": "data_synth.fringes.scene",
+        "write_dataset": "data_synth.fringes.dataset",
+    },
+)

@@ -28,9 +28,14 @@ SYNTHETIC = FolderKind(content="synthetic measurements", mark=TRUTH_FILE)
 class DatasetOptions:
     """How a scene becomes a folder.
 
-    seed: Seed of all noise; the same seed gives the same files.
-    knowledge: What measurement.toml tells the evaluation, and how well.
-    force: Replace an earlier synthetic measurement.
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all noise; the same seed gives the same files.
+    knowledge : Knowledge, optional
+        What measurement.toml states, and how well.
+    force : bool, optional
+        Replace an earlier synthetic measurement.
     """
 
     seed: int = 0
@@ -43,22 +48,39 @@ def write_dataset(
 ) -> SyntheticFringes:
     """Render a scene and write it as a measurement folder that is whole or not there.
 
-    folder: Where to write; must be absent or empty.
-    options: Seed, what the measurement file tells, whether an earlier synthetic measurement may be replaced.
-    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
+    Parameters
+    ----------
+    folder : Path
+        Where to write; must be absent or empty.
+    scene : FringeScene
+        What to draw.
+    options : DatasetOptions, optional
+        Seed, what the measurement file states, whether an earlier synthetic measurement may be replaced.
+    progress : Progress, optional
+        Shows how far the work is.
+
+    Returns
+    -------
+    SyntheticFringes
+        What was written.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = DatasetOptions() if options is None else options
-    told = SilentProgress() if progress is None else progress
+    progress = SilentProgress() if progress is None else progress
     image_rng, knowledge_rng = np.random.default_rng(chosen.seed).spawn(2)
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
-        with told.stage("render fringes"):
+        with progress.stage("render fringes"):
             fringes = render_fringes(scene, image_rng)
         names = {f"fringe_{index:02d}.png": frame for index, frame in enumerate(fringes.frames)}
-        with told.stage("write images", len(names) + 2) as stage:
+        with progress.stage("write images", len(names) + 2) as stage:
             for name, image in {**names, "dark.png": fringes.dark, "bright.png": fringes.bright}.items():
                 write_image(working / name, image)
                 stage.advance()
-        with told.stage("write truth"):
+        with progress.stage("write truth"):
             if not scene.bench.wall.is_plain:
                 write_table_csv(working / "screen_points.csv", dict(screen_table(scene.bench.wall)))
             if chosen.knowledge.response:
@@ -73,7 +95,20 @@ def write_dataset(
 def read_truth(folder: Path) -> FringeTruth:
     """Read the truth of a synthetic measurement.
 
-    Returns: Facets with their exact surfaces, pixel arrays, parameters.
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+
+    Returns
+    -------
+    FringeTruth
+        Facets with their exact surfaces, pixel arrays, parameters.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE

@@ -242,7 +242,20 @@ PRESETS: Mapping[str, Callable[[], FringeScene]] = {
 def preset_scene(name: str) -> FringeScene:
     """Return a ready scene by name.
 
-    InputError: No such preset.
+    Parameters
+    ----------
+    name : str
+        One of `PRESETS`.
+
+    Returns
+    -------
+    FringeScene
+        The scene.
+
+    Raises
+    ------
+    InputError
+        No such preset.
     """
     if name not in PRESETS:
         raise InputError(f"preset {name!r}: one of {', '.join(PRESETS)} is needed")

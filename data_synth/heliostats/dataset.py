@@ -48,8 +48,12 @@ _ARRAYS = ("heliostat", "spot_m", "normal", "outlier")
 class HeliostatOptions:
     """How a scene becomes a folder.
 
-    seed: Seed of all noise; the same seed gives the same files.
-    force: Replace an earlier synthetic measurement.
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all noise; the same seed gives the same files.
+    force : bool, optional
+        Replace an earlier synthetic measurement.
     """
 
     seed: int = 0
@@ -60,12 +64,18 @@ class HeliostatOptions:
 class HeliostatTruth:
     """Truth of a synthetic measurement of heliostats; arrays have one entry for each row of observations.csv.
 
-    parameters: The content of truth.json: site, targets, and of each heliostat its true numbers and its faults.
-    heliostat (n,): Index into the list of heliostats.
-    spot_m (n, 2): Where the beam's middle ray met its target: right, up from the centre; NaN for other observations
-        [m].
-    normal (n, 3): True normal of the mirror.
-    outlier (n,): Rows whose spot was spoiled.
+    Parameters
+    ----------
+    parameters : mapping
+        The content of truth.json: site, targets, and of each heliostat its true numbers and its faults.
+    heliostat : ndarray of int, shape (n,)
+        Index into the list of heliostats.
+    spot_m : ndarray, shape (n, 2)
+        Where the beam's middle ray met its target: right, up from the centre; NaN for other observations [m].
+    normal : ndarray, shape (n, 3)
+        True normal of the mirror.
+    outlier : ndarray of bool, shape (n,)
+        Rows whose spot was spoiled.
     """
 
     parameters: Mapping[str, Any]
@@ -87,25 +97,41 @@ def write_heliostat_dataset(
 ) -> None:
     """Measure a scene's heliostats and write a measurement folder that is whole or not there.
 
-    folder: Where to write; must be absent or empty.
-    InputError: The folder holds something, cannot be written to, or the scene cannot be measured.
+    Parameters
+    ----------
+    folder : Path
+        Where to write; must be absent or empty.
+    scene : HeliostatScene
+        What to measure.
+    options : HeliostatOptions, optional
+        Seed.
+    progress : Progress, optional
+        Shows how far the work is.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, cannot be written to, or the scene cannot be measured.
     """
     chosen = HeliostatOptions() if options is None else options
-    told = SilentProgress() if progress is None else progress
+    progress = SilentProgress() if progress is None else progress
     rngs = np.random.default_rng([chosen.seed, 7]).spawn(len(scene.units) + 1)
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
         photographer = None if scene.photos is None else _Photographer(working, scene, scene.photos, rngs[-1])
         campaign = scene.campaign
         arrays, records = [], []
         # Rows go out as they come: ten thousand heliostats of a hundred beams would fill a gigabyte.
-        with _table(working / OBSERVATIONS_FILE) as add, told.stage("measure heliostats", len(scene.units)) as stage:
+        with (
+            _table(working / OBSERVATIONS_FILE) as add,
+            progress.stage("measure heliostats", len(scene.units)) as stage,
+        ):
             for index, (unit, rng) in enumerate(zip(scene.units, rngs, strict=False)):
                 columns, truth, record = _measured(scene, unit, rng, campaign, photographer)
                 add(columns)
                 arrays.append({**truth, "heliostat": np.full(len(truth["normal"]), index)})
                 records.append(record)
                 stage.advance()
-        with told.stage("write tables"):
+        with progress.stage("write tables"):
             write_table_csv(working / HELIOSTATS_FILE, _heliostats(scene))
             if scene.photos is not None and scene.photos.is_distorted:
                 write_camera_json(working / CAMERA_FILE, _camera(scene.photos))
@@ -125,7 +151,23 @@ def write_heliostat_dataset(
 
 
 def read_heliostat_truth(folder: Path) -> HeliostatTruth:
-    """Read the truth of a synthetic measurement of heliostats."""
+    """Read the truth of a synthetic measurement of heliostats.
+
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+
+    Returns
+    -------
+    HeliostatTruth
+        True numbers, spots, normals.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
+    """
     parameters = read_json(folder / TRUTH_FILE)
     file = folder / TRUTH_ARRAYS_FILE
     try:

@@ -188,8 +188,14 @@ class HeliostatScene:
 class HeliostatChoice:
     """What a person may change about a preset; None leaves it.
 
-    seed: Of the heliostats' errors and places.
-    observations: Of each heliostat.
+    Parameters
+    ----------
+    seed : int, optional
+        Of the heliostats' errors and places.
+    heliostats : int or None, optional
+        How many.
+    observations : int or None, optional
+        Of each heliostat.
     """
 
     seed: int = 0
@@ -200,8 +206,22 @@ class HeliostatChoice:
 def heliostat_scene(preset: str, choice: HeliostatChoice | None = None) -> HeliostatScene:
     """Return a scene by name.
 
-    choice: Seed and sizes.
-    InputError: There is no such preset.
+    Parameters
+    ----------
+    preset : str
+        One of `PRESETS`.
+    choice : HeliostatChoice, optional
+        Seed and sizes.
+
+    Returns
+    -------
+    HeliostatScene
+        The scene.
+
+    Raises
+    ------
+    InputError
+        There is no such preset.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: {', '.join(PRESETS)} are known")

@@ -1,1 +1,33 @@
 """Photos of coded targets and calibration boards at known places."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from data_synth.targets.boards import board_scene as board_scene
+    from data_synth.targets.boards import board_table as board_table
+    from data_synth.targets.dataset import PhotoOptions as PhotoOptions
+    from data_synth.targets.dataset import camera_content as camera_content
+    from data_synth.targets.dataset import write_target_dataset as write_target_dataset
+    from data_synth.targets.isolated_target import IsolatedTarget as IsolatedTarget
+    from data_synth.targets.isolated_target import draw_isolated as draw_isolated
+    from data_synth.targets.presets import target_scene as target_scene
+    from data_synth.targets.scene import image_truth as image_truth
+    from data_synth.targets.scene import render_photo as render_photo
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "IsolatedTarget": "data_synth.targets.isolated_target",
+        "PhotoOptions": "data_synth.targets.dataset",
+        "board_scene": "data_synth.targets.boards",
+        "board_table": "data_synth.targets.boards",
+        "camera_content": "data_synth.targets.dataset",
+        "draw_isolated": "data_synth.targets.isolated_target",
+        "image_truth": "data_synth.targets.scene",
+        "render_photo": "data_synth.targets.scene",
+        "target_scene": "data_synth.targets.presets",
+        "write_target_dataset": "data_synth.targets.dataset",
+    },
+)

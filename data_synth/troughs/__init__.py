@@ -1,1 +1,23 @@
 """Photos of parabolic troughs in which the absorber is seen, with known errors."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from data_synth.troughs.dataset import TroughOptions as TroughOptions
+    from data_synth.troughs.dataset import read_trough_truth as read_trough_truth
+    from data_synth.troughs.dataset import write_trough_dataset as write_trough_dataset
+    from data_synth.troughs.presets import TroughChoice as TroughChoice
+    from data_synth.troughs.presets import trough_scene as trough_scene
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "TroughChoice": "data_synth.troughs.presets",
+        "TroughOptions": "data_synth.troughs.dataset",
+        "read_trough_truth": "data_synth.troughs.dataset",
+        "trough_scene": "data_synth.troughs.presets",
+        "write_trough_dataset": "data_synth.troughs.dataset",
+    },
+)

@@ -48,10 +48,19 @@ _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 class TroughOptions:
     """How a scene becomes a folder.
 
-    seed: Seed of all noise; the same seed gives the same files.
-    jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
-    force: Replace an earlier synthetic measurement.
-    InputError: A quality JPEG does not have.
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all noise; the same seed gives the same files.
+    jpeg_quality : int or None, optional
+        Write JPEG files of this quality, 1 to 100, instead of PNG.
+    force : bool, optional
+        Replace an earlier synthetic measurement.
+
+    Raises
+    ------
+    InputError
+        A quality JPEG does not have.
     """
 
     seed: int = 0
@@ -92,17 +101,29 @@ def write_trough_dataset(
 ) -> None:
     """Render a scene and write it as a measurement folder that is whole or not there.
 
-    folder: Where to write; must be absent or empty.
-    options: Seed, kind of files.
-    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
+    Parameters
+    ----------
+    folder : Path
+        Where to write; must be absent or empty.
+    scene : TroughScene
+        What to draw.
+    options : TroughOptions, optional
+        Seed, kind of files.
+    progress : Progress, optional
+        Shows how far the work is.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = TroughOptions() if options is None else options
-    told = SilentProgress() if progress is None else progress
+    progress = SilentProgress() if progress is None else progress
     suffix = ".png" if chosen.jpeg_quality is None else ".jpg"
     if chosen.jpeg_quality is not None and scene.optics.sensor.bits != 8:
         raise InputError("JPEG holds 8 bit; leave the quality out for photos of more bits")
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
-        with told.stage("prepare the scene"):
+        with progress.stage("prepare the scene"):
             photographer = Photographer(scene)
         rngs = np.random.default_rng(chosen.seed).spawn(len(scene.views))
 
@@ -110,10 +131,10 @@ def write_trough_dataset(
             _write_photo(working / (view.name + suffix), photographer.take(view, rng), chosen.jpeg_quality)
 
         # Arrays of 16 000 rays leave the interpreter's lock often enough for two threads to take 0.55 of one's time.
-        with told.stage("take photos", len(rngs)) as stage, ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with progress.stage("take photos", len(rngs)) as stage, ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for _ in pool.map(shoot, scene.views, rngs):
                 stage.advance()
-        with told.stage("write truth"):
+        with progress.stage("write truth"):
             _write_knowledge(working, scene, suffix, chosen.seed)
             _write_truth(working, scene, photographer, suffix, chosen.seed)
 
@@ -143,7 +164,20 @@ def _filled(error: FloatArray, path: Path | None = None) -> FloatArray:
 def read_trough_truth(folder: Path) -> TroughTruth:
     """Read the truth of a synthetic trough measurement.
 
-    Returns: Maps, absorber, parameters.
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+
+    Returns
+    -------
+    TroughTruth
+        Maps, absorber, parameters.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE

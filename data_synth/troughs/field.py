@@ -16,7 +16,7 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: A ray belongs to the trough nearest to it at this height, half of what a trough reaches to [m].
 _HALF_HEIGHT_M = 0.8
-#: Labels of one trough end below: rays of different troughs are told apart, by which edges of pixels are found.
+#: Labels of one trough end below: they keep rays of different troughs apart, by which edges of pixels are found.
 _LABELS = 1 << 26
 
 

@@ -250,7 +250,7 @@ def world_of(
     surroundings: Surroundings | None = None,
     finish: Finish | None = None,
 ) -> TroughWorld:
-    """Return a world with a receiver in its place and usual surroundings, as far as nothing else is said.
+    """Return a world with a receiver in its place and usual surroundings, where nothing else is given.
 
     surroundings: Sky and ground.
     finish: Brightness of the parts.

@@ -170,8 +170,8 @@ def _covariance(system: Factorised, extra_jacobian: FloatArray, factors: _Factor
     cofactor, share = system.cofactor(), factors.influence / factors.slope
     covariance = share * cofactor
     if extra_jacobian.size and share != factors.prior:
-        carried = extra_jacobian @ cofactor
-        covariance += (factors.prior - share) * (carried.T @ carried)
+        propagated = extra_jacobian @ cofactor
+        covariance += (factors.prior - share) * (propagated.T @ propagated)
     return covariance
 
 

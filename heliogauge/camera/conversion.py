@@ -29,7 +29,7 @@ def convert_direction(camera: Camera, direction: DistortionDirection) -> Directi
     """Fit the coefficients of the other direction to a lens over its image.
 
     camera: The camera. Its own model is exact in both directions; convert only to hand it to another program.
-    Returns: ``camera`` with the same focal lengths, principal point and skew; its covariance is carried through the
+    Returns: ``camera`` with the same focal lengths, principal point and skew; its covariance is propagated through the
         fit. ``largest_residual_px`` and ``rms_residual_px`` compare the image points of the same rays over the
         whole image [px]; ``covered_share`` is the share of the image where the given lens is one-to-one: nothing is
         known of the rest.
@@ -54,7 +54,7 @@ def convert_direction(camera: Camera, direction: DistortionDirection) -> Directi
             f"({np.count_nonzero(~np.isfinite(residual))} of {residual.size} nodes fold); keep its own direction, "
             "which is evaluated exactly both ways"
         )
-    fitted = fitted.with_covariance(_carried_covariance(camera, fitted, rays))
+    fitted = fitted.with_covariance(_propagated_covariance(camera, fitted, rays))
     return DirectionFit(fitted, float(residual.max()), float(np.sqrt((residual**2).mean())), share)
 
 
@@ -98,11 +98,11 @@ def _solve(design: FloatArray, right_side: FloatArray) -> FloatArray:
     return solution
 
 
-def _carried_covariance(given: Camera, fitted: Camera, rays: FloatArray) -> FloatArray:
+def _propagated_covariance(given: Camera, fitted: Camera, rays: FloatArray) -> FloatArray:
     """Carry the covariance through the fit, to first order in the residual (0.1 px leaves a few per cent of sigma)."""
     d_given = given.project_with_jacobians(rays)[2].reshape(-1, 10)
     d_fitted = fitted.project_with_jacobians(rays)[2].reshape(-1, 10)
-    # The first five are handed on unchanged; the coefficients take up what that leaves of the image's change.
+    # The first five are kept unchanged; the coefficients take up what that leaves of the image's change.
     left = d_given.copy()
     left[:, :5] -= d_fitted[:, :5]
     scale = np.linalg.norm(d_fitted[:, 5:], axis=0)

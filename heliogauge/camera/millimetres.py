@@ -210,10 +210,10 @@ class SensorParameters:
         sensor = self.sensor
         values = np.real(sensor.to_camera_values(self.values))
         jacobian = sensor.derivatives(self.values)
-        carried = jacobian @ self.covariance @ jacobian.T
+        propagated = jacobian @ self.covariance @ jacobian.T
         lens = BrownDistortion(direction=sensor.direction)
         empty = Camera(sensor.width_px, sensor.height_px, 1.0, 1.0, 0.0, 0.0, distortion=lens)
-        return empty.with_parameters(values).with_covariance(0.5 * (carried + carried.T))
+        return empty.with_parameters(values).with_covariance(0.5 * (propagated + propagated.T))
 
 
 def sensor_parameters(camera: Camera, sensor: Sensor) -> SensorParameters:
@@ -229,10 +229,10 @@ def sensor_parameters(camera: Camera, sensor: Sensor) -> SensorParameters:
             f"camera: its distortion is {camera.distortion.direction}, not {sensor.direction}; convert it first"
         )
     values = sensor.from_camera_values(camera.parameters)
-    return SensorParameters(sensor, values, carried_back(sensor.derivatives(values), camera.covariance))
+    return SensorParameters(sensor, values, propagate_back(sensor.derivatives(values), camera.covariance))
 
 
-def carried_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
+def propagate_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
     """Carry a covariance through the inverse of a linear map.
 
     Shapes: covariance (n, n).
@@ -243,11 +243,11 @@ def carried_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
     # Columns differ by ten powers of ten (K3 in mm^-6 against px): scale before inverting.
     scale = np.abs(forward).max(axis=0)
     inverse = np.linalg.inv(forward / scale) / scale[:, None]
-    carried = inverse @ covariance @ inverse.T
-    carried = 0.5 * (carried + carried.T)
+    propagated = inverse @ covariance @ inverse.T
+    propagated = 0.5 * (propagated + propagated.T)
     largest = np.einsum("ij,jk,ik->i", np.abs(inverse), np.abs(covariance), np.abs(inverse))
     # Sums of ten terms round to 1e-15 of the largest; a real variance that small would be a correlation of 1 - 1e-12.
-    held = np.diag(carried) <= 1e-12 * largest
-    carried[held] = 0.0
-    carried[:, held] = 0.0
-    return np.asarray(carried)
+    held = np.diag(propagated) <= 1e-12 * largest
+    propagated[held] = 0.0
+    propagated[:, held] = 0.0
+    return np.asarray(propagated)

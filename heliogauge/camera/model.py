@@ -101,7 +101,7 @@ class Camera:
     -----
     Frame: x right, y down, z forward. ``u = focal_x x + skew y + center_x``, ``v = focal_y y + center_y`` with the
     measured (distorted) coordinates x, y. A pixel or point for which the lens is not one-to-one gives NaN;
-    `invertible_region` tells whether the image has any.
+    `invertible_region` says whether the image has any.
 
     Examples
     --------
@@ -354,7 +354,7 @@ class Camera:
         ndarray, shape (..., 2, 2)
             Covariance of the image point [px^2]; the roots of its diagonal are the sigma in columns and rows.
         """
-        return _carried(self.project_with_jacobians(points_m)[2], self.covariance)
+        return _propagated(self.project_with_jacobians(points_m)[2], self.covariance)
 
     def ray_covariance(self, pixels_px: npt.ArrayLike, sigma_pixel_px: float = 0.0) -> FloatArray:
         """Carry the covariance of the parameters, and the noise of an image point, to its line of sight.
@@ -373,7 +373,7 @@ class Camera:
         """
         _, d_pixel, d_parameters = self.cast_rays_with_jacobians(pixels_px)
         noise = (sigma_pixel_px**2) * (d_pixel @ np.swapaxes(d_pixel, -1, -2))
-        return np.asarray(_carried(d_parameters, self.covariance) + noise)
+        return np.asarray(_propagated(d_parameters, self.covariance) + noise)
 
     def sigma_ray_rad(self, pixels_px: npt.ArrayLike, sigma_pixel_px: float = 0.0) -> FloatArray:
         """Return the uncertainty of a line of sight's angle, both directions added in squares, shape (...) [rad]."""
@@ -471,5 +471,5 @@ def _own_derivatives(measured_xy: FloatArray) -> FloatArray:
     return derivative
 
 
-def _carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+def _propagated(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray((jacobian @ covariance) @ np.swapaxes(jacobian, -1, -2))

@@ -1,7 +1,7 @@
 """Design surfaces as quadrics, and facets cut from them.
 
 Every design (plane, paraboloid, trough, sphere, ...) is one 4 x 4 matrix, so that an off-axis or canted facet is the
-same code as a centred one: the matrix is carried into the facet's frame exactly; nothing is expanded about a vertex.
+same code as a centred one: the matrix is transformed into the facet's frame exactly, nothing expanded about a vertex.
 """
 
 from collections.abc import Iterator

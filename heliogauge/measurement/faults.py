@@ -18,7 +18,7 @@ def fault_lines(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """
     faults = error.errors(include_url=False)
     places = [fault["loc"] for fault in faults]
-    # A list with one wrong entry is also "too short": what is said of the entry is enough.
+    # A list with one wrong entry is also "too short": the fault of the entry is enough.
     causes = [fault for fault in faults if not any(_is_inside(place, fault["loc"]) for place in places)]
     texts = list(dict.fromkeys(_fault_text(fault, model) for fault in causes))
     rest = len(texts) - _MOST_FAULTS

@@ -245,7 +245,7 @@ class MirrorSection(DesignKeys):
 
     Facet frame: x width and y height seen from the front, z out of the mirror. The outline is a polygon in that
     frame, counter-clockwise seen from the front. ``outline_sigma_mm`` says how well the polygon's sides are known,
-    ``roll_deg`` how the mirror is turned in the image, counter-clockwise as displayed: it tells apart the positions in
+    ``roll_deg`` how the mirror is turned in the image, counter-clockwise as displayed: this distinguishes positions in
     which a symmetric outline looks the same.
     """
 

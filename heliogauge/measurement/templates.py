@@ -186,7 +186,7 @@ name = "camera 1"
 [board]
 type = "chessboard"             # chessboard | charuco | circles | circles-asymmetric | targets
 columns = 9                     # inner corners in a row (charuco: squares; circles: dots)
-rows = 6                        # best one even, one odd number: only then the print tells how a photo is turned
+rows = 6                        # best one even, one odd number: only then the print shows how a photo is turned
 square_mm = 30.0
 #: type = "charuco"             # with columns, rows, square_mm and
 #: marker_mm = 22.0
@@ -435,7 +435,7 @@ file = "targets.csv"
 #: largest_slope_error_mrad = 12.0
 #: longitudinal_slope_mrad = 2.0   # standard deviation of slopes along the trough, where one pass cannot measure them
 #: shape_from_slopes = true        # lines of sight meet the mirror as measured; false for normals turned on the design;
-#:                                 # without it the reflection itself tells
+#:                                 # without it: from the reflection itself
 """
 
 _TEMPLATES: dict[str, str] = {

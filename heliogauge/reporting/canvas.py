@@ -47,7 +47,7 @@ class MapStyle:
     diverging: Colours symmetric about zero; otherwise from `low` upwards.
     limit: Where the colours end, in the printed unit; None: `robust_limit`.
     low: Where sequential colours begin, in the printed unit.
-    note: Small line under the title, before what is said about clipping.
+    note: Small line under the title, before the note on clipping.
     """
 
     title: str

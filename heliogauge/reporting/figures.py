@@ -1,7 +1,7 @@
 """Figures of the shared types: each function returns a matplotlib Figure and shows nothing.
 
 Maps of a mirror are seen from the front, x to the right and y up, in equal proportions. Their colours end at a round
-number that 99 % of the values stay below; what lies beyond is said under the title and by an arrow on the colour bar.
+number that 99 % of the values stay below; what lies beyond is noted under the title and by an arrow on the colour bar.
 Grey and hatched is mirror without a measured value.
 """
 

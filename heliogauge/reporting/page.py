@@ -184,7 +184,7 @@ def facet_table(results: Results) -> Html:
 
 
 def text_table(results: Results) -> Html:
-    """Return what is said in words: design, frame, what was removed, and what the pipeline adds."""
+    """Return the facts in words: design, frame, what was removed, and what the pipeline adds."""
     slope_map = results.slope_map
     own = {"design": slope_map.design, "frame": slope_map.frame, "removed": slope_map.removed}
     rows = [(name.replace("_", " "), text) for name, text in (own | dict(results.summary.texts)).items()]

@@ -16,7 +16,7 @@ _DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, er
 
 @dataclass(frozen=True, slots=True)
 class FolderKind:
-    """What a folder holds, and how an earlier one of its kind is told from anything else.
+    """What a folder holds, and how an earlier one of its kind is recognised.
 
     content: What it holds, in the plural, for messages: "results".
     mark: A file that every such folder holds. Without it an earlier folder is never replaced.

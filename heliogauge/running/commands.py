@@ -157,7 +157,7 @@ def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bo
 def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, quiet: bool) -> None:
     """Say how a command ended: warnings on standard error, the numbers and where they are on standard output.
 
-    doubts: What makes the result doubtful; is said even where nothing else is.
+    doubts: What makes the result doubtful; printed even with -q.
     headline: Returns the most important numbers in a few lines.
     ending: The last line: where the results are.
     """

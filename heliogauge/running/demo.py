@@ -7,10 +7,8 @@ import numpy as np
 from calibration.heliostat.pipeline import measure as heliostats
 from calibration.heliostat.pipeline.one_heliostat import HeliostatResult
 from calibration.heliostat.planning.simulate import commanded_offsets
-from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
-from data_synth.fringes.presets import preset_scene
-from data_synth.heliostats.dataset import HeliostatTruth, read_heliostat_truth, write_heliostat_dataset
-from data_synth.heliostats.presets import heliostat_scene
+from data_synth.fringes import DatasetOptions, preset_scene, read_truth, write_dataset
+from data_synth.heliostats import HeliostatTruth, heliostat_scene, read_heliostat_truth, write_heliostat_dataset
 from deflectometry.pipeline.measure import Result, run
 from heliogauge.measurement.load import load_heliostat, load_measurement
 from heliogauge.results.folder import ResultFolder

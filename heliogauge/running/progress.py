@@ -40,7 +40,7 @@ class Progress(Protocol):
 class RunningStage:
     """A stage that counts its steps and reports each to its listener.
 
-    listener: Who is told.
+    listener: Shows the progress.
     name: What is being done.
     steps: Number of steps; 0 where nobody knows.
     """

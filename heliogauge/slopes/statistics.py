@@ -295,7 +295,7 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     Notes
     -----
     Unweighted least squares: equal weight is equal area. The covariance is that of the errors of measurement (random
-    and common) carried through the fit; what the real surface has beyond a quadratic is in the residual RMS.
+    and common) propagated through the fit; what the real surface has beyond a quadratic is in the residual RMS.
     """
     nodes = measured_nodes(slope_map)
     x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())

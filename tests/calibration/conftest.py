@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from data_synth.targets.board_scene import board_scene, board_table
+from data_synth.targets.boards import board_scene, board_table
 from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
 
 #: Photos and pixels per pixel of the preset's camera: as few as determine the camera well.

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from data_synth import cli
 from data_synth.optics.sensor import Sensor
-from data_synth.targets.board_scene import board_scene
+from data_synth.targets.boards import board_scene
 from data_synth.targets.presets import PrintChoice, look_at, target_scene
 from data_synth.targets.scene import Conditions, Cover, Glare, image_truth, render_photo
 from heliogauge.errors import InputError

@@ -15,7 +15,7 @@ from calibration.camera.judgement.comparison import compare
 from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.measure import Options, run, write
 from calibration.camera.pipeline.photos import search_photos
-from data_synth.targets.board_scene import board_scene, board_table
+from data_synth.targets.boards import board_scene, board_table
 from data_synth.targets.dataset import PhotoOptions, camera_content, write_target_dataset
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.errors import EstimationError, InputError
