@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.screen.response import ScreenResponse
+from calibration.screen import ScreenResponse
 from data_synth.fringes import (
     FULL_CAMERA,
     FringeScene,

@@ -18,9 +18,7 @@ from bundle import look_at
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calibration.camera.boards import Chessboard
-from calibration.camera.corners.detection import BoardPoints, find_chessboard
-from calibration.camera.pipeline.measure import Options, run
+from calibration.camera import BoardPoints, Chessboard, Options, find_chessboard, run
 from data_synth.optics import Sheet, chessboard_print
 from data_synth.targets import (
     PhotoOptions,

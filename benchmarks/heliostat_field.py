@@ -17,9 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calibration.heliostat.kinematic_model.aiming import aim
-from calibration.heliostat.kinematic_model.design import PlaneTarget
-from calibration.heliostat.kinematic_model.presets import azimuth_elevation
+from calibration.heliostat.kinematic_model import PlaneTarget, aim, azimuth_elevation
 from heliogauge.geometry.sun import Site, sun_directions
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.tables import write_table_csv

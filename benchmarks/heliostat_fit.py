@@ -15,14 +15,9 @@ from scipy.optimize import least_squares
 
 sys.path.insert(0, str(ROOT))
 
-from calibration.heliostat.fitting.model_choice import with_priors
-from calibration.heliostat.fitting.population import Population, with_population
-from calibration.heliostat.fitting.priors import PRIORS
-from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.fitting.splits import make_split
-from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, linear_actuators
-from calibration.heliostat.observations.observations import BeamSpots, Observations, Pointings
-from calibration.heliostat.observations.residuals import ObservationModel, evaluate
+from calibration.heliostat.fitting import PRIORS, Population, fit, make_split, with_population, with_priors
+from calibration.heliostat.kinematic_model import ActuatorNumbers, linear_actuators
+from calibration.heliostat.observations import BeamSpots, ObservationModel, Observations, Pointings, evaluate
 
 COUNT, SIGMA_M = 150, 0.05
 FREE = (
@@ -46,8 +41,7 @@ COMMON = ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n", "position_u", "sag_1")
 
 def synthetic(rng):
     """Return a heliostat with priors and beams of one whose numbers are drawn from them."""
-    from calibration.heliostat.kinematic_model.aiming import aim
-    from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+    from calibration.heliostat.kinematic_model import aim, mirror_poses
     from heliogauge.geometry.rays import reflect
 
     first = ActuatorNumbers(0.0137, 0.0757, 0.3353, 0.3381, 154166.7, False, (0.0, 69001.0))

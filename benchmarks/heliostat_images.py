@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from _measure import ROOT, row, title
 
-from calibration.heliostat.beam_photos.light.background import background_around
-from calibration.heliostat.beam_photos.light.beam_image import measure_beam
-from calibration.heliostat.beam_photos.target.marks import CORNERS, MarkTemplate, mark_corner, template_corners
-from calibration.heliostat.beam_photos.target.view import Rectifier, view_from_points, whole_image
+from calibration.heliostat.beam_photos import MarkerTemplates, TargetFrame, measure_beams
+from calibration.heliostat.beam_photos.light import background_around, measure_beam
+from calibration.heliostat.beam_photos.target import Rectifier, view_from_points, whole_image
 from heliogauge.images.photos import read_channel
 
 FOLDER = ROOT.parent / "shared" / "data" / "csp" / "juelich_beam_images"
@@ -56,18 +55,12 @@ def labels():
 
 def raw_frame():
     title("Raw frame of 3072 x 1728 px, rectified by the plant's templates of the marks", ("measured", "asked"))
-    templates = []
-    for name, corner in zip(("left_top", "right_top", "right_bottom", "left_bottom"), CORNERS, strict=True):
-        values = cv2.imread(str(FOLDER / "markers" / f"mft_{name}.png"), cv2.IMREAD_GRAYSCALE)
-        templates.append(MarkTemplate(values, mark_corner(values, corner)[0]))
-    raw = read_channel(FOLDER / "203718-raw.png", "green")
-    found = template_corners(raw, templates)
     corners, _ = plane("203718")
-    extent = [corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()]
-    view = view_from_points(found.pixels_px, corners, sigma_px=found.sigma_px)
-    mine = measure_beam(Rectifier(view, extent).rectify(raw)).spot.position_m
+    names = ("left_top", "right_top", "right_bottom", "left_bottom")
+    templates = MarkerTemplates(tuple(FOLDER / "markers" / f"mft_{name}.png" for name in names))
+    beams = measure_beams([FOLDER / "203718-raw.png"], ["target"], {"target": TargetFrame(corners, templates)}, jobs=1)
+    mine = np.array([beams.x_m[0], beams.y_m[0]])
     theirs = measure_beam(whole_image(picture("203718", "cropped"), corners, by_index=True)).spot.position_m
-    row("worst correlation of a mark", f"{found.quality.min():.3f}", "")
     row("centroid, ours minus the one in the plant's crop", f"{np.hypot(*(mine - theirs)):.3f} m", "1 px = 0.02 m")
 
 

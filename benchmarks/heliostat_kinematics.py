@@ -8,9 +8,7 @@ import time
 import numpy as np
 from _measure import row, title
 
-from calibration.heliostat.kinematic_model.aiming import aim
-from calibration.heliostat.kinematic_model.kinematics import mirror_poses, pose_derivatives
-from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, linear_actuators
+from calibration.heliostat.kinematic_model import ActuatorNumbers, aim, linear_actuators, mirror_poses, pose_derivatives
 
 OBSERVATIONS = 100
 

@@ -11,26 +11,15 @@ from functools import cache
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.kinematic_model.aiming import aim
-from calibration.heliostat.kinematic_model.design import PlaneTarget
-from calibration.heliostat.kinematic_model.kinematics import mirror_poses
-from calibration.heliostat.kinematic_model.presets import drone_heliostat
-from calibration.heliostat.observations.observations import BeamSpots, Observations, Place, Pointings
-from calibration.heliostat.observations.rtk import rtk_statistics
-from calibration.heliostat.observations.visibility import ConcaveMirror
-from calibration.heliostat.planning.simulate import (
-    RTK_SIGMA_M,
-    beam_angles,
-    commanded_offsets,
-    drawn_flight,
-    drawn_sightings,
-    monte_carlo,
-)
+from calibration.heliostat.fitting import FitOptions, fit
+from calibration.heliostat.kinematic_model import PlaneTarget, aim, drone_heliostat, mirror_poses
+from calibration.heliostat.observations import BeamSpots, ConcaveMirror, Observations, Place, Pointings, rtk_statistics
+from calibration.heliostat.planning import beam_angles, commanded_offsets, drawn_flight, drawn_sightings, monte_carlo
 from heliogauge.geometry.rays import intersect_plane, reflect
 from heliogauge.geometry.sun import Site, sun_directions
 
+#: RTK-GPS at rest after Gouws (2018), table 3.1: east, north, up [m].
+RTK_SIGMA_M = (5.602e-3, 5.781e-3, 8.866e-3)
 SITE = Site(-33.9272, 18.8653, 100.0)
 TOWER = np.array([11.0, 27.0, 4.25])
 #: Half widths of the bounds of section 5.5; as priors, sigmas of even distributions that wide.

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from _heliostats import close, line, run, title
 
-from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
-from calibration.heliostat.kinematic_model.presets import azimuth_elevation, with_drive_terms
-from calibration.heliostat.planning.simulate import Control, commanded_offsets, drawn_beams, monte_carlo
+from calibration.heliostat.fitting import FitOptions, fit
+from calibration.heliostat.kinematic_model import HeliostatDesign, PlaneTarget, azimuth_elevation, with_drive_terms
+from calibration.heliostat.planning import Control, commanded_offsets, drawn_beams, monte_carlo
 from heliogauge.geometry.sun import Site, sun_directions
 
 STELLENBOSCH = Site(-33.9281, 18.8654, 120.0)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from calibration.screen.response import ScreenResponse, linearise_frames
+from calibration.screen import ScreenResponse, linearise_frames
 from deflectometry.frames.checks import check_frames
 from deflectometry.fringes.screen_map import measure_screen_map, modulation_image
 from deflectometry.setup.patterns import Axis, FringePattern, make_pattern

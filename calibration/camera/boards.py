@@ -43,10 +43,20 @@ class Board(Protocol):
 class Chessboard:
     """A chessboard.
 
-    columns, rows: Inner corners.
-    square_m: Side of a square [m]; None: not known, lengths are in squares.
-    InputError: Fewer than 3 corners in a direction, or a side that is not positive.
+    Parameters
+    ----------
+    columns, rows : int
+        Inner corners.
+    square_m : float or None, optional
+        Side of a square [m]; None: not known, lengths are in squares.
 
+    Raises
+    ------
+    InputError
+        Fewer than 3 corners in a direction, or a side that is not positive.
+
+    Examples
+    --------
     >>> Chessboard(9, 6, 0.03).points_m[0]
     array([-0.12 ,  0.075,  0.   ])
     """

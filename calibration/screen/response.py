@@ -18,11 +18,19 @@ _BLOCK_PIXELS = 65536
 class ScreenResponse:
     """Monotone look-up from camera readings to display levels, linear between its nodes.
 
-    camera_dn (n,): Camera readings, strictly ascending [DN].
-    display_level (n,): Display levels that gave them, strictly ascending [display DN, or any unit linear in the
-        level].
-    sigma_camera_dn (n,): Standard deviation of the readings; zeros are taken as exact [DN].
-    InputError: Shapes that differ, values not ascending, a negative sigma.
+    Parameters
+    ----------
+    camera_dn : array_like, shape (n,), n >= 2
+        Camera readings, strictly ascending [DN].
+    display_level : array_like, shape (n,)
+        Display levels that gave them, strictly ascending [display DN, or any unit linear in the level].
+    sigma_camera_dn : array_like, shape (n,), optional
+        Standard deviation of the readings; zeros are taken as exact [DN].
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, values not ascending, a negative sigma.
     """
 
     camera_dn: FloatArray
@@ -89,14 +97,28 @@ def linearise_frames(
 ) -> Float32Array:
     """Linearise whole frames, without temporaries of their size.
 
-    frames (n, h, w): Camera readings [DN].
-    response: The look-up.
-    out (n, h, w): Where to write; allocated without it.
-    Returns (n, h, w): Display levels.
-    InputError: Frames of another type or shape, or an `out` that does not fit.
+    Parameters
+    ----------
+    frames : ndarray of uint8 or uint16, shape (n, h, w)
+        Camera readings [DN].
+    response : ScreenResponse
+        The look-up.
+    out : ndarray of float32, shape (n, h, w), optional
+        Where to write; allocated without it.
 
-    `deflectometry.fringes.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to
-    show them.
+    Returns
+    -------
+    ndarray of float32, shape (n, h, w)
+        Display levels.
+
+    Raises
+    ------
+    InputError
+        Frames of another type or shape, or an `out` that does not fit.
+
+    Notes
+    -----
+    `deflectometry.screen_map.measure_screen_map` looks up inside its blocks; whole frames are needed only to show them.
     """
     if frames.ndim != 3:
         raise InputError(f"frames: shape (n, h, w) is needed, not {frames.shape}")

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.mechanics import Poses, TrueHeliostat, rotation_about
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, sun_directions

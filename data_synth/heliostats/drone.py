@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.mechanics import Poses, TrueHeliostat
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.sunlight.sun_shapes import BuieSun, SunShape

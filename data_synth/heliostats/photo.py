@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.flux import Beam
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.sensor import Sensor, UnsignedArray

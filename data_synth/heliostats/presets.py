@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.campaign import Campaign, Disturbances, Plant, Schedule
 from data_synth.heliostats.drone import Flight
 from data_synth.heliostats.faults import Unit, spoiled

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from calibration.screen.response import ScreenResponse
+from calibration.screen import ScreenResponse
 from deflectometry.frames.checks import check_frames
 from deflectometry.frames.image_checks import check_compression, check_noise, check_size, saturation_level
 from deflectometry.fringes.phase import NoiseModel

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.pipeline import measure as heliostats
-from calibration.heliostat.pipeline.one_heliostat import HeliostatResult
-from calibration.heliostat.planning.simulate import commanded_offsets
+from calibration import heliostat as heliostats
+from calibration.heliostat.planning import commanded_offsets
 from data_synth.fringes import DatasetOptions, preset_scene, read_truth, write_dataset
 from data_synth.heliostats import HeliostatTruth, heliostat_scene, read_heliostat_truth, write_heliostat_dataset
 from deflectometry.pipeline.measure import Result, run
@@ -101,13 +100,14 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
             build_report(folder)
     truth = read_heliostat_truth(place)
     lines = []
-    for one in result.heliostats:
+    for place, one in enumerate(result.heliostats):
         held = "" if one.main is None else f"beam predicted to {1e3 * one.main.test.beam_rms_rad:.2f} mrad RMS; "
-        lines.append(f"heliostat {one.name}: {held}{_against_truth(one, result, truth)}")
+        lines.append(f"heliostat {one.name}: {held}{_against_truth(result, place, truth)}")
     return "\n".join(lines)
 
 
-def _against_truth(one: HeliostatResult, result: heliostats.Result, truth: HeliostatTruth) -> str:
+def _against_truth(result: heliostats.Result, place: int, truth: HeliostatTruth) -> str:
+    one = result.heliostats[place]
     design, (target, *_) = one.fit.design, result.shared.plant.targets.values()
     known = {name: value for name, value in truth.values(one.name).items() if name in design.parameters.names}
     missed = commanded_offsets(design.with_value(known), design, one.seen.suns, target)

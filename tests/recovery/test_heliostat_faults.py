@@ -4,8 +4,8 @@ import csv
 
 import pytest
 
+from calibration.heliostat import Options
 from calibration.heliostat.pipeline.field import run_into
-from calibration.heliostat.pipeline.measure import Options
 from data_synth.heliostats.dataset import write_heliostat_dataset
 from data_synth.heliostats.faults import FAULTS
 from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene

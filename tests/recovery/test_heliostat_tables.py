@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from calibration.heliostat.files.sources import open_source
-from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.fitting import FitOptions, fit
+from calibration.heliostat.kinematic_model import PlaneTarget
 from calibration.heliostat.observations.observed import observed
 from calibration.heliostat.observations.rows import parse_rows
 from calibration.heliostat.pipeline.nominal_design import nominal_design
 from calibration.heliostat.pipeline.photo_beams import with_measured_beams
-from calibration.heliostat.planning.simulate import beam_angles, commanded_offsets
+from calibration.heliostat.planning import beam_angles, commanded_offsets
 from data_synth.heliostats.dataset import iterate_photos, read_heliostat_truth, write_heliostat_dataset
 from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
 from heliogauge.geometry.sun import Site, sun_directions

@@ -24,14 +24,22 @@ ByteImage = npt.NDArray[np.uint8]
 class BoardPoints:
     """Points of a board in one photo.
 
-    photo: Name of the photo.
-    index (n,): Which points of the board these are.
-    pixels_px (n, 2): Their places [px].
-    covariance_px2 (n, 2, 2): Their covariances [px^2].
-    blur_px: Median blur of the edges [px].
-    saturated_share: Share of the board's pixels at the largest value of the image.
-    ellipses_px2 (n, 2, 2): Shape of each target's ellipse, NaN where there is none; empty for boards without
-        targets [px^2].
+    Parameters
+    ----------
+    photo : str
+        Name of the photo.
+    index : ndarray of int, shape (n,)
+        Which points of the board these are.
+    pixels_px : ndarray, shape (n, 2)
+        Their places [px].
+    covariance_px2 : ndarray, shape (n, 2, 2)
+        Their covariances [px^2].
+    blur_px : float
+        Median blur of the edges [px].
+    saturated_share : float
+        Share of the board's pixels at the largest value of the image.
+    ellipses_px2 : ndarray, shape (n, 2, 2)
+        Shape of each target's ellipse, NaN where there is none; empty for boards without targets [px^2].
     """
 
     photo: str
@@ -70,9 +78,24 @@ def as_bytes(image: npt.NDArray[np.generic]) -> ByteImage:
 def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboard) -> BoardPoints:
     """Find a chessboard.
 
-    image (height, width): Grey values [DN].
-    Returns: Its corners; those whose fit failed are left out.
-    EstimationError: The board was not found.
+    Parameters
+    ----------
+    photo : str
+        Name of the photo.
+    image : ndarray, shape (height, width)
+        Grey values [DN].
+    board : Chessboard
+        What to look for.
+
+    Returns
+    -------
+    BoardPoints
+        Its corners; those whose fit failed are left out.
+
+    Raises
+    ------
+    EstimationError
+        The board was not found.
     """
     size = (board.columns, board.rows)
     small = as_bytes(image)

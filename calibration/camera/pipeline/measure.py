@@ -58,12 +58,18 @@ _MIRROR_GAIN = 3.0
 class Options:
     """Choices of the evaluation.
 
-    compare: A camera.json or cameras.json of an earlier calibration of this camera.
-    hold_out: Photos to check with, by name, a text with ``*``: only their pose is fitted. Several texts with
-        commas.
-    refine_board: Estimate the board's shape; otherwise it is held as drawn.
-    leave_one_out: Calibrate again without each photo, to see how the others predict it.
-    jobs: Photos that are searched side by side; None for all processors.
+    Parameters
+    ----------
+    compare : Path or None
+        A camera.json or cameras.json of an earlier calibration of this camera.
+    hold_out : str or None
+        Photos to check with, by name, a text with ``*``: only their pose is fitted. Several texts with commas.
+    refine_board : bool
+        Estimate the board's shape; otherwise it is held as drawn.
+    leave_one_out : bool
+        Calibrate again without each photo, to see how the others predict it.
+    jobs : int or None
+        Photos that are searched side by side; None for all processors.
     """
 
     compare: Path | None = None
@@ -88,10 +94,27 @@ def run(
 ) -> Result:
     """Calibrate a camera.
 
-    Returns: The camera with its covariance, poses, the board's shape, and what is doubtful.
-    InputError: Photos that cannot be read or differ in size, photos to hold out that are not there, or a
-        calibration to compare with that does not fit.
-    EstimationError: Too few photos show the board, or they do not determine the camera.
+    Parameters
+    ----------
+    measurement : CameraCalibrationMeasurement
+        From `heliogauge.measurement.load_camera_calibration`.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        The camera with its covariance, poses, the board's shape, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        Photos that cannot be read or differ in size, photos to hold out that are not there, or a calibration to
+        compare with that does not fit.
+    EstimationError
+        Too few photos show the board, or they do not determine the camera.
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model

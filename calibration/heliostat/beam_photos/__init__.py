@@ -1,1 +1,35 @@
-"""Photos of a beam on a target become centroids with sigma: target found, background removed, beam measured."""
+"""Photos of beams on targets to places with covariance.
+
+The target is found in the photo, the photo put on its plane, the light of the beam separated from the target.
+Nothing here knows heliostats.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from calibration.heliostat.beam_photos.pipeline.measure import BeamMeasurements as BeamMeasurements
+    from calibration.heliostat.beam_photos.pipeline.measure import measure_beams as measure_beams
+    from calibration.heliostat.beam_photos.pipeline.measure import write_beams as write_beams
+    from calibration.heliostat.beam_photos.pipeline.target_frames import ArucoMarkers as ArucoMarkers
+    from calibration.heliostat.beam_photos.pipeline.target_frames import CornerPixels as CornerPixels
+    from calibration.heliostat.beam_photos.pipeline.target_frames import DarkMarks as DarkMarks
+    from calibration.heliostat.beam_photos.pipeline.target_frames import MarkerTemplates as MarkerTemplates
+    from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFrame as TargetFrame
+    from calibration.heliostat.beam_photos.pipeline.target_frames import WholeImage as WholeImage
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "ArucoMarkers": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "BeamMeasurements": "calibration.heliostat.beam_photos.pipeline.measure",
+        "CornerPixels": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "DarkMarks": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "MarkerTemplates": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "TargetFrame": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "WholeImage": "calibration.heliostat.beam_photos.pipeline.target_frames",
+        "measure_beams": "calibration.heliostat.beam_photos.pipeline.measure",
+        "write_beams": "calibration.heliostat.beam_photos.pipeline.measure",
+    },
+)

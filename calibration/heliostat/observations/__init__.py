@@ -1,1 +1,34 @@
-"""What was seen of a heliostat (beams, normals, points, the sun) and the observation equation of each kind."""
+"""What was seen of heliostats, by kind, each with its equation.
+
+Beams on targets, drones and cameras in the mirror, lamps, normals and points of the mirror.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from calibration.heliostat.observations.beam_observations import BeamSpots as BeamSpots
+    from calibration.heliostat.observations.observations import Observations as Observations
+    from calibration.heliostat.observations.pointings import Place as Place
+    from calibration.heliostat.observations.pointings import Pointings as Pointings
+    from calibration.heliostat.observations.residuals import ObservationModel as ObservationModel
+    from calibration.heliostat.observations.residuals import evaluate as evaluate
+    from calibration.heliostat.observations.residuals import predicted_spots as predicted_spots
+    from calibration.heliostat.observations.rtk import rtk_statistics as rtk_statistics
+    from calibration.heliostat.observations.visibility import ConcaveMirror as ConcaveMirror
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "BeamSpots": "calibration.heliostat.observations.beam_observations",
+        "ConcaveMirror": "calibration.heliostat.observations.visibility",
+        "ObservationModel": "calibration.heliostat.observations.residuals",
+        "Observations": "calibration.heliostat.observations.observations",
+        "Place": "calibration.heliostat.observations.pointings",
+        "Pointings": "calibration.heliostat.observations.pointings",
+        "evaluate": "calibration.heliostat.observations.residuals",
+        "predicted_spots": "calibration.heliostat.observations.residuals",
+        "rtk_statistics": "calibration.heliostat.observations.rtk",
+    },
+)

@@ -39,8 +39,15 @@ Group: TypeAlias = BeamSpots | SunInCamera | DroneSightings | LampSightings | Mi
 class Observations:
     """Any mixture of observations of one heliostat.
 
-    groups: Groups of one kind each; their rows follow one another.
-    InputError: There is no group.
+    Parameters
+    ----------
+    groups : tuple
+        Groups of one kind each; their rows follow one another.
+
+    Raises
+    ------
+    InputError
+        There is no group.
     """
 
     groups: tuple[Group, ...]

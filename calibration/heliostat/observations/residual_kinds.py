@@ -46,7 +46,7 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Posed:
     """Poses and numbers at which a group is evaluated.
 
     rotation (n, 3, 3): ``world_from_mirror``.
@@ -96,9 +96,9 @@ def prepare(design: HeliostatDesign, group: Group) -> Prepared:
     return _PREPARATIONS[type(group)](design, group)
 
 
-def equations(place: Place, group: Group, prepared: Prepared) -> Equations:
+def equations(posed: Posed, group: Group, prepared: Prepared) -> Equations:
     """Return the components of a group with their derivatives."""
-    return _EQUATIONS[type(group)](place, group, prepared)
+    return _EQUATIONS[type(group)](posed, group, prepared)
 
 
 def in_metres(part: Equations, prepared: Prepared) -> Equations:
@@ -200,58 +200,58 @@ def _sights(prepared: Prepared) -> Sights:
     return prepared.sights
 
 
-def _reflected(place: Place, source: FloatArray, sights: Sights) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _reflected(posed: Posed, source: FloatArray, sights: Sights) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Coordinates of the reflection of a source, their derivatives by the beam, and by a turn of the mirror."""
-    cosine = dot(source, place.normal)
-    beam = 2 * cosine[:, None] * place.normal - source
+    cosine = dot(source, posed.normal)
+    beam = 2 * cosine[:, None] * posed.normal - source
     coordinates = sights.coordinates(beam)
     rows = sights.gradients(beam, coordinates)
     # d beam = 2 (n (s . dn) + (s . n) dn) and dn = turn x n.
-    by_normal = 2 * (dot(rows, place.normal[:, None, :])[..., None] * source[:, None, :] + cosine[:, None, None] * rows)
-    return coordinates, rows, cross(place.normal[:, None, :], by_normal)
+    by_normal = 2 * (dot(rows, posed.normal[:, None, :])[..., None] * source[:, None, :] + cosine[:, None, None] * rows)
+    return coordinates, rows, cross(posed.normal[:, None, :], by_normal)
 
 
 def _to_point(
-    place: Place, points: FloatArray, sights: Sights
+    posed: Posed, points: FloatArray, sights: Sights
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Direction to points, their coordinates, the derivative of these by the point, and the distance."""
-    direction, length = unit_with_length(points - place.centre)
+    direction, length = unit_with_length(points - posed.centre)
     coordinates = sights.coordinates(direction)
     return direction, coordinates, through_unit(sights.gradients(direction, coordinates), direction, length), length
 
 
-def _beam(place: Place, spots: BeamSpots, prepared: Prepared) -> Equations:
+def _beam(posed: Posed, spots: BeamSpots, prepared: Prepared) -> Equations:
     sights = _sights(prepared)
-    reflected, _, by_turn = _reflected(place, spots.sun, sights)
-    direction, seen, by_point, length = _to_point(place, spots.spot_m, sights)
+    reflected, _, by_turn = _reflected(posed, spots.sun, sights)
+    direction, seen, by_point, length = _to_point(posed, spots.spot_m, sights)
     return Equations(reflected - seen, by_turn, by_point, (), (spots.sun, direction), length)
 
 
-def _camera(place: Place, seen: SunInCamera, prepared: Prepared) -> Equations:
+def _camera(posed: Posed, seen: SunInCamera, prepared: Prepared) -> Equations:
     sights = _sights(prepared)
     names = {name: [f"camera_{name}_{axis}" for axis in "enu"] for name in prepared.rows}
     points = np.empty((len(seen), 3))
     for name, rows in prepared.rows.items():
-        points[rows] = place.values(names[name])
-    reflected, _, by_turn = _reflected(place, seen.sun, sights)
-    direction, observed, by_point, length = _to_point(place, points, sights)
+        points[rows] = posed.values(names[name])
+    reflected, _, by_turn = _reflected(posed, seen.sun, sights)
+    direction, observed, by_point, length = _to_point(posed, points, sights)
     extra = tuple((names[name], rows, -by_point[rows]) for name, rows in prepared.rows.items())
     return Equations(reflected - observed, by_turn, by_point, extra, (seen.sun, direction), length)
 
 
-def _drone(place: Place, seen: DroneSightings, prepared: Prepared) -> Equations:
+def _drone(posed: Posed, seen: DroneSightings, prepared: Prepared) -> Equations:
     sights = _sights(prepared)
     names = {name: [f"target_{name}_{axis}" for axis in "enu"] for name in prepared.rows}
     points = np.empty((len(seen), 3))
     for name, rows in prepared.rows.items():
-        points[rows] = place.values(names[name])
+        points[rows] = posed.values(names[name])
     offset_names = [f"drone_offset_{axis}" for axis in "enu"]
-    to_target, target_length = unit_with_length(points - place.centre)
-    reflected, rows_beam, by_turn = _reflected(place, to_target, sights)
+    to_target, target_length = unit_with_length(points - posed.centre)
+    reflected, rows_beam, by_turn = _reflected(posed, to_target, sights)
     # The reflection of a changing direction is the reflected change: 2 n (n . dt) - dt.
-    by_source = 2 * dot(rows_beam, place.normal[:, None, :])[..., None] * place.normal[:, None, :] - rows_beam
+    by_source = 2 * dot(rows_beam, posed.normal[:, None, :])[..., None] * posed.normal[:, None, :] - rows_beam
     by_target = through_unit(by_source, to_target, target_length)
-    direction, observed, by_drone, length = _to_point(place, seen.source_m + place.values(offset_names), sights)
+    direction, observed, by_drone, length = _to_point(posed, seen.source_m + posed.values(offset_names), sights)
     extra = [(offset_names, np.arange(len(seen)), -by_drone)]
     extra += [(names[name], rows, by_target[rows]) for name, rows in prepared.rows.items()]
     return Equations(reflected - observed, by_turn, by_drone - by_target, tuple(extra), (to_target, direction), length)
@@ -261,25 +261,25 @@ def _direction_names(label: str) -> list[str]:
     return [f"direction_{label}_{letter}" for letter in "ab"]
 
 
-def _lamp(place: Place, seen: LampSightings, prepared: Prepared) -> Equations:
+def _lamp(posed: Posed, seen: LampSightings, prepared: Prepared) -> Equations:
     sights = _sights(prepared)
     names = [f"mounted_{axis}" for axis in "xyz"]
-    from_centre = seen.lamp_m - place.centre
-    line = (place.rotation.transpose(0, 2, 1) @ from_centre[..., None])[..., 0] - place.values(names)
+    from_centre = seen.lamp_m - posed.centre
+    line = (posed.rotation.transpose(0, 2, 1) @ from_centre[..., None])[..., 0] - posed.values(names)
     direction, length = unit_with_length(line)
     coordinates = sights.coordinates(direction)
     by_line = through_unit(sights.gradients(direction, coordinates), direction, length)
-    in_field = by_line @ place.rotation.transpose(0, 2, 1)
+    in_field = by_line @ posed.rotation.transpose(0, 2, 1)
     every = np.arange(len(seen))
     extra: list[tuple[Sequence[str], Rows, FloatArray]] = [(names, every, -by_line)]
     if seen.direction_camera is None:
         expected = np.empty((len(seen), 2))
         for label, rows in prepared.rows.items():
-            expected[rows] = place.values(_direction_names(label))
+            expected[rows] = posed.values(_direction_names(label))
             extra.append((_direction_names(label), rows, np.tile(-np.eye(2), (rows.size, 1, 1))))
     else:
         turn_names = [f"mounted_turn_{axis}" for axis in "xyz"]
-        turn = place.values(turn_names)
+        turn = posed.values(turn_names)
         turned = sights.towards @ rotation_from_vector(turn).T
         expected = sights.coordinates(turned)
         extra.append((turn_names, every, sights.gradients(turned, expected) @ skew(turned) @ _left_jacobian(turn)))
@@ -304,20 +304,20 @@ def _left_jacobian(vector: FloatArray) -> FloatArray:
     return np.asarray(matrix)
 
 
-def _normal(place: Place, seen: MirrorNormals, prepared: Prepared) -> Equations:
+def _normal(posed: Posed, seen: MirrorNormals, prepared: Prepared) -> Equations:
     sights = _sights(prepared)
-    coordinates = sights.coordinates(place.normal)
-    rows = sights.gradients(place.normal, coordinates)
-    by_turn = cross(place.normal[:, None, :], rows)
+    coordinates = sights.coordinates(posed.normal)
+    rows = sights.gradients(posed.normal, coordinates)
+    by_turn = cross(posed.normal[:, None, :], rows)
     return Equations(coordinates, by_turn, np.zeros_like(rows), (), None, np.full(len(seen), np.nan))
 
 
-def _point(place: Place, seen: MirrorPoints, prepared: Prepared) -> Equations:
+def _point(posed: Posed, seen: MirrorPoints, prepared: Prepared) -> Equations:
     del prepared
-    arm = (place.rotation @ seen.point_mirror_m[..., None])[..., 0]
+    arm = (posed.rotation @ seen.point_mirror_m[..., None])[..., 0]
     identity = np.tile(np.eye(3), (len(seen), 1, 1))
     by_turn = cross(arm[:, None, :], identity)
-    return Equations(place.centre + arm - seen.point_m, by_turn, identity, (), None, np.sqrt(dot(arm, arm)))
+    return Equations(posed.centre + arm - seen.point_m, by_turn, identity, (), None, np.sqrt(dot(arm, arm)))
 
 
 _PREPARATIONS: dict[type, Callable[[HeliostatDesign, Any], Prepared]] = {
@@ -328,7 +328,7 @@ _PREPARATIONS: dict[type, Callable[[HeliostatDesign, Any], Prepared]] = {
     MirrorNormals: _prepare_normal,
     MirrorPoints: _prepare_point,
 }
-_EQUATIONS: dict[type, Callable[[Place, Any, Prepared], Equations]] = {
+_EQUATIONS: dict[type, Callable[[Posed, Any, Prepared], Equations]] = {
     BeamSpots: _beam,
     SunInCamera: _camera,
     DroneSightings: _drone,

@@ -11,7 +11,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneT
 from calibration.heliostat.kinematic_model.directions import Sights, unit_with_length
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses, pose_derivatives
 from calibration.heliostat.observations.observations import BeamSpots, Observations
-from calibration.heliostat.observations.residual_kinds import Equations, Place, Prepared, equations, in_metres, prepare
+from calibration.heliostat.observations.residual_kinds import Equations, Posed, Prepared, equations, in_metres, prepare
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import intersect_plane, reflect
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
@@ -67,11 +67,20 @@ class Residuals:
 class ObservationModel:
     """Observations of a heliostat made ready to be evaluated at many numbers.
 
-    design: The heliostat; its parameters hold what the observations bring with them
-        (`Observations.extra_parameters`). Its own numbers choose the axes of the components and the weights.
-    observations: What was seen.
-    columns (k,): Positions of the parameters to differentiate by; all of them if not given.
-    InputError: A covariance vanishes across its line of sight.
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat; its parameters hold what the observations bring with them (`Observations.extra_parameters`). Its
+        own numbers choose the axes of the components and the weights.
+    observations : Observations
+        What was seen.
+    columns : ndarray of int, shape (k,), optional
+        Positions of the parameters to differentiate by; all of them if not given.
+
+    Raises
+    ------
+    InputError
+        A covariance vanishes across its line of sight.
     """
 
     design: HeliostatDesign
@@ -121,7 +130,7 @@ class ObservationModel:
         for group, prepared in zip(self.observations.groups, self.prepared, strict=True):
             rows = slice(first, first + len(group))
             first += len(group)
-            here = Place(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
+            here = Posed(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
             part = equations(here, group, prepared)
             weighed, root = in_metres(part, prepared), prepared.root
             jacobian = (root @ weighed.by_turn) @ moved.omega[rows] + (root @ weighed.by_shift) @ moved.shift[rows]
@@ -164,12 +173,29 @@ def evaluate(
 ) -> Residuals:
     """Return the residuals of observations.
 
-    design: The heliostat; its parameters hold what the observations bring with them.
-    values (p,): Numbers in the order of ``design.parameters``.
-    observations: What was seen.
-    columns: Positions of the parameters to differentiate by; all of them if not given.
-    InputError: A parameter of the observations is missing, or shapes do not fit.
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat; its parameters hold what the observations bring with them.
+    values : array_like, shape (p,)
+        Numbers in the order of ``design.parameters``.
+    observations : Observations
+        What was seen.
+    columns : sequence of int, optional
+        Positions of the parameters to differentiate by; all of them if not given.
 
+    Returns
+    -------
+    Residuals
+        Rows in the order of the observations.
+
+    Raises
+    ------
+    InputError
+        A parameter of the observations is missing, or shapes do not fit.
+
+    Notes
+    -----
     Directions are compared in stereographic coordinates about the measured one: angles when they are close, and still
     growing when they are far apart, so that a mirror that looks the other way is no false minimum.
     """
@@ -185,11 +211,26 @@ def predicted_spots(
 ) -> FloatArray:
     """Return where the beams should meet their targets.
 
-    values (p,): Its numbers, in the order of ``design.parameters``.
-    spots: Readings, sun and target of each row.
-    Returns (n, 2): Coordinates on the target, right and up as seen from the field [m]; NaN where the beam goes
-        elsewhere.
-    InputError: A target is unknown, or shapes do not fit.
+    Parameters
+    ----------
+    design : HeliostatDesign
+        The heliostat.
+    values : array_like, shape (p,)
+        Its numbers, in the order of ``design.parameters``.
+    spots : BeamSpots
+        Readings, sun and target of each row.
+    targets : mapping
+        The targets by name.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Coordinates on the target, right and up as seen from the field [m]; NaN where the beam goes elsewhere.
+
+    Raises
+    ------
+    InputError
+        A target is unknown, or shapes do not fit.
     """
     missing = sorted(set(spots.target) - set(targets))
     if missing:

@@ -41,14 +41,23 @@ WORTH = {False: 16, True: 1}
 class Options:
     """Choices of the evaluation; what is None is as the measurement says.
 
-    split: What the model is tried out on: "chronological", "random", "azimuth", "azimuth-reversed",
-        "high-variance", or "column" of the table.
-    model: Usual choice of free parameters of the preset ("4", "8", "15", ...), or "auto".
-    label: Method of the beams' centres in PAINT's records: "UTIS" or "HeliOS".
-    only: Heliostats to calibrate, by name, a text with ``*``; several with commas.
-    thorough: Make every split, and choose the model by trial; None for small fields only.
-    jobs: Processes side by side; None for all processors.
-    scheduler: Address of a Dask cluster that does the work instead.
+    Parameters
+    ----------
+    split : str or None
+        What the model is tried out on: "chronological", "random", "azimuth", "azimuth-reversed", "high-variance", or
+        "column" of the table.
+    model : str or None
+        Usual choice of free parameters of the preset ("4", "8", "15", ...), or "auto".
+    label : str or None
+        Method of the beams' centres in PAINT's records: "UTIS" or "HeliOS".
+    only : str or None
+        Heliostats to calibrate, by name, a text with ``*``; several with commas.
+    thorough : bool or None
+        Make every split, and choose the model by trial; None for small fields only.
+    jobs : int or None
+        Processes side by side; None for all processors.
+    scheduler : str or None
+        Address of a Dask cluster that does the work instead.
     """
 
     split: str | None = None
@@ -69,12 +78,20 @@ class Options:
 class Result:
     """Calibrated heliostats.
 
-    name: Name of the measurement.
-    shared: What all share.
-    heliostats: Those that could be calibrated, in the order of the measurement.
-    failures: Why the others could not.
-    durations_s: Time of each stage [s].
-    input_sha256: Hashes of the files they share.
+    Parameters
+    ----------
+    name : str
+        Name of the measurement.
+    shared : Shared
+        What all share.
+    heliostats : tuple of HeliostatResult
+        Those that could be calibrated, in the order of the measurement.
+    failures : dict of str to Failure
+        Why the others could not.
+    durations_s : dict of str to float
+        Time of each stage [s].
+    input_sha256 : dict of str to str
+        Hashes of the files they share.
     """
 
     name: str
@@ -102,11 +119,28 @@ class Chosen:
 
 
 def run(measurement: HeliostatMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
-    """Calibrate heliostats and keep everything in memory; for thousands use `calibration.heliostat.pipeline.field`.
+    """Calibrate heliostats and keep everything in memory; for thousands use `calibration.heliostat.pipeline_field`.
 
-    Returns: Each heliostat with its fit, or why it has none.
-    InputError: The measurement cannot be meant.
-    EstimationError: No heliostat could be calibrated.
+    Parameters
+    ----------
+    measurement : HeliostatMeasurement
+        From `heliogauge.measurement.load_heliostat`.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Each heliostat with its fit, or why it has none.
+
+    Raises
+    ------
+    InputError
+        The measurement cannot be meant.
+    EstimationError
+        No heliostat could be calibrated.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("look at heliostats"):
@@ -208,7 +242,20 @@ def refuse_all(failures: dict[str, Failure]) -> None:
 
 
 def write(result: Result, folder: Path) -> None:
-    """Write results into an existing folder: of one heliostat, or a folder for each, ``field.csv`` and a summary."""
+    """Write results into an existing folder: of one heliostat, or a folder for each, ``field.csv`` and a summary.
+
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
     durations, hashes = result.durations_s, result.input_sha256
     if len(result.heliostats) == 1 and not result.failures:
         (one,) = result.heliostats

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from calibration.heliostat.observations.rtk import rtk_statistics
+from calibration.heliostat.observations import rtk_statistics
 from data_synth.heliostats.dataset import (
     HeliostatOptions,
     heliostat_content,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.flux import FacetErrors, Facets, beam_on_target, canted_facets, reflected_sun
 from data_synth.heliostats.photo import Light, TargetCamera, TargetSurface, look_at
 from data_synth.optics.pinhole import PinholeCamera

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.kinematic_model import presets
-from calibration.heliostat.kinematic_model.kinematics import mirror_poses
+from calibration.heliostat.kinematic_model import mirror_poses, presets
 from data_synth.heliostats.mechanics import DriveFlaws, TrueHeliostat
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import reflect

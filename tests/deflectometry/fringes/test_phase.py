@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.screen.response import ScreenResponse
+from calibration.screen import ScreenResponse
 from deflectometry.frames.single_image import fourier_phase
 from deflectometry.fringes.phase import (
     NoiseModel,

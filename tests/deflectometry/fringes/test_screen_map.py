@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.screen.response import ScreenResponse
+from calibration.screen import ScreenResponse
 from deflectometry.frames.checks import FaultKind, check_frames
 from deflectometry.fringes.phase import NoiseModel, fit_phase
 from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image

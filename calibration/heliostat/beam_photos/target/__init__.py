@@ -1,1 +1,19 @@
-"""Where the target is in a photo, and the photo on the plane of the target."""
+"""The target in a photo: its marks, and the photo rectified to its plane."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from calibration.heliostat.beam_photos.target.view import Rectifier as Rectifier
+    from calibration.heliostat.beam_photos.target.view import view_from_points as view_from_points
+    from calibration.heliostat.beam_photos.target.view import whole_image as whole_image
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "Rectifier": "calibration.heliostat.beam_photos.target.view",
+        "view_from_points": "calibration.heliostat.beam_photos.target.view",
+        "whole_image": "calibration.heliostat.beam_photos.target.view",
+    },
+)
