@@ -43,6 +43,7 @@ from deflectometry.fringes.phase import (
     wrap_phase,
 )
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray
 
 __all__ = ["FaultKind", "FrameFault", "check_frames"]
@@ -153,8 +154,8 @@ def _linear_noise(sample: FrameSample, pattern: FringePattern, floor: float) -> 
     if all(solver.redundancy == 0 for solver in solvers):
         # Three frames leave nothing: the spread of the sets' offsets stands in (its median resists spoilt sets).
         offsets = fit_sets(sample.light, pattern).offset
-        spread = np.median(np.abs(offsets - np.median(offsets, axis=0)))
-        return NoiseModel(max(1.4826 * math.sqrt(3.0) * float(spread), math.sqrt(floor)))
+        spread = robust_scale(offsets - np.median(offsets, axis=0))
+        return NoiseModel(max(math.sqrt(3.0) * spread, math.sqrt(floor)))
     return estimate_noise(sample.light, solvers, floor_dn2=floor)
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel, solve_steps, wrap_phase
 from deflectometry.fringes.unwrap import combine_orders, search_orders
 from deflectometry.setup.patterns import Axis, FringePattern
+from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, FloatArray
 
 #: Pixels that the checks look at: 2000 give a frame's step to 0.1 deg at a signal to noise of 20.
@@ -209,7 +210,7 @@ def frame_content(
         planned = np.median(size[position]) * modulation * np.cos(angle - fringes.steps_rad[:, None])
         misfit[position] = (light[position] - offset - planned).std(axis=1) / (planned.std() + 1e-12)
         # The best frame of the set gives the usual misfit: where blur or the other sets limit it, all frames share it.
-        usual = 1.4826 * np.median(np.abs(left[position]), axis=1).min() + 0.02 * float(np.median(modulation))
+        usual = float(robust_scale_of_rows(left[position]).min()) + 0.02 * float(np.median(modulation))
         spoilt[position] = (np.abs(left[position]) > 8 * usual).mean(axis=1)
     return FrameContent(explained, wrap_phase(step), sigma, exposure, sigma_exposure, spoilt, misfit)
 

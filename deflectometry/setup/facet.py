@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray, float_array, freeze
 
@@ -130,8 +131,8 @@ def image_noise(image_dn: Float32Array) -> float:
     """
     rows = image_dn[:: max(1, image_dn.shape[0] // 256)]
     second = rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2]
-    # 1.4826 makes the median absolute deviation a sigma; the second difference of noise has sqrt(6) sigma.
-    robust = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6)
+    # The second difference of noise has sqrt(6) sigma.
+    robust = robust_scale(second) / np.sqrt(6)
     steps = np.abs(second[second != 0])
     rounding = float(steps.min()) / np.sqrt(12) if steps.size and robust == 0 else 0.0
     return float(max(robust, rounding))
@@ -153,7 +154,7 @@ def _dividing_level(image: Float32Array) -> float:
         # A step between two neighbours counts for every level between them, with its square. Steps that noise makes
         # do not count: a million of them would outweigh the outline of a small, dim mirror.
         steps = np.abs(first - second).ravel()
-        weights = np.where(steps > 4 * 1.4826 * np.median(steps[:: max(1, steps.size // 65536)]), steps**2, 0)
+        weights = np.where(steps > 4 * robust_scale(steps[:: max(1, steps.size // 65536)]), steps**2, 0)
         bottom = np.ceil(np.minimum(first, second)).astype(np.intp).ravel()
         top = np.ceil(np.maximum(first, second)).astype(np.intp).ravel()
         energy += np.bincount(bottom, weights, n_levels + 1) - np.bincount(top, weights, n_levels + 1)

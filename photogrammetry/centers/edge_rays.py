@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.centers.pyramid import Pyramid, ellipse_frames
 
@@ -59,8 +60,8 @@ def outlines_along_rays(
         off = np.abs(_distance(conic, edges, circle))
         known = np.where(seen, off, np.nan)
         known[~seen.any(axis=1)] = 0.0
-        spread = np.nanmedian(known, axis=1, keepdims=True)
-        near = seen & (off <= np.maximum(_OUTLIER_SIGMAS * 1.4826 * spread, 0.02))
+        spread = robust_scale_of_rows(known)[:, None]
+        near = seen & (off <= np.maximum(_OUTLIER_SIGMAS * spread, 0.02))
         conic, ok_again = _fit(edges, near, circle)
         off = np.where(near, _distance(conic, edges, circle), 0.0)
         found &= ok & ok_again & (near.sum(axis=1) >= _SEEN_SHARE * _RAYS)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.edge_rays import outlines_along_rays
@@ -179,8 +180,8 @@ def _spots_on_level(image: Bytes, level: int, asked: SearchLimits) -> list[_Spot
 def _noise(image: Bytes) -> float:
     """Return the noise of a pixel from neighbours, in some fifty rows: half of them lie on even ground [DN]."""
     rows = image[:: max(image.shape[0] // 50, 1)].astype(np.int16)
-    steps = np.abs(rows[:, 1::2] - rows[:, : rows.shape[1] // 2 * 2 : 2]).ravel()
-    return float(np.partition(steps, len(steps) // 2)[len(steps) // 2]) * 1.4826 / 2**0.5
+    steps = rows[:, 1::2] - rows[:, : rows.shape[1] // 2 * 2 : 2]
+    return robust_scale(steps, upper=True) / 2**0.5
 
 
 def _ellipses_of_lines(

@@ -6,6 +6,7 @@ from statistics import NormalDist
 import numpy as np
 
 from heliogauge.adjust.least_squares import Chart, Options, Problem, Tukey, solve, whitened
+from heliogauge.adjust.robust_scale import robust_scale, robust_scale_of_rows
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector, skew
 from heliogauge.validate import BoolArray, FloatArray, freeze
@@ -112,7 +113,7 @@ def quick_fit(points_m: FloatArray, reference: Reference, start: RigidTransform)
         state, distances = _equally_weighted(points_m, state, FitChoices(), rounds=2)
     except EstimationError:
         return QuickFit(start, float("inf"))
-    middle = 1.4826 * float(np.median(np.abs(distances)))
+    middle = robust_scale(distances)
     return QuickFit(state.pose, middle if np.isfinite(middle) else float("inf"))
 
 
@@ -147,7 +148,7 @@ def _weakly_held(points: SurfacePoints, state: _State, used: BoolArray) -> Float
     if len(arms) < basis.shape[1] or np.linalg.matrix_rank(squares, tol=1e-12 * np.trace(squares)) < basis.shape[1]:
         return state.held
     size = np.linalg.cholesky(squares)
-    noise = np.mean(points.sigma_m[used] ** 2) + (1.4826 * np.median(np.abs(feet.distance_m))) ** 2
+    noise = np.mean(points.sigma_m[used] ** 2) + robust_scale(feet.distance_m) ** 2
     # In units of the RMS shift that a step gives the points.
     seen = np.linalg.solve(size, (jacobian @ basis).T).T
     _, singular, rows = np.linalg.svd(seen, full_matrices=True)
@@ -213,7 +214,7 @@ def _names(count: int) -> tuple[str, ...]:
 def _robust_start(points: SurfacePoints, start: _State, choices: FitChoices) -> tuple[_State, BoolArray]:
     """Fit with equal weights and Tukey's loss, its scale from the median of the distances, and mark what is near."""
     state, distances = _equally_weighted(points.points_m, start, choices, rounds=3 if choices.robust else 1)
-    middle = 1.4826 * float(np.nanmedian(np.abs(distances)))
+    middle = float(robust_scale_of_rows(distances[None])[0])
     sigmas = np.sqrt((points.sigma_m**2).sum(axis=1))
     return state, np.abs(distances) <= np.maximum(5 * middle, 5 * sigmas)
 
@@ -227,7 +228,7 @@ def _equally_weighted(
         distances = np.abs(_rows(points_m, state, choices)[0].distance_m)
         if not np.isfinite(distances).all():
             raise EstimationError("surface: points are beyond the centre of curvature of the design")
-        scale = max(1.4826 * float(np.median(distances)) if k else float(distances.max()), 1e-9)
+        scale = max(robust_scale(distances) if k else float(distances.max()), 1e-9)
         basis, _ = _free_basis(state, choices)
 
         def evaluate(here: _State, basis: FloatArray = basis, scale: float = scale) -> tuple[FloatArray, FloatArray]:
