@@ -12,8 +12,8 @@ import numpy as np
 from _measure import title as with_columns
 
 from observer.photo_edges.reflection_edges import Expectation
-from observer.pipeline.photo_network import believed_after, drawn_network, planned_network
 from observer.planning.keys import ObserverPlanModel
+from observer.planning.photo_network import believed_after, drawn_network, planned_network
 from observer.planning.plan import planned_passes
 from observer.planning.simulated_edges import EdgeNoise, Scene
 from observer.planning.simulated_flight import Believed, Evaluation, error_theta_ra, simulate

@@ -26,7 +26,9 @@ METHOD = {
         "surface",
     ),
     "deflectometry": ("setup", "frames", "fringes", "pose", "shape"),
-    "observer": ("trough", "photo_edges", "absorber", "slopes", "selection", "doubts", "product", "light", "commands"),
+    "observer": (
+        "trough", "targets", "photo_edges", "absorber", "slopes", "selection", "doubts", "product", "light", "studies",
+    ),
     "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis"),
     "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats"),
     "heliogauge": (

@@ -40,10 +40,10 @@ def run_command(
     from heliogauge.reporting.build import build_report
     from heliogauge.results.folder import ResultFolder
     from heliogauge.running.terminal import terminal_progress
-    from observer.commands import modules as pipeline_modules
-    from observer.commands import overview as pipeline_overview
+    from observer.pipeline import modules as pipeline_modules
     from observer.pipeline.headline import headline_text
     from observer.pipeline.measure import Options, run, summarise, write
+    from observer.studies import overview as pipeline_overview
 
     progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
     with ResultFolder(out, force=force) as working:
@@ -76,7 +76,7 @@ def align_command(
     quiet: Quiet = False,
 ) -> None:
     """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
-    from observer.commands.align import headline_text, run, write
+    from observer.studies.align import headline_text, run, write
 
     result = into_folder(
         out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress(), report=not no_report
@@ -93,7 +93,7 @@ def overview_command(
     quiet: Quiet = False,
 ) -> None:
     """Put the results of several modules beside each other: overview.csv, report.html."""
-    from observer.commands.overview import headline_text, run, write
+    from observer.studies.overview import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
@@ -112,7 +112,7 @@ def absorber_command(
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
     from heliogauge.measurement.load import load_observer
     from heliogauge.running.terminal import terminal_progress
-    from observer.commands.absorber import Options, headline_text, run, summarise, write
+    from observer.pipeline.absorber_alone import Options, headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
@@ -159,7 +159,7 @@ def compare_command(
     quiet: Quiet = False,
 ) -> None:
     """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
-    from observer.commands.compare import headline_text, run, write
+    from observer.studies.compare import headline_text, run, write
 
     result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
     tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -14,10 +14,12 @@ from heliogauge.images.photos import read_image
 from heliogauge.results.arrays import LabelledArray, read_arrays, write_arrays
 from heliogauge.results.folder import write_json
 from heliogauge.results.json_file import read_json
+from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.pipeline.slices import Overlay, Slices
+from observer.product.pictures import Overlay, Slices
 from observer.product.slope_map import AngleMaps
+from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
 
 ANGLES = "angles.nc"
@@ -25,6 +27,10 @@ COLLECTOR = "collector.json"
 SLICES = "absorber_reflection.nc"
 OVERLAY = "reflection_overlay.nc"
 OVERLAY_PHOTO = "reflection_overlay.jpg"
+#: Studies of finished measurements: modules side by side, panels aligned, several orientations.
+OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
+ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.png", "mounts.png"
+ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 
 _SIGN = "theta_ra = theta_r + theta_a; theta_r positive where the normal is turned towards +x"
 _X = "across the aperture"
@@ -162,11 +168,101 @@ def write_overlay(folder: Path, overlay: Overlay, photo: str) -> None:
         raise InputError(f"{folder / OVERLAY_PHOTO}: cannot be written ({error.strerror or error})") from error
 
 
-def read_overlay(folder: Path) -> tuple[npt.NDArray[Any], dict[str, npt.NDArray[Any]], str]:
-    """Read a photo and where the reflection is expected in it.
+class StoredOverlay(NamedTuple):
+    """A photo and where the reflection is expected in it, as read.
 
-    Shapes: image (height, width).
+    image (height, width): The part of the photo that shows the mirror.
     nodes (ny, nx): ``x_px``, ``y_px``, ``beside_design``, ``beside_measured``.
+    photo: The photo's name.
     """
+
+    image: npt.NDArray[Any]
+    nodes: dict[str, npt.NDArray[Any]]
+    photo: str
+
+
+def read_overlay(folder: Path) -> StoredOverlay:
+    """Read a photo and where the reflection is expected in it."""
     nodes, attributes = read_arrays(folder / OVERLAY, ("x_px", "y_px", "beside_design", "beside_measured"))
-    return read_image(folder / OVERLAY_PHOTO), nodes, str(attributes["photo"])
+    return StoredOverlay(read_image(folder / OVERLAY_PHOTO), nodes, str(attributes["photo"]))
+
+
+def number_in_cell(path: Path, line: int, name: str, cell: str) -> float | None:
+    """Return the number in a cell of a table; None where it is empty or not finite.
+
+    InputError: It is not a number.
+    """
+    if cell == "":
+        return None
+    try:
+        value = float(cell)
+    except ValueError:
+        raise InputError(
+            f"{path}, line {line}: {name} = {cell!r} is not a number; is the decimal sign a point?"
+        ) from None
+    return value if np.isfinite(value) else None
+
+
+def read_absorber(path: Path) -> AbsorberPath:
+    """Read where the absorber is.
+
+    path: Table with the columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m, such as the ``absorber.csv`` of a
+        result.
+    Returns: The axis; its stations are taken as independent of each other.
+    InputError: Missing columns or cells that are not numbers.
+    """
+    names = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
+    table = read_table_csv(path, names)
+    rows: list[list[float]] = []
+    for line in range(2, len(table["y_m"]) + 2):
+        values = [number_in_cell(path, line, name, table[name][line - 2]) for name in names]
+        # A station that was not measured has empty cells.
+        if None not in values:
+            rows.append([float(value) for value in values if value is not None])
+    if not rows:
+        raise InputError(f"{path}: no row is complete; the columns {', '.join(names)} are needed")
+    columns: FloatArray = np.array(rows).T
+    return AbsorberPath(
+        columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]])))
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleMap:
+    """One module's map.
+
+    x_m, y_m (nx,): Nodes in its own frame [m].
+    theta_ra_rad, theta_r_rad (ny, nx): Angles; NaN where not measured [rad].
+    """
+
+    name: str
+    x_m: FloatArray
+    y_m: FloatArray
+    theta_ra_rad: FloatArray
+    theta_r_rad: FloatArray
+
+
+def write_maps(path: Path, maps: Sequence[ModuleMap]) -> None:
+    """Write the maps of all modules into one file.
+
+    maps: The modules, each with nodes of its own.
+    """
+    arrays: list[LabelledArray] = []
+    for k, one in enumerate(maps):
+        axes = (f"y_{k}", f"x_{k}")
+        arrays += [
+            LabelledArray(axes[0], axes[:1], one.y_m, "m", "along the trough"),
+            LabelledArray(axes[1], axes[1:], one.x_m, "m", "across the aperture"),
+            LabelledArray(f"theta_ra_{k}", axes, one.theta_ra_rad.astype(np.float32), "rad", f"{one.name}: theta_ra"),
+            LabelledArray(f"theta_r_{k}", axes, one.theta_r_rad.astype(np.float32), "rad", f"{one.name}: theta_r"),
+        ]
+    write_arrays(path, arrays, {"modules": [one.name for one in maps]})
+
+
+def read_maps(path: Path) -> list[ModuleMap]:
+    """Read the maps of all modules."""
+    found, attributes = read_arrays(path)
+    return [
+        ModuleMap(str(name), *(found[f"{key}_{k}"].astype(np.float64) for key in ("x", "y", "theta_ra", "theta_r")))
+        for k, name in enumerate(attributes["modules"])
+    ]

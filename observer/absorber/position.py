@@ -12,11 +12,10 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from observer.absorber.bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
-from observer.doubts.forgotten_glass import Widening, widening
-from observer.selection.select_and_solve import Photos
+from observer.absorber.forgotten_glass import Widening, widening
+from observer.photo_edges.tube_bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
 from observer.slopes.common_elimination import inverse_of, root_of, solve_with
-from observer.slopes.pose_modes import MODES_PER_PHOTO, CameraModes, reduce_to_modes
+from observer.slopes.pose_modes import MODES_PER_PHOTO, CameraModes, Photos, reduce_to_modes
 from observer.trough.absorber_path import AbsorberPath
 
 #: Where the tube may be beside its design, as prior [m].

@@ -7,10 +7,10 @@ import numpy as np
 
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray
-from observer.absorber.bearings import beside_support
+from observer.absorber.forgotten_glass import glass_doubt
 from observer.absorber.position import STATION_TEXTS, AbsorberSolution, StationFate
 from observer.absorber.shape import Span, alignment, spans, supports_of
-from observer.doubts.forgotten_glass import glass_doubt
+from observer.photo_edges.tube_bearings import beside_support
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 

@@ -8,7 +8,7 @@ from heliogauge.errors import InputError
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.photo_edges.outline import Span
-from observer.selection.select_and_solve import Reflector
+from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector

@@ -23,7 +23,7 @@ from observer.light.intercept import (
     station_shares,
 )
 from observer.light.missing import MissingPart, missing_part
-from observer.product.slope_sums import with_bridged
+from observer.slopes.slope_sums import with_bridged
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 

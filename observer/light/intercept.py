@@ -2,7 +2,7 @@ r"""Intercept factor of a trough: the share of the reflected light that meets th
 
 At a mirror point the tube is hit by light that arrives, across the trough, under angles between the two at which a
 camera sees the tube's edges there: ``2 theta_ra -+ w``, ``w = asin(a / R)`` (Owkes 2012, eq. 5.4). These two angles
-are what `observer.slopes.observation_equation.misfit` gives for a line of sight to the sun's centre with the tube's
+are what `observer.trough.observation_equation.misfit` gives for a line of sight to the sun's centre with the tube's
 edges at side -1 and +1. With the share F of the light below an angle (sun shape, specularity, tracking error) the
 point's intercept factor is ``F(upper - t) - F(lower - t)`` for a sun that stands t towards +x of the optical axis.
 The trough's is the mean over the light that falls on the mirror (eqs 5.13 to 5.15, kept point by point).
@@ -20,8 +20,8 @@ from heliogauge.errors import EstimationError
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray, IntArray
 from observer.light.beam_profile import BeamProfile
-from observer.slopes.observation_equation import Sights, misfit
 from observer.trough.absorber_path import AbsorberPath
+from observer.trough.observation_equation import Sights, misfit
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

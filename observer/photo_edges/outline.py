@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from heliogauge.camera.model import Camera
-from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from observer.photo_edges.rectify import rectified_strip
+from observer.photo_edges.views import AnyImage, View
 from observer.trough.collector import Collector
 
 #: Rims are looked for within this share of the mirror's width or length beside where the design has them.
@@ -46,8 +44,6 @@ _WHITE_SHARE = 1 / 6
 _PHOTOS = 7
 _SYSTEMATIC_M = 1e-3
 
-Photo = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
-
 
 @dataclass(frozen=True, slots=True)
 class Span:
@@ -78,9 +74,7 @@ def plates_of(names: Sequence[str], points_m: FloatArray) -> FloatArray:
     return np.asarray(spans + rim[:, None] * [-1, 1, -1, 1])
 
 
-def rims_in_photo(
-    image: Photo, view: tuple[Camera, RigidTransform], collector: Collector, plates_m: FloatArray | None = None
-) -> FloatArray:
+def rims_in_photo(image: AnyImage, view: View, collector: Collector, plates_m: FloatArray | None = None) -> FloatArray:
     """Find the mirror's four rims in one photo.
 
     Shapes: image (height, width).
@@ -115,7 +109,7 @@ def _on_plates(lines_m: FloatArray, across_m: FloatArray, plates_m: FloatArray |
     return np.asarray(((lines_m[:, None] > own[near, 0]) & (lines_m[:, None] < own[near, 1])).any(axis=1))
 
 
-def clipped_share(image: Photo, view: tuple[Camera, RigidTransform], collector: Collector) -> float:
+def clipped_share(image: AnyImage, view: View, collector: Collector) -> float:
     """Return how much of the mirror is as bright as a photo can be.
 
     Shapes: image (height, width).

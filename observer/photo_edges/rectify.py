@@ -7,10 +7,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.camera.model import Camera
-from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from observer.photo_edges.views import AnyImage, View
 
 #: Samples between exact projections. Across 8 of 6 mm the curved mirror departs from its chord by 0.1 mm in height,
 #: which moves its image by less than 0.001 px.
@@ -34,8 +33,8 @@ class Strip:
 
 
 def rectified_strip(
-    image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array,
-    view: tuple[Camera, RigidTransform],
+    image: AnyImage,
+    view: View,
     surface: Quadric,
     x_m: FloatArray,
     y_m: FloatArray,
@@ -83,7 +82,7 @@ def _averaged(lines: npt.NDArray[Any]) -> Float32Array:
     return total
 
 
-def _lattice(view: tuple[Camera, RigidTransform], surface: Quadric, x_m: FloatArray, y_m: FloatArray) -> Float32Array:
+def _lattice(view: View, surface: Quadric, x_m: FloatArray, y_m: FloatArray) -> Float32Array:
     """Project a coarse lattice that reaches beyond the strip on all sides, shape (rows, columns, 2) [px].
 
     Its lines are in the middle between eight lines of the strip each, as the pixels of a picture reduced by eight.

@@ -7,16 +7,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.camera.model import Camera
-from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, rectified_strip
-from observer.slopes.observation_equation import Misfit, Sights, beside_axis, misfit
+from observer.photo_edges.views import Shot
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
-
-AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
+from observer.trough.observation_equation import Misfit, Sights, beside_axis, misfit
 
 #: Samples across the trough for each pixel of the photo.
 _SAMPLES_PER_PIXEL = 1.0
@@ -96,24 +93,6 @@ class Expectation:
     slope_error_rad: float = 12e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shot:
-    """A photo of which it is known from where it was taken.
-
-    image (height, width): The photo, grey [DN].
-    view: Its camera and ``cam_from_frame``.
-    """
-
-    image: AnyImage
-    number: int
-    view: tuple[Camera, RigidTransform]
-
-    @property
-    def eye_m(self) -> FloatArray:
-        """Where the camera was, shape (3,) [m]."""
-        return self.view[1].inverse().translation_m
-
-
 def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:
     """Return the edges of many photos in one."""
     return ReflectionEdges(*(np.concatenate([getattr(one, name) for one in parts]) for name in parts[0].__slots__))
@@ -172,10 +151,10 @@ class _Look:
 
 def _looks(shots: Sequence[Shot], expected: Expectation) -> list[_Look | None]:
     """Resample the part of the mirror in which the reflection can be; None where there is none."""
-    eyes_m, y_m, surface = [one.eye_m for one in shots], expected.y_m, expected.collector.surface
+    eyes_m, y_m, surface = [one.view.eye_m for one in shots], expected.y_m, expected.collector.surface
     looks: list[_Look | None] = []
     for shot, eye_m, window in zip(shots, eyes_m, _windows(np.reshape(eyes_m, (-1, 3)), expected), strict=True):
-        camera = shot.view[0]
+        camera = shot.view.camera
         pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
         step = pixel_m / _SAMPLES_PER_PIXEL
         x = np.zeros(0) if window is None else np.arange(window[0], window[1] + step, step)
@@ -201,7 +180,7 @@ def design_misfit(
     points_m, eyes_m (m, 3): Mirror points and cameras [m].
     side (m,): Sides of the tube.
     absorber: The tube's axis.
-    Returns: As from `observer.slopes.observation_equation.misfit`.
+    Returns: As from `observer.trough.observation_equation.misfit`.
     """
     slope = points_m[:, 0] / (2 * collector.focal_length_m)
     sights = Sights(points_m, eyes_m, side)

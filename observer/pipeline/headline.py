@@ -12,11 +12,11 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
-from observer.commands.panel_alignment import panel_tilts
+from observer.product.panel_alignment import panel_tilts
 from observer.product.panel_shapes import panel_shapes
 from observer.product.slope_map import AngleMaps
-from observer.selection.edge_fates import EdgeFate
-from observer.selection.select_and_solve import Reflector
+from observer.selection.edge_refusal import EdgeFate
+from observer.selection.solve_and_refuse import Reflector
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, shares

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.images.photos import read_luma
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import (
     PhotoPose,
@@ -26,13 +26,13 @@ from heliogauge.sunlight.sun_shapes import SunShape
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution, solve_absorber
 from observer.absorber.product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
-from observer.doubts.contradictions import design_doubts, refuse_loose_list, refuse_strange_list, without_strays
 from observer.doubts.design_checks import heights_doubt, panels_doubt, refuse_impossible_cameras, sparse_doubt
 from observer.doubts.stated_camera import blamed, explained, stated_camera_doubt
 from observer.files import (
     ANGLES,
     COLLECTOR,
     SLICES,
+    read_absorber,
     write_angles,
     write_collector,
     write_overlay,
@@ -41,6 +41,8 @@ from observer.files import (
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.tone import Tone
+from observer.photo_edges.views import Shot, View
+from observer.pipeline.design_comparison import design_doubts
 from observer.pipeline.headline import (
     absorber_numbers,
     edge_numbers,
@@ -53,9 +55,6 @@ from observer.pipeline.inputs import (
     absorber_start,
     as_photogrammetry,
     build_collector,
-    known_targets,
-    photos_with_poses,
-    read_absorber,
 )
 from observer.pipeline.intercept import (
     InterceptResult,
@@ -65,13 +64,21 @@ from observer.pipeline.intercept import (
     write_intercept,
 )
 from observer.pipeline.photos import Finder, FirstLook, SeenInPhotos, build_finder, look_again, look_first
-from observer.pipeline.slices import Overlay, overlay
+from observer.pipeline.target_list import (
+    known_targets,
+    photos_with_poses,
+    refuse_loose_list,
+    refuse_strange_list,
+    without_strays,
+)
 from observer.product.longitudinal import incidence_warning
+from observer.product.pictures import Overlay, draw_overlay
 from observer.product.slope_map import AngleMaps, angle_maps, known_theta_r, slope_map_of, slopes_to_tube
-from observer.selection.edge_fates import FATE_TEXTS, EdgeFate, unchecked_doubt
-from observer.selection.select_and_solve import Photos, Reflector, solve_reflector
-from observer.selection.shape_share import shape_doubt
+from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate, unchecked_doubt
+from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
+from observer.slopes.shape_share import shape_doubt
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, coverage_warning, shares, visibility
@@ -242,20 +249,19 @@ def evaluate(
         )
     with progress.stage("picture"):
         clearest = _clearest_photo(seen, reflector)
-        tubes = (absorber_start(collector), absorber)
         poses, pose_covariances = reflector.unknowns.moved_poses(
             photos.poses, photos.covariance, reflector.errors.common, reflector.errors.covariance_common
         )
-        view = (views[clearest][0], poses[clearest])
-        picture = overlay(clearest, files[clearest], view, slope_map, tubes, collector)
+        shot = Shot(read_luma(files[clearest]), clearest, View(views[clearest].camera, poses[clearest]))
+        picture = draw_overlay(shot, slope_map, absorber_start(collector), absorber, collector)
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     with progress.stage("check the design"):
-        camera = stated_camera_doubt(network, survey, first)
+        camera = stated_camera_doubt(network, survey, first.targets, first.poses)
         sparse = sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m)
         good = camera is None and sparse is None
         design = (
             camera, panels_doubt(reflector.roughness, collector), heights_doubt(reflector) if good else None, sparse,
-            *design_doubts((files, views, network.points), reflector, slope_map, absorber, collector, with_sizes=good),
+            *design_doubts(files, views, network.points, reflector, slope_map, absorber, collector, with_sizes=good),
         )  # fmt: skip
     slanting = incidence_warning(slope_map, photos.eyes_m, collector, reflector.roughness.along_rad)
     shadows = unchecked_doubt(reflector.fate)
@@ -293,14 +299,14 @@ def _clearest_photo(seen: SeenInPhotos, reflector: Reflector) -> int:
 
 def _photos(
     measurement: ObserverMeasurement, network: photogrammetry_pipeline.Result
-) -> tuple[Photos, list[tuple[Camera, RigidTransform]], list[Path]]:
+) -> tuple[Photos, list[View], list[Path]]:
     """Return the poses of the photos in the network with their joint covariance, their views and files."""
     bundle = network.solved.bundle
     table = bundle.problem.observations
     files = {file.name: file for file in (*measurement.photo_files, *measurement.absorber_files)}
     poses = tuple(bundle.cam_from_world)
     covariance = bundle.covariance.joint((), np.arange(len(poses)))
-    views = [(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True)]
+    views = [View(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True)]
     return Photos(poses, covariance), views, [files[name] for name in table.photos]
 
 

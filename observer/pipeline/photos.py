@@ -2,14 +2,14 @@
 
 What a photo shows of the tube is looked for as soon as its targets give it a provisional pose, from the coordinates
 listed; the adjustment of all photos comes later, and what was found is carried to its poses
-(`observer.photo_edges.reprojection`).
+(`observer.photo_edges.moved_edges`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from heliogauge.images.photos import Image, read_luma
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from observer.absorber.bearings import Bearings, tube_bearings
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, Shot, joined, reflection_edges
-from observer.photo_edges.reprojection import View, carried_bearings, carried_edges
+from observer.photo_edges.moved_edges import carried_bearings, carried_edges
+from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, joined, reflection_edges
 from observer.photo_edges.tone import Tone, linear_light
-from observer.pipeline.slices import Slices, empty_slices
+from observer.photo_edges.tube_bearings import Bearings, tube_bearings
+from observer.photo_edges.views import Shot, View
 from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
+from observer.product.pictures import Slices, empty_slices
 from photogrammetry.detection.photo_targets import TargetSearch, measure_at
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.target_following import (
@@ -143,6 +144,13 @@ class _Photo:
     camera: Camera | None
 
 
+class _Placed(NamedTuple):
+    """A photo in hand and its provisional ``cam_from_frame``; None where its targets tell none."""
+
+    photo: _Photo
+    pose: RigidTransform | None
+
+
 @dataclass(slots=True, eq=False)
 class _Run:
     """Consecutive photos in one thread's hands, and what was found so far."""
@@ -168,7 +176,7 @@ class _Run:
                 self.waiting.append((photo, self.track))
                 return
         self.finish()
-        self._look([(photo, self._searched(photo))])
+        self._look([_Placed(photo, self._searched(photo))])
 
     def finish(self) -> None:
         """Centre the targets of the photos that wait, and find what these show."""
@@ -179,12 +187,12 @@ class _Run:
             [photo.image for photo, _ in waiting], [photo.name for photo, _ in waiting],
             [track.ellipses for _, track in waiting], self.finder.search,
         )  # fmt: skip
-        seen: list[tuple[_Photo, RigidTransform | None]] = []
+        seen: list[_Placed] = []
         for (photo, track), (found, shapes) in zip(waiting, measured, strict=True):
             if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(track.ellipses)):
-                seen.append((photo, self._searched(photo)))
+                seen.append(_Placed(photo, self._searched(photo)))
                 continue
-            seen.append((photo, track.pose))
+            seen.append(_Placed(photo, track.pose))
             none, (height, width) = found.chosen(np.zeros(0, dtype=np.intp)), photo.image.shape
             size = int(width), int(height)
             self.targets[photo.name] = OnePhoto(found, shapes, size, (), none, np.zeros((0, 2, 2)))
@@ -195,14 +203,17 @@ class _Run:
             self.track = replace(self.track, ellipses=ellipses)
         self._look(seen)
 
-    def _look(self, photos: Sequence[tuple[_Photo, RigidTransform | None]]) -> None:
+    def _look(self, photos: Sequence["_Placed"]) -> None:
         """Find what photos show, step by step: what works on all of them in turn stays in the processor's caches."""
         expected = self.finder.expected
-        known = [(one, (one.camera, pose)) for one, pose in photos if one.camera is not None and pose is not None]
-        shots = [Shot(photo.image, photo.number, view) for photo, view in known]
+        known = [
+            (one.name, Shot(one.image, one.number, View(one.camera, pose)))
+            for one, pose in photos
+            if one.camera is not None and pose is not None
+        ]
+        names, shots = [name for name, _ in known], [shot for _, shot in known]
         self.slices.take(shots, expected.collector)
-        names = [photo.name for photo, _ in known]
-        self.poses.update(zip(names, [pose for _, (_, pose) in known], strict=True))
+        self.poses.update(zip(names, [shot.view.cam_from_frame for shot in shots], strict=True))
         self.edges.update(zip(names, reflection_edges(shots, expected), strict=True))
         self.bearings.update(zip(names, tube_bearings(shots, expected), strict=True))
 
@@ -339,7 +350,7 @@ def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, One
             found = searched[file.name] = measure_photo(image, file.name, finder.section, finder.search)
         pose = provisional_pose(found.detections, finder.known, camera)
         if pose is not None:
-            samples.append(Sample(image, (camera, pose)))
+            samples.append(Sample(image, View(camera, pose)))
             size_m = None if stated is None else 1e-3 * stated
             sizes.append(sizes_of(samples[-1], found, finder.known, finder.search, size_m))
     return tone_of(samples, finder.expected, sizes, usual_tone(files)) if samples else None
@@ -367,7 +378,7 @@ def look_again(
         samples = [Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))]
         tone = tone_of(samples, expected, usual=usual_tone(files))
     finder = replace(finder, tone=tone)
-    if views and max(float(pose.inverse().translation_m[2]) for _, pose in views) < 0:
+    if views and max(float(one.eye_m[2]) for one in views) < 0:
         raise InputError(
             "targets: with the coordinates listed all cameras stand behind the mirror (z below 0); is the list "
             "mirrored? x goes across, y along, z from the vertex to the absorber, right-handed"
@@ -375,8 +386,8 @@ def look_again(
     before, late = [], []
     for number, (file, view) in enumerate(zip(files, views, strict=True)):
         pose = first.poses.get(file.name)
-        if pose is not None and _distance_m(pose, view[1]) < _FAR_M:
-            before.append((finder.camera_of[file.name], pose))
+        if pose is not None and _distance_m(pose, view.cam_from_frame) < _FAR_M:
+            before.append(View(finder.camera_of[file.name], pose))
         else:
             before.append(view)
             late.append(number)

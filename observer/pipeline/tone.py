@@ -9,9 +9,9 @@ import numpy as np
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image
 from heliogauge.validate import FloatArray
-from observer.photo_edges.reflection_edges import Expectation, Shot, edge_profiles
-from observer.photo_edges.reprojection import View
+from observer.photo_edges.reflection_edges import Expectation, edge_profiles
 from observer.photo_edges.tone import Tone, find_tone, linear_light
+from observer.photo_edges.views import Shot, View
 from photogrammetry.centers.ellipse import NamedEllipses
 from photogrammetry.detection.photo_targets import TargetSearch, measure_at
 from photogrammetry.matching.target_following import KnownTargets

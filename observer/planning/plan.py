@@ -13,12 +13,12 @@ from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.files import COLLECTOR, write_collector
+from observer.files import COLLECTOR, read_absorber, write_collector
 from observer.photo_edges.reflection_edges import Expectation
-from observer.pipeline.inputs import absorber_start, build_collector, read_absorber
-from observer.pipeline.photo_network import PlannedNetwork, believed_after, drawn_network, planned_network
+from observer.pipeline.inputs import absorber_start, build_collector
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
+from observer.planning.photo_network import PlannedNetwork, believed_after, drawn_network, planned_network
 from observer.planning.planned_flight import Pass, advice, steps_too_wide
 from observer.planning.simulated_edges import EdgeNoise, Scene
 from observer.planning.simulated_flight import Evaluation, Simulated, simulate

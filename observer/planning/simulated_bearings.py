@@ -5,9 +5,10 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.surfaces import quadric
 from heliogauge.validate import FloatArray
-from observer.absorber.bearings import Bearings, bearing
 from observer.photo_edges.reflection_edges import sees_tube
-from observer.planning.simulated_edges import END_MARGIN_M, EdgeNoise, Scene, View, in_image, seen_again
+from observer.photo_edges.tube_bearings import Bearings, bearing
+from observer.photo_edges.views import View
+from observer.planning.simulated_edges import END_MARGIN_M, EdgeNoise, Scene, in_image, seen_again
 
 #: Rows of one photo whose bearings share their error of pixel grid and background.
 _ROWS_ALIKE = 3
@@ -31,8 +32,8 @@ def measured_bearings(scene: Scene, believed: tuple[View, ...], noise: EdgeNoise
         inside = in_image(true, points)
         if level is None or not inside.any():
             continue
-        eye = true[1].inverse().translation_m
-        sigma = noise.absorber_px * _per_pixel(true[0])
+        eye = true.eye_m
+        sigma = noise.absorber_px * _per_pixel(true.camera)
         drawn = rng.standard_normal(-(-y.size // _ROWS_ALIKE)).repeat(_ROWS_ALIKE)[: y.size]
         away = bearing(axis_x, axis_z, np.tile(eye, (y.size, 1))) + sigma * drawn
         at = points.copy()
@@ -40,7 +41,7 @@ def measured_bearings(scene: Scene, believed: tuple[View, ...], noise: EdgeNoise
         at[:, 2] = float(np.mean(axis_z))
         at[:, 0] = eye[0] + (eye[2] - at[:, 2]) * np.tan(away)
         again = seen_again(true, mine, at[inside], level)
-        theirs = np.tile(mine[1].inverse().translation_m, (len(again), 1))
+        theirs = np.tile(mine.eye_m, (len(again), 1))
         value = bearing(again[:, 0], again[:, 2], theirs)
         parts.append(
             (np.full(len(again), photo), y[inside], value, np.full(len(again), sigma), np.full(len(again), wide))

@@ -1,6 +1,6 @@
 """What photos of a known mirror would show of the tube's reflection: edges as numbers, without any image.
 
-The edges lie where the touching lines of sight of `observer.slopes.observation_equation` do touch, on the true mirror
+The edges lie where the touching lines of sight of `observer.trough.observation_equation` do touch, on the true mirror
 from the true camera. What the evaluation makes of them, it makes with other poses and cameras: each point is seen
 again through those.
 """
@@ -9,15 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliogauge.camera.model import Camera
-from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, is_on_panels, joined, sees_tube
-from observer.slopes.observation_equation import Sights, misfit
+from observer.photo_edges.views import View
+from observer.trough.observation_equation import Sights, misfit
 from observer.trough.typical_mirror import Mirror
-
-View = tuple[Camera, RigidTransform]
 
 #: Distance of the places across the trough between which an edge is looked for [m]; panels bend little on this way.
 _STEP_M = 0.025
@@ -191,9 +188,9 @@ def seen_again(true: View, believed: View, points_m: FloatArray, surface: Quadri
     surface: On which surface they are thought to lie.
     Returns (m, 3): Points on the surface; NaN where the line of sight misses it [m].
     """
-    pixels = true[0].project(true[1].apply(points_m))
-    frame_from_cam = believed[1].inverse()
-    rays = frame_from_cam.rotate(believed[0].cast_rays(pixels))
+    pixels = true.camera.project(true.cam_from_frame.apply(points_m))
+    frame_from_cam = believed.cam_from_frame.inverse()
+    rays = frame_from_cam.rotate(believed.camera.cast_rays(pixels))
     origins = np.broadcast_to(frame_from_cam.translation_m, rays.shape)
     distance = surface.intersect(origins, rays)
     return np.asarray(origins + distance[:, None] * rays)

@@ -9,10 +9,12 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.position import solve_absorber
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
+from observer.photo_edges.views import View
 from observer.planning.simulated_bearings import measured_bearings
-from observer.planning.simulated_edges import EdgeNoise, Scene, View, measured_edges, true_edges
+from observer.planning.simulated_edges import EdgeNoise, Scene, measured_edges, true_edges
 from observer.product.slope_map import known_theta_r, slope_map_of
-from observer.selection.select_and_solve import Photos, Reflector, solve_reflector
+from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.visibility import Visibility, visibility

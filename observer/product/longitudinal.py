@@ -4,9 +4,9 @@ import numpy as np
 
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.slopes.observation_equation import Sights, misfit
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.observation_equation import Sights, misfit
 
 #: Beyond this incidence along the trough a slope error of 2.5 mrad along it moves theta_ra by 0.5 mrad (Owkes 2012,
 #: Fig. 5.14).

@@ -6,7 +6,7 @@ import numpy as np
 
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.commands.panel_alignment import LEAST_SHARE
+from observer.product.panel_alignment import LEAST_SHARE
 from observer.trough.collector import Collector
 
 

@@ -14,8 +14,8 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray
 from observer.product.common_share import common_share
 from observer.product.row_bridging import bridge_rows, lone_values
-from observer.product.slope_sums import noise_correlation, sum_covariance
-from observer.selection.select_and_solve import Reflector
+from observer.selection.solve_and_refuse import Reflector
+from observer.slopes.slope_sums import noise_correlation, sum_covariance
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility

@@ -8,7 +8,7 @@ from pathlib import Path
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from observer.commands.align import MOVES_FIGURE, OVERLAY_FIGURE
+from observer.files import ALIGNMENT_MOVES, ALIGNMENT_OVERLAY
 from observer.report.lines import listed
 from observer.report.results import Columns
 
@@ -46,7 +46,7 @@ def moves(results: AlignmentResults) -> Html:
         "measured. In mounts.csv move_to_design is for the design's focal line instead of the absorber as it is."
     )
     folded = f"<details><summary>{len(results.mounts['panel'])} mounts</summary>{listed(results.mounts).text}</details>"
-    return join(_image(results.folder / MOVES_FIGURE, note), listed(results.panels), Html(folded))
+    return join(_image(results.folder / ALIGNMENT_MOVES, note), listed(results.panels), Html(folded))
 
 
 def overlay(results: AlignmentResults) -> Html:
@@ -55,7 +55,7 @@ def overlay(results: AlignmentResults) -> Html:
         "In a well-aligned collector the dark band would lie between the dashed lines; panel by panel it is moved "
         "aside. overlay.csv has the corners for every photo."
     )
-    path = results.folder / OVERLAY_FIGURE
+    path = results.folder / ALIGNMENT_OVERLAY
     return _image(path, note) if path.is_file() else Html("<p>The result holds no photo.</p>")
 
 

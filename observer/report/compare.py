@@ -11,9 +11,9 @@ from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from observer.commands.compare import CHANGES, CHANGES_TITLE, PROFILES, SAGS
-from observer.commands.orientation_study import SpanSags
-from observer.report.figures_modules import OneMap, maps_figure
+from observer.files import ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS
+from observer.product.orientation_study import SpanSags
+from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
 from observer.report.figures_orientation import Profile, orientation_figure
 from observer.report.results import Columns, numbers
 
@@ -36,16 +36,16 @@ def open_study(folder: str | Path = ".") -> StudyResults:
     folder: The folder; the working directory without it.
     """
     folder = Path(folder)
-    lines = read_table_csv(folder / PROFILES, ("of", "orientation_rad", "y_m", "x_m", "z_m", "sigma_x_m", "sigma_z_m"))
-    spans = read_table_csv(folder / SAGS, ("of", *SpanSags.__slots__))
+    lines = read_table_csv(folder / ORIENTATION_PROFILES, ("of", *Profile.__slots__[1:]))
+    spans = read_table_csv(folder / ORIENTATION_SAGS, ("of", *SpanSags.__slots__))
     profiles = [
         Profile(name, float(part["orientation_rad"][0]), *(numbers(part, key) for key in Profile.__slots__[2:]))
         for name, part in _parts(lines)
     ]
     sags = [SpanSags(*(numbers(part, key) for key in SpanSags.__slots__)) for _, part in _parts(spans)]
     changes: list[OneMap] = []
-    if (folder / CHANGES).is_file():
-        found, attributes = read_arrays(folder / CHANGES, ("x", "y"))
+    if (folder / ORIENTATION_CHANGES).is_file():
+        found, attributes = read_arrays(folder / ORIENTATION_CHANGES, ("x", "y"))
         changes = [
             OneMap(str(name), found["x"], found["y"], found[f"theta_r_change_{k}"].astype(np.float64))
             for k, name in enumerate(attributes["orientations"], start=1)

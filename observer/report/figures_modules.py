@@ -20,10 +20,12 @@ from heliogauge.reporting.canvas import (
     robust_limit,
 )
 from heliogauge.validate import FloatArray
+from observer.files import ModuleMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+CHANGES_TITLE = "Change of theta_r against the first orientation, without its mean"
 _MRAD = 1e3
 _WIDE_IN = 2 * WIDTH_IN
 _LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN = 0.62, 0.95, 0.62, 0.5
@@ -33,21 +35,6 @@ _BESIDE_IN, _BELOW_IN = 0.3, 0.55
 _HIGHEST_IN, _MOST_IN_ROW = 3.6, 6
 #: Room for the title of a map that is narrow [inch].
 _NAME_IN = 1.9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModuleMap:
-    """One module's map.
-
-    x_m, y_m (nx,): Nodes in its own frame [m].
-    theta_ra_rad, theta_r_rad (ny, nx): Angles; NaN where not measured [rad].
-    """
-
-    name: str
-    x_m: FloatArray
-    y_m: FloatArray
-    theta_ra_rad: FloatArray
-    theta_r_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

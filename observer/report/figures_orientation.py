@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.reporting.canvas import FAINT, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
 from heliogauge.validate import FloatArray
-from observer.commands.orientation_study import SpanSags
+from observer.product.orientation_study import SpanSags
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

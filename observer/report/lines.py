@@ -9,8 +9,8 @@ from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 from observer.report.results import Columns, TroughResults, numbers
-from observer.slopes.observation_equation import Sights, change_across, misfit
 from observer.trough.collector import Collector
+from observer.trough.observation_equation import Sights, change_across, misfit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

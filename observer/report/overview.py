@@ -8,8 +8,8 @@ from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from observer.commands.overview import MAPS, TABLE, read_maps
-from observer.report.figures_modules import ModuleMap, modules_figure, numbers_figure
+from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
+from observer.report.figures_modules import modules_figure, numbers_figure
 
 _MRAD = 1e3
 #: Columns of the table of modules, and what they are called there.
@@ -51,8 +51,8 @@ def open_overview(folder: str | Path = ".") -> OverviewResults:
     folder: The folder; the working directory without it.
     """
     folder = Path(folder)
-    table_ = read_table_csv(folder / TABLE, ("result", "name"))
-    return OverviewResults(read_summary(folder), table_, read_maps(folder / MAPS), folder)
+    table_ = read_table_csv(folder / OVERVIEW_TABLE, ("result", "name"))
+    return OverviewResults(read_summary(folder), table_, read_maps(folder / OVERVIEW_MAPS), folder)
 
 
 def head(results: OverviewResults) -> Html:

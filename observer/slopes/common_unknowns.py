@@ -25,10 +25,10 @@ import numpy as np
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
-from observer.slopes.observation_equation import Misfit, Sights, change_across, misfit
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.glass import turned_rad
+from observer.trough.observation_equation import Misfit, Sights, change_across, misfit
 
 #: What the stated radius is good for, as a share of it.
 _RADIUS_SHARE = 5e-3

@@ -8,13 +8,33 @@ import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray
-from observer.slopes.observation_equation import Misfit, Sights, gradient_on_mirror
+from observer.trough.observation_equation import Misfit, Sights, gradient_on_mirror
 
 #: Combinations of a pose's six movements that are kept. The first is the camera's place across the trough with the
 #: mirror held in the image, the second its place in the image; the third keeps what all photos and the tube do together
 #: where the targets lean or stand aside: with two, 1 % of that is left over and looks as if the reflection told where
 #: the tube is, to 0.2 mm.
 MODES_PER_PHOTO = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photos:
+    """Poses of all photos.
+
+    poses: ``cam_from_frame`` of each.
+    covariance (6 n, 6 n): Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
+    with_tube (2 k, 6 n): Covariance of the absorber's k stations (all x, then all z) with those steps; none without
+        [m rad, m^2].
+    """
+
+    poses: tuple[RigidTransform, ...]
+    covariance: FloatArray
+    with_tube: FloatArray | None = None
+
+    @property
+    def eyes_m(self) -> FloatArray:
+        """Centres of the cameras, shape (n, 3) [m]."""
+        return -np.array([pose.rotation.T @ pose.translation_m for pose in self.poses])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """Which part of a mirror can show the absorber tube to the cameras, and where a camera would have to be for the rest.
 
 A line of sight from the mirror point P under the angle ``Phi`` across the trough touches the tube where ``Phi = 2
-theta_ra +- w`` (`observer.slopes.observation_equation`). In the design's geometry the reflected line passes the
+theta_ra +- w`` (`observer.trough.observation_equation`). In the design's geometry the reflected line passes the
 tube's axis at
 
     y_A = P_y - (y_camera - P_y) R_a / R_c,

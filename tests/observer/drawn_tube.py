@@ -5,8 +5,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from observer.photo_edges.views import View
 
 Axis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -21,9 +21,7 @@ def looking(eye_m: np.ndarray, target_m: np.ndarray, roll_rad: float = 0.05) -> 
     return RigidTransform(rotation, -rotation @ eye_m)
 
 
-def drawn_tube(
-    view: tuple[Camera, RigidTransform], axis: Axis, radius_m: float, *, tones: tuple[float, float] = (20.0, 180.0)
-) -> np.ndarray:
+def drawn_tube(view: View, axis: Axis, radius_m: float, *, tones: tuple[float, float] = (20.0, 180.0)) -> np.ndarray:
     """Draw a tube whose axis is given as (x, z) of y; brightness of the tube and of what is behind [DN]."""
     camera, pose = view
     fine = 6

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.camera.model import Camera
 from observer.photo_edges.reflection_edges import Expectation
+from observer.photo_edges.views import View
 from observer.planning.planned_flight import Pass
 from observer.planning.simulated_edges import Scene
 from observer.planning.simulated_flight import Believed
@@ -27,11 +28,11 @@ def short_scene(mirror: Mirror, *, photos: int = 24, rows: int = 8) -> Scene:
     y = (np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2
     absorber = AbsorberPath.straight(0.003, collector.focal_length_m - 0.005, collector.length_m / 2)
     poses = Pass(12.0, 2.9, photos).poses()
-    return Scene(Expectation(collector, absorber, y), mirror, tuple((CAMERA, pose) for pose in poses))
+    return Scene(Expectation(collector, absorber, y), mirror, tuple(View(CAMERA, pose) for pose in poses))
 
 
 def believed_with_errors(scene: Scene, rng: np.random.Generator, *, position_m: float = 2e-3) -> Believed:
     """Draw poses as a photo network finds them: independent errors of place and direction."""
     sigma = np.array([2e-4, 2e-4, 2e-4, position_m, position_m, position_m])
-    views = tuple((camera, pose.moved(sigma * rng.standard_normal(6))) for camera, pose in scene.views)
+    views = tuple(View(camera, pose.moved(sigma * rng.standard_normal(6))) for camera, pose in scene.views)
     return Believed(views, np.diag(np.tile(sigma**2, len(views))))

@@ -8,11 +8,12 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from observer.absorber.bearings import Bearings, bearing, paired_edges, tube_bearings
 from observer.absorber.position import AbsorberSolution, StationFate, bearing_derivatives, solve_absorber
 from observer.photo_edges.edges import Edges
-from observer.photo_edges.reflection_edges import Expectation, Shot
-from observer.selection.select_and_solve import Photos
+from observer.photo_edges.reflection_edges import Expectation
+from observer.photo_edges.tube_bearings import Bearings, bearing, paired_edges, tube_bearings
+from observer.photo_edges.views import Shot, View
+from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 from tests.observer.drawn_tube import Axis, drawn_tube, looking
@@ -44,8 +45,8 @@ def measured(photos: Photos, axis: Axis, collector: Collector = SHORT, **drawn: 
     start = AbsorberPath.straight(0.0, 1.49, 0.8)
     parts = []
     for number, pose in enumerate(photos.poses):
-        image = drawn_tube((CAMERA, pose), axis, RADIUS_M, **drawn)
-        parts += tube_bearings([Shot(image, number, (CAMERA, pose))], Expectation(collector, start, ROWS_M))
+        image = drawn_tube(View(CAMERA, pose), axis, RADIUS_M, **drawn)
+        parts += tube_bearings([Shot(image, number, View(CAMERA, pose))], Expectation(collector, start, ROWS_M))
     return together(parts)
 
 
@@ -205,7 +206,7 @@ def test_known_supports_and_what_the_photo_cuts_off_are_hidden_stations() -> Non
 
 def test_a_stripe_as_wide_as_the_tube_is_not_taken_for_it() -> None:
     pose = looking(np.array([5.0, 0.0, 6.0]), np.array([0.0, 0.0, 1.49]))
-    view, start = (CAMERA, pose), AbsorberPath.straight(0.0, 1.49, 0.8)
+    view, start = View(CAMERA, pose), AbsorberPath.straight(0.0, 1.49, 0.8)
     image = drawn_tube(view, line(0.0, 0.0), RADIUS_M)
     # Beside the tube, as wide and darker, along 12 of 80 rows; and the tube itself is gone there in two of them.
     decoy = drawn_tube(view, line(0.058, 0.0), RADIUS_M, tones=(0.0, 180.0))
@@ -242,4 +243,4 @@ def test_photos_whose_camera_is_no_higher_than_the_tube_give_nothing() -> None:
     pose = looking(np.array([6.0, 0.0, 1.5]), np.array([0.0, 0.0, 1.49]))
     image = np.zeros((CAMERA.height_px, CAMERA.width_px), dtype=np.uint8)
     expected = Expectation(SHORT, AbsorberPath.straight(0.0, 1.49, 0.8), ROWS_M)
-    assert tube_bearings([Shot(image, 0, (CAMERA, pose))], expected)[0].y_m.size == 0
+    assert tube_bearings([Shot(image, 0, View(CAMERA, pose))], expected)[0].y_m.size == 0

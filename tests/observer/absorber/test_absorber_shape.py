@@ -11,7 +11,7 @@ from heliogauge.results.tables import write_table_csv
 from observer.absorber.position import AbsorberSolution, StationFate
 from observer.absorber.product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
 from observer.absorber.shape import alignment, spans, supports_of
-from observer.pipeline.inputs import read_absorber
+from observer.files import read_absorber
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 

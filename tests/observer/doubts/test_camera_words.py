@@ -12,7 +12,7 @@ from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import PhotosSection
 from observer.doubts.stated_camera import explained, stated_camera_doubt
 from observer.pipeline.photos import FirstLook
-from observer.pipeline.slices import empty_slices
+from observer.product.pictures import empty_slices
 from observer.trough.collector import ls2
 from photogrammetry.detection.detections import Detections
 from photogrammetry.keys.cameras import NetworkCameraSection
@@ -78,7 +78,7 @@ def doubt(stated_px: float, sigma_px: float, seed: int) -> tuple[str | None, flo
         measured=gathered(first.targets),
         start=StartValues(first.poses),
     )
-    return stated_camera_doubt(network, survey, first), network.solved.image_sigma_factor
+    return stated_camera_doubt(network, survey, first.targets, first.poses), network.solved.image_sigma_factor
 
 
 def test_focal_length_that_targets_in_one_plane_hide_is_named() -> None:

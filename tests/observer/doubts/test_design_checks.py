@@ -20,6 +20,7 @@ from observer.doubts.design_checks import (
     sparse_doubt,
 )
 from observer.photo_edges.outline import Span, clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
+from observer.photo_edges.views import View
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube, ls2
@@ -117,7 +118,7 @@ def test_dimensions_in_other_units_are_refused(wrong):
         )
 
 
-def camera_above(x_m: float) -> tuple[Camera, RigidTransform]:
+def camera_above(x_m: float) -> View:
     """A camera 12 m above that looks down; its x is the trough's y."""
     turn = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return CAMERA, RigidTransform(turn, -turn @ np.array([x_m, 0.0, 12.0]))
@@ -125,7 +126,7 @@ def camera_above(x_m: float) -> tuple[Camera, RigidTransform]:
 
 def drawn_mirror(
     collector: Collector,
-    view: tuple[Camera, RigidTransform],
+    view: View,
     rng: np.random.Generator,
     *,
     behind: float = 70.0,
@@ -150,9 +151,7 @@ def drawn_mirror(
     return np.clip(picture + rng.normal(0, 2, picture.size), 0, 255).astype(np.uint8).reshape(height, width)
 
 
-def drawn_with_markers(
-    view: tuple[Camera, RigidTransform], middles: list[tuple[float, float]], rng: np.random.Generator
-) -> np.ndarray:
+def drawn_with_markers(view: View, middles: list[tuple[float, float]], rng: np.random.Generator) -> np.ndarray:
     """A mirror little brighter than the ground, with black squares of 0.26 m around places beside it."""
     image = drawn_mirror(SHORT, view, rng, behind=160.0, plate=0.0).astype(float)
     camera, pose = view

@@ -6,10 +6,11 @@ import pytest
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from observer.absorber.bearings import tube_bearings
 from observer.photo_edges.edges import find_edges
 from observer.photo_edges.rectify import Strip
-from observer.photo_edges.reflection_edges import Expectation, Shot, edge_profiles, reflection_edges
+from observer.photo_edges.reflection_edges import Expectation, edge_profiles, reflection_edges
+from observer.photo_edges.tube_bearings import tube_bearings
+from observer.photo_edges.views import Shot, View
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from tests.observer.drawn_tube import drawn_tube, looking
@@ -54,7 +55,7 @@ def shots() -> list[Shot]:
     for number, x in enumerate((0.55, -0.6, 4.0)):
         pose = looking(np.array([x, 0.1, 7.0]), np.array([0.05 * x, 0.0, 0.1]))
         image = drawn_mirror(pose, number) if number < 2 else np.full((260, 360), 90, dtype=np.uint8)
-        taken.append(Shot(image, number, (CAMERA, pose)))
+        taken.append(Shot(image, number, View(CAMERA, pose)))
     return taken
 
 
@@ -63,10 +64,10 @@ def test_edges_are_where_reflected_lines_of_sight_touch_the_tube(shots: list[Sho
         assert np.count_nonzero(found.side > 0) >= 45
         assert np.count_nonzero(found.side < 0) >= 45
         points = found.points_m
-        off = beside_axis_m(points, shot.eye_m) - 0.035
+        off = beside_axis_m(points, shot.view.eye_m) - 0.035
         # By how much the distance changes across the mirror, where an edge is found 1 mm aside.
         aside = points + np.stack([np.full(len(points), 1e-3), np.zeros(len(points)), points[:, 0] / 2.98e3], axis=1)
-        per_m = (beside_axis_m(aside, shot.eye_m) - 0.035 - off) / 1e-3
+        per_m = (beside_axis_m(aside, shot.view.eye_m) - 0.035 - off) / 1e-3
         errors_px = off / per_m / 6.5e-3
         assert np.abs(np.median(errors_px)) < 0.015
         assert np.std(errors_px) < 0.08
@@ -89,8 +90,8 @@ def test_tubes_of_several_photos_at_once_are_those_of_each_alone() -> None:
     taken = []
     for number, x in enumerate((2.5, -2.0, 0.1)):
         pose = looking(np.array([x, 0.1, 6.0]), np.array([0.0, 0.0, 1.49]))
-        image = drawn_tube((CAMERA, pose), lambda y: (np.zeros_like(y), np.full_like(y, 1.49)), 0.035)
-        taken.append(Shot(image, number, (CAMERA, pose)))
+        image = drawn_tube(View(CAMERA, pose), lambda y: (np.zeros_like(y), np.full_like(y, 1.49)), 0.035)
+        taken.append(Shot(image, number, View(CAMERA, pose)))
     together = tube_bearings(taken, EXPECTED)
     # From above the tube stands before its own reflection.
     assert [one.y_m.size > 40 for one in together] == [True, True, False]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import EstimationError
-from observer.commands.panel_alignment import panel_tilts
 from observer.planning.monte_carlo import monte_carlo
 from observer.planning.simulated_edges import EdgeNoise
 from observer.planning.simulated_flight import Evaluation, Simulated, error_theta_ra, simulate
+from observer.product.panel_alignment import panel_tilts
 from observer.product.slope_map import angle_maps, slopes_to_tube
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough

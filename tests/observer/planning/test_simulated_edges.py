@@ -5,10 +5,11 @@ import pytest
 
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap, no_common_modes
-from observer.absorber.bearings import bearing
+from observer.photo_edges.tube_bearings import bearing
+from observer.photo_edges.views import View
 from observer.planning.simulated_bearings import measured_bearings
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, seen_again, true_edges
-from observer.slopes.observation_equation import Sights, misfit
+from observer.trough.observation_equation import Sights, misfit
 from observer.trough.typical_mirror import MeasuredMirror, TypicalMirror
 from tests.observer.simulated_trough import CAMERA, believed_with_errors, short_scene, short_trough
 
@@ -60,7 +61,7 @@ def test_a_camera_believed_to_stand_beside_moves_what_it_sees() -> None:
     moved = RigidTransform(pose.rotation, pose.translation_m - pose.rotation @ np.array([0.01, 0.0, 0.0]))
     points = np.array([[0.0, 0.3, 0.0]])
     surface = scene.truth.collector.surface
-    found = seen_again((CAMERA, pose), (CAMERA, moved), points, surface)
+    found = seen_again(View(CAMERA, pose), View(CAMERA, moved), points, surface)
     assert found[0, 0] == pytest.approx(0.01, abs=1e-4)
     assert found[0, 2] == pytest.approx(found[0, 0] ** 2 / (4 * 1.49), abs=1e-12)
 

@@ -29,8 +29,8 @@ from observer.files import (
     write_overlay,
     write_slices,
 )
-from observer.photo_edges.reflection_edges import Shot
-from observer.pipeline.slices import empty_slices, overlay
+from observer.photo_edges.views import Shot, View
+from observer.product.pictures import draw_overlay, empty_slices
 from observer.product.slope_map import angle_maps
 from observer.report import pictures as report_pictures
 from observer.report.lines import listed
@@ -40,11 +40,11 @@ from observer.trough.collector import Collector, GlassTube, ls2
 EYE = np.array([0.6, 0.3, 15.0])
 
 
-def view() -> tuple[Camera, RigidTransform]:
+def view() -> View:
     """Return a camera above the trough that looks straight down, image x along the trough."""
     rotation = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     camera = Camera(960, 640, 1100.0, 1100.0, 479.5, 319.5)
-    return camera, RigidTransform(rotation, -rotation @ EYE)
+    return View(camera, RigidTransform(rotation, -rotation @ EYE))
 
 
 def mirror(collector: Collector, turned_rad: float = 0.0) -> SlopeMap:
@@ -64,13 +64,6 @@ def tube(collector: Collector, x_m: float = 0.0, z_m: float = 0.0) -> AbsorberPa
     return AbsorberPath.straight(x_m, collector.focal_length_m + z_m, collector.length_m / 2)
 
 
-def written_photo(folder) -> "object":
-    import cv2
-
-    cv2.imwrite(str(folder / "photo.png"), np.full((640, 960), 120, np.uint8))
-    return folder / "photo.png"
-
-
 def middle_of(beside: np.ndarray, x_m: np.ndarray) -> float:
     """Return the middle of where the tube is seen along the middle row [m]."""
     line = beside[beside.shape[0] // 2]
@@ -80,11 +73,11 @@ def middle_of(beside: np.ndarray, x_m: np.ndarray) -> float:
     return 0.5 * (ends[1] + ends[0])
 
 
-def test_outlines_are_where_the_angles_say(tmp_path) -> None:
+def test_outlines_are_where_the_angles_say() -> None:
     collector, turned = ls2(), 2e-3
     slope_map = mirror(collector, turned)
-    tubes = (tube(collector), tube(collector, 3e-3, -5e-3))
-    nodes = overlay(0, written_photo(tmp_path), view(), slope_map, tubes, collector)
+    shot = Shot(np.full((640, 960), 120, np.uint8), 0, view())
+    nodes = draw_overlay(shot, slope_map, tube(collector), tube(collector, 3e-3, -5e-3), collector)
     x, focal = slope_map.x_m, collector.focal_length_m
     # Independent of the ray's code: Phi = 2 theta_ra -+ w on the slice of the camera (spec 1.6 and 1.10).
     z = x**2 / (4 * focal)
@@ -111,8 +104,7 @@ def test_nodes_lie_on_the_cut_out_photo(tmp_path) -> None:
     pixel = camera.project(pose.apply(np.array([[*place, place[0] ** 2 / (4 * collector.focal_length_m)]])))[0]
     picture = np.zeros((640, 960), np.uint8)
     cv2.circle(picture, tuple(np.round(pixel * 16).astype(int).tolist()), 16 * 5, 255, -1, cv2.LINE_AA, 4)
-    cv2.imwrite(str(tmp_path / "dot.png"), picture)
-    nodes = overlay(0, tmp_path / "dot.png", (camera, pose), slope_map, (tube(collector),) * 2, collector)
+    nodes = draw_overlay(Shot(picture, 0, View(camera, pose)), slope_map, tube(collector), tube(collector), collector)
     write_overlay(tmp_path, nodes, "dot.png")
     image, stored, name = read_overlay(tmp_path)
     assert name == "dot.png"
@@ -149,7 +141,7 @@ def test_slices_show_what_lies_on_the_mirror(tmp_path) -> None:
     camera, pose = view()
     # Brightness rises along the image's rows, which is across the trough; the photo ends before the rim.
     ramp = np.tile(np.arange(640, dtype=np.float32)[:, None], (1, 960))
-    stored.take([Shot(ramp, 1, (camera, pose))], collector)
+    stored.take([Shot(ramp, 1, View(camera, pose))], collector)
     assert np.isnan(stored.brightness_dn[:, 0]).all()
     points = np.stack([stored.x_m, np.full_like(stored.x_m, stored.y_m[2]), stored.x_m**2 / (4 * 1.49)], axis=1)
     pixels = camera.project(pose.apply(points))
@@ -199,10 +191,11 @@ def result_folder(folder) -> None:
     write_slope_map(folder / "slope_map.nc", {"": slope_map})
     write_angles(folder / "angles.nc", slope_map, angle_maps(slope_map, tube(collector), collector))
     write_collector(folder / "collector.json", collector)
-    write_overlay(folder, overlay(0, written_photo(folder), view(), slope_map, (tube(collector),) * 2, collector), "a")
+    shot = Shot(np.full((640, 960), 120, np.uint8), 0, view())
+    write_overlay(folder, draw_overlay(shot, slope_map, tube(collector), tube(collector), collector), "a")
     stored = empty_slices(collector, slope_map.y_m, 2)
     for k in range(2):
-        stored.take([Shot(np.full((640, 960), 90, np.uint8), k, (camera, pose))], collector)
+        stored.take([Shot(np.full((640, 960), 90, np.uint8), k, View(camera, pose))], collector)
     write_slices(folder / "absorber_reflection.nc", stored, np.array([EYE, EYE + [0.3, 0, 0]]), ["a", "b"])
     y = stored.y_m
     write_table_csv(folder / "absorber.csv", {

@@ -10,9 +10,11 @@ from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from observer.doubts.design_checks import heights_doubt
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined
+from observer.photo_edges.views import View
 from observer.pipeline.headline import _height_columns
 from observer.planning.simulated_edges import EdgeNoise, Scene, measured_edges, seen_again, true_edges
-from observer.selection.select_and_solve import Photos, Reflector, solve_reflector
+from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.collector import ls2
 from observer.trough.typical_mirror import TypicalMirror
@@ -37,7 +39,7 @@ def raised_scene() -> tuple[Scene, np.ndarray, ReflectionEdges]:
     for panel, height in enumerate(heights):
         down = np.array([0.0, 0.0, height])
         views = tuple(
-            (camera, RigidTransform(pose.rotation, pose.translation_m + pose.rotation @ down))
+            View(camera, RigidTransform(pose.rotation, pose.translation_m + pose.rotation @ down))
             for camera, pose in scene.views
         )
         lower = replace(scene.truth, absorber=replace(path, z_m=path.z_m - height))

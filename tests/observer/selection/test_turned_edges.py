@@ -6,10 +6,11 @@ import numpy as np
 
 from observer.photo_edges.reflection_edges import sides_of_tube
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
-from observer.selection.edge_fates import EdgeFate
-from observer.selection.select_and_solve import Photos, solve_reflector
-from observer.slopes.observation_equation import Sights, beside_axis
+from observer.selection.edge_refusal import EdgeFate
+from observer.selection.solve_and_refuse import solve_reflector
+from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
+from observer.trough.observation_equation import Sights, beside_axis
 from tests.observer.simulated_trough import believed_with_errors, short_scene
 
 

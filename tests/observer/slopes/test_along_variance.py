@@ -6,9 +6,11 @@ import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from observer.photo_edges.reflection_edges import Expectation
+from observer.photo_edges.views import View
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
-from observer.selection.select_and_solve import Photos, solve_reflector
+from observer.selection.solve_and_refuse import solve_reflector
 from observer.slopes.along_variance import find_along
+from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import short_scene, short_trough
@@ -24,7 +26,9 @@ def found_and_true(along_rad: float) -> tuple[float, float]:
     views = []
     for camera, pose in scene.views:
         rotation = pose.rotation @ turn
-        views.append((camera, RigidTransform(rotation, -rotation @ (pose.inverse().translation_m + [0.0, 3.0, 0.0]))))
+        views.append(
+            View(camera, RigidTransform(rotation, -rotation @ (pose.inverse().translation_m + [0.0, 3.0, 0.0])))
+        )
     scene = replace(scene, views=tuple(views))
     edges = measured_edges(scene, true_edges(scene, EdgeNoise()), scene.views, np.random.default_rng(4))
     photos = Photos(tuple(pose for _, pose in views), np.eye(6 * len(views)) * 1e-12)

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
+from observer.photo_edges.views import View
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.planning.simulated_flight import Believed, Evaluation, simulate
 from observer.product.slope_map import angle_maps
-from observer.selection.select_and_solve import Photos, Reflector, solve_reflector
+from observer.selection.solve_and_refuse import Reflector, solve_reflector
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
-from observer.slopes.observation_equation import Misfit, Sights
-from observer.slopes.pose_modes import CameraModes
+from observer.slopes.pose_modes import CameraModes, Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 from observer.trough.glass import turned_rad
+from observer.trough.observation_equation import Misfit, Sights
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.absorber.test_absorber_glass import distance_within
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough
@@ -173,7 +174,7 @@ def test_a_frame_that_leans_turns_all_slopes_by_as_much(is_coupled: bool, monkey
     means = []
     for share in (0.0, 1.0):
         views = [
-            (camera, pose.moved(share * leaning * step))
+            View(camera, pose.moved(share * leaning * step))
             for (camera, pose), step in zip(scene.views, steps.reshape(-1, 6), strict=True)
         ]
         one = simulate(

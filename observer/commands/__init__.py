@@ -1,1 +1,0 @@
-"""What is done with finished measurements: absorber alone, alignment, comparison, overview, several modules."""

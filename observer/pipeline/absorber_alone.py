@@ -1,0 +1,179 @@
+"""Photos of the absorber alone to its position: for alignment, and for the sag at several orientations."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.images.photos import read_luma
+from heliogauge.reporting.notation import number_text
+from heliogauge.results.folder import Summary, hash_files, write_points_csv, write_summary, write_table_csv
+from heliogauge.running.progress import Progress, SilentProgress
+from observer.absorber.position import AbsorberSolution, solve_absorber
+from observer.absorber.product import (
+    absorber_columns,
+    absorber_warnings,
+    shape_numbers,
+    span_columns,
+    tube_spans,
+)
+from observer.files import COLLECTOR, write_collector
+from observer.keys import ObserverMeasurement
+from observer.photo_edges.reflection_edges import Expectation
+from observer.photo_edges.tube_bearings import Bearings, tube_bearings
+from observer.photo_edges.views import Shot, View
+from observer.pipeline.headline import absorber_numbers
+from observer.pipeline.inputs import absorber_start, as_photogrammetry, build_collector
+from observer.slopes.pose_modes import Photos
+from observer.trough.collector import Collector
+from photogrammetry.pipeline import measure as photogrammetry_pipeline
+
+#: Kind of the summary, which names its report.
+KIND = "observer-absorber"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of the evaluation.
+
+    jobs: Photos that are measured side by side; None for all processors.
+    """
+
+    jobs: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Where the absorber is.
+
+    name: Name of what was measured.
+    collector: The design.
+    orientation_rad: Turn of the collector from zenith [rad].
+    network: Cameras and targets.
+    solution: The tube.
+    doubts: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file read.
+    """
+
+    name: str
+    collector: Collector
+    orientation_rad: float
+    network: photogrammetry_pipeline.Result
+    solution: AbsorberSolution
+    doubts: tuple[str, ...]
+    durations_s: dict[str, float]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
+    """Measure where the absorber is; the mirror is not evaluated.
+
+    Returns: The absorber's axis with covariance, and what is doubtful.
+    InputError: Photos, targets or camera that cannot be used.
+    EstimationError: The photos do not hang together, or do not show the absorber from two sides.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    model = measurement.model
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    collector = build_collector(model.collector)
+    network = photogrammetry_pipeline.run(
+        as_photogrammetry(measurement), photogrammetry_pipeline.Options(jobs=options.jobs), progress
+    )
+    with progress.stage("absorber"):
+        bundle = network.solved.bundle
+        poses = tuple(bundle.cam_from_world)
+        photos = Photos(poses, bundle.covariance.joint((), np.arange(len(poses))))
+        bearings = _bearings(measurement, network, 1e-3 * model.evaluation.row_step_mm, collector)
+        count = max(2, round(collector.length_m / model.absorber.station_step_m))
+        stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
+        solution = solve_absorber(bearings, photos, absorber_start(collector), stations)
+    doubts = absorber_warnings(solution.path, solution, collector, is_design=False)
+    return Result(
+        model.name, collector, np.radians(model.collector.orientation_deg), network, solution,
+        (*network.doubts, *doubts), dict(progress.durations_s), hashes,
+    )  # fmt: skip
+
+
+def _bearings(
+    measurement: ObserverMeasurement, network: photogrammetry_pipeline.Result, step_m: float, collector: Collector
+) -> Bearings:
+    """Find the tube in the photos that are meant for it: its own ones where there are any, else all."""
+    bundle = network.solved.bundle
+    files = {file.name: file for file in (*measurement.photo_files, *measurement.absorber_files)}
+    meant = {file.name for file in measurement.absorber_files} or set(files)
+    rows = max(2, round(collector.length_m / step_m))
+    y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
+    expected = Expectation(collector, absorber_start(collector), y)
+    names = bundle.problem.observations.photos
+    cameras = [bundle.cameras[k] for k in bundle.problem.camera_index]
+    parts = []
+    for k, (name, *view) in enumerate(zip(names, cameras, bundle.cam_from_world, strict=True)):
+        if name in meant:
+            parts += tube_bearings([Shot(read_luma(files[name]), k, View(*view))], expected)
+    if not parts:
+        raise EstimationError(
+            "absorber: none of its photos shows enough targets to know where it was taken from; see rejected.csv of "
+            "`heliogauge observer`, or show more targets in them"
+        )
+    return Bearings(*(np.concatenate([getattr(one, name) for one in parts]) for name in Bearings.__slots__))
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the files of a result into an existing folder.
+
+    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
+    """
+    solution, collector = result.solution, result.collector
+    write_table_csv(folder / "absorber.csv", absorber_columns(solution.path, solution, collector))
+    spans = tube_spans(solution.path, solution, collector, result.orientation_rad)
+    write_table_csv(folder / "absorber_spans.csv", span_columns(spans))
+    write_collector(folder / COLLECTOR, collector)
+    write_points_csv(folder / "points.csv", result.network.points)
+    refused = result.network.refused
+    write_table_csv(
+        folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
+    )
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers."""
+    solution, collector = result.solution, result.collector
+    bundle = result.network.solved.bundle
+    numbers = {
+        **absorber_numbers(solution.path, collector, solution),
+        **shape_numbers(solution.path, solution, collector, result.orientation_rad),
+        "orientation_rad": result.orientation_rad,
+        "photos_count": len(bundle.problem.observations.photos),
+        "bearing_residual_rms_rad": solution.residual_rms_rad,
+    }
+    texts = {
+        "design": collector.describe(),
+        "frame": "trough: x across the aperture, y along the trough, z to the absorber",
+        "datum": bundle.datum,
+    }
+    return Summary(
+        kind=KIND, name=result.name, numbers=numbers, texts=texts, doubts=result.doubts,
+        durations_s=result.durations_s, input_sha256=result.input_sha256,
+    )  # fmt: skip
+
+
+def headline_text(summary: Summary) -> str:
+    """Say the most important numbers in a few lines for the terminal."""
+    numbers = summary.numbers
+
+    def said(key: str, unit: str) -> str:
+        value, sigma = numbers.get(key), numbers.get(f"sigma_{key}")
+        return "not determined" if value is None else number_text(value, None if sigma is None else float(sigma), unit)
+
+    return "\n".join([
+        f"{summary.name}: {numbers['photos_count']} photos, {numbers['absorber_stations_measured_count']} of "
+        f"{numbers['absorber_stations_count']} stations of the absorber measured",
+        f"  offset   x {said('absorber_mean_x_m', 'm')}, z {said('absorber_mean_z_offset_m', 'm')} from the focal line",
+        f"  tilt     x {said('absorber_tilt_x_rad', 'rad')}, z {said('absorber_tilt_z_rad', 'rad')}",
+        f"  sag      {said('absorber_sag_down_m', 'm')} downward, in the span where it is largest",
+        f"  design   {summary.texts['design']}",
+    ])  # fmt: skip

@@ -1,0 +1,224 @@
+"""One flight over several collectors (QFly): photos read once, each module solved for itself, one overview."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError, MetrologyError
+from heliogauge.reporting.build import build_report
+from heliogauge.results.folder import hash_files
+from heliogauge.running.progress import Progress, SilentProgress, Stage
+from observer.keys import ModuleSection, ObserverMeasurement
+from observer.pipeline.inputs import AXES, build_collector, target_constraints
+from observer.pipeline.measure import Options, Prepared, evaluate, prepare, write
+from observer.pipeline.photos import FirstLook, look_first_at_each
+from observer.pipeline.target_list import photos_with_poses
+from observer.studies import overview as pipeline_overview
+from observer.targets.module_targets import ListedPlaces, beside, in_frame
+from observer.trough.collector import Collector
+from photogrammetry.keys.measurement import CoordinateSection
+from photogrammetry.start_values.resection import LEAST_TARGETS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Module:
+    """One collector of the flight: what is asked for, what is known of it, and the names of its targets."""
+
+    section: ModuleSection
+    measurement: ObserverMeasurement
+    prepared: Prepared
+    targets: frozenset[str]
+
+
+def run(
+    measurement: ObserverMeasurement,
+    folder: Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    *,
+    report: bool = False,
+) -> pipeline_overview.Result:
+    """Evaluate all modules of a flight and write each one's results, and the overview, into a folder.
+
+    folder: An existing folder; gets a folder for each module. Only one module's results are in memory at a time.
+    report: Make the report of each module and that of the overview.
+    Returns: What each module gave, or why it gave nothing.
+    InputError: Photos, targets, camera or dimensions that cannot be used.
+    EstimationError: No module could be measured; the message has each one's reason.
+    """
+    options, progress = options or Options(), progress or SilentProgress()
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    modules, failed = _modules(measurement)
+    looks: list[FirstLook] = []
+    if modules:
+        finders = [one.prepared.finder for one in modules]
+        looks = look_first_at_each(measurement.photo_files, finders, jobs=options.jobs, progress=progress)
+    for number, module in enumerate(modules):
+        name = module.section.name
+        try:
+            _solve(module, looks[number], folder / name, (options, _Named(progress, name)), hashes, report=report)
+        except MetrologyError as error:
+            failed[name] = str(error)
+            shutil.rmtree(folder / name, ignore_errors=True)
+        # Edges of a module are no longer needed when it is solved.
+        looks[number] = replace(looks[number], edges={}, bearings={})
+    done = [section for section in measurement.model.module if section.name not in failed]
+    if not done:
+        reasons = "\n".join(f"  {name}: {reason}" for name, reason in failed.items())
+        raise EstimationError(f"{measurement.model.name}: none of {len(failed)} modules could be measured\n{reasons}")
+    with progress.stage("overview"):
+        places = {one.name: np.array(one.place_m) for one in done}
+        found = pipeline_overview.run([folder / one.name for one in done], base=folder, places_m=places)
+        found = replace(found, name=measurement.model.name, failed=failed, input_sha256=hashes,
+                        durations_s=_by_module(progress.durations_s, found.labels))  # fmt: skip
+        pipeline_overview.write(found, folder)
+    if report:
+        with progress.stage("report"):
+            build_report(folder)
+    return found
+
+
+def _solve(
+    module: _Module,
+    look: FirstLook,
+    folder: Path,
+    how: tuple[Options, Progress],
+    hashes: dict[str, str],
+    *,
+    report: bool,
+) -> None:
+    """Evaluate one module and write its folder, which is there whole or not at all."""
+    options, progress = how
+    own = _own(look, module.targets)
+    shown = {one.detections.photo for one in own.targets}
+    survey = module.prepared.survey
+    survey = replace(survey, photo_files=tuple(file for file in survey.photo_files if file.name in shown))
+    # A flight passes beside each module: photos of one rim only are no news.
+    survey, own, _ = photos_with_poses(survey, own, module.prepared.finder.known)
+    if len(own.targets) < 2:
+        raise EstimationError(
+            f"{len(own.targets)} of {len(look.photos)} photos show enough of its {len(module.targets)} targets for "
+            f"their pose ({LEAST_TARGETS}, not on a line), two are needed; are names and places in the list of "
+            "targets, and place_m, right?"
+        )
+    measurement = replace(module.measurement, photo_files=survey.photo_files)
+    result = evaluate(measurement, replace(module.prepared, survey=survey), own, options, progress)
+    shown = {file.name for file in survey.photo_files}
+    kept = {name: digest for name, digest in hashes.items() if Path(name).name in shown or not _is_photo(name, look)}
+    with progress.stage("write results"):
+        folder.mkdir()
+        write(replace(result, input_sha256=kept), folder)
+    if report:
+        with progress.stage("report"):
+            build_report(folder)
+
+
+def _is_photo(name: str, look: FirstLook) -> bool:
+    return Path(name).name in look.photos
+
+
+def _own(look: FirstLook, targets: frozenset[str]) -> FirstLook:
+    """Return what was found of one module: its own targets, in the photos that show enough of them."""
+    found = []
+    for one in look.targets:
+        rows = np.array([k for k, name in enumerate(one.detections.names) if name in targets], dtype=np.intp)
+        if rows.size >= LEAST_TARGETS:
+            found.append(
+                replace(one, detections=one.detections.chosen(rows), ellipses_px2=one.ellipses_px2[rows], refused=())
+            )
+    shown = {one.detections.photo for one in found}
+    poses = {name: pose for name, pose in look.poses.items() if name in shown}
+    return replace(look, targets=tuple(found), poses=poses)
+
+
+def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str, str]]:
+    """Return the modules that can be looked for, and by their names the reasons of those that cannot."""
+    model, folder = measurement.model, measurement.folder
+    modules, failed = [], {}
+    for section in model.module:
+        collector = section.collector or model.collector
+        try:
+            if section.targets_file is not None:
+                known = target_constraints(folder / section.targets_file)
+            else:
+                known = _near(target_constraints(folder / model.targets.file), section, build_collector(collector))
+            targets = frozenset(one.target for one in known)
+            if len(targets) < LEAST_TARGETS:
+                raise InputError(
+                    f"{len(targets)} targets of the list are beside it, {LEAST_TARGETS} are needed; place_m = "
+                    f"{list(section.place_m)} is where its origin is in the frame of the list"
+                )
+            bars = tuple(one for one in model.scale_bar if {one.a, one.b} <= targets)
+            lengths = tuple(one for one in model.distance if {one.a, one.b} <= targets)
+            own = model.model_copy(
+                update={"name": section.name, "collector": collector, "module": (), "scale_bar": bars,
+                        "distance": lengths}
+            )  # fmt: skip
+            single = replace(measurement, model=own, coordinates=known)
+            modules.append(_Module(section, single, prepare(single), targets))
+        except InputError as error:
+            failed[section.name] = str(error)
+    return modules, failed
+
+
+def _near(
+    known: tuple[CoordinateSection, ...], section: ModuleSection, collector: Collector
+) -> tuple[CoordinateSection, ...]:
+    """Return the coordinates of a module's targets in its own frame."""
+    names = tuple(dict.fromkeys(one.target for one in known))
+    row = {name: number for number, name in enumerate(names)}
+    places, sigma = np.zeros((len(names), 3)), np.full((len(names), 3), np.nan)
+    for one in known:
+        cell = row[one.target], AXES.index(one.axis)
+        places[cell], sigma[cell] = one.value_m, 1e-3 * one.sigma_mm
+    own = in_frame(ListedPlaces(names, places, sigma), np.array(section.place_m), float(np.radians(section.turn_deg)))
+    return tuple(
+        CoordinateSection(
+            kind="coordinate",
+            target=names[k],
+            axis=axis,
+            value_m=float(own.places_m[k, place]),
+            sigma_mm=1e3 * float(own.sigma_m[k, place]),
+        )
+        for k in beside(own, collector)
+        for place, axis in enumerate(AXES)
+        if np.isfinite(own.sigma_m[k, place])
+    )
+
+
+def _by_module(durations_s: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    """Return the times of the common stages, and of each module the sum."""
+    owner = {stage: next((name for name in names if stage.startswith(f"{name}: ")), stage) for stage in durations_s}
+    return {name: sum(s for stage, s in durations_s.items() if owner[stage] == name) for name in owner.values()}
+
+
+class _Named:
+    """Progress of one module: its name stands before each stage.
+
+    progress: Who is told.
+    """
+
+    def __init__(self, progress: Progress, name: str) -> None:
+        self._progress = progress
+        self._name = name
+
+    @property
+    def durations_s(self) -> dict[str, float]:
+        """Wall time of each finished stage of this module [s]."""
+        start = f"{self._name}: "
+        return {key.removeprefix(start): s for key, s in self._progress.durations_s.items() if key.startswith(start)}
+
+    @contextmanager
+    def stage(self, name: str, steps: int = 0) -> Iterator[Stage]:
+        """Open a stage."""
+        with self._progress.stage(f"{self._name}: {name}", steps) as stage:
+            yield stage
+
+    def say(self, text: str) -> None:
+        """Pass on one line for the person who waits."""
+        self._progress.say(f"{self._name}: {text}")

@@ -1,0 +1,203 @@
+"""The photo network of a planned pass: what it will know of the cameras, from targets that are only listed so far."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.load import PhotogrammetryMeasurement
+from heliogauge.measurement.models import PhotosSection
+from heliogauge.results.tables import read_table_csv
+from heliogauge.validate import FloatArray, IntArray
+from observer.photo_edges.views import View
+from observer.pipeline.inputs import AXES, target_constraints
+from observer.planning.keys import ObserverPlanModel
+from observer.planning.simulated_edges import in_image
+from observer.planning.simulated_flight import Believed
+from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.constraints import Constraint, Coordinate, Distance
+from photogrammetry.image_points import ImagePoints
+from photogrammetry.keys.measurement import CoordinateSection, DatumSection, PhotogrammetryModel
+from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.pipeline.cameras import build_cameras
+from photogrammetry.pipeline.inputs import build_constraints
+
+#: A photo with fewer targets has no pose of its own.
+_LEAST_IN_PHOTO = 4
+#: Targets that are planned along the rims stand so far beside them [m].
+_BESIDE_RIM_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedNetwork:
+    """Targets and photos of a plan, as they are without error.
+
+    model: What of it is estimated, with priors.
+    poses: ``cam_from_frame`` of each photo that sees enough targets.
+    points_m (n, 3): Their places [m].
+    constraints: What is known of them.
+    sigma_px: Standard deviation of an image coordinate of a target [px].
+    """
+
+    camera: Camera
+    model: CameraModel
+    poses: tuple[RigidTransform, ...]
+    names: tuple[str, ...]
+    points_m: FloatArray
+    constraints: tuple[Constraint, ...]
+    sigma_px: float
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Camera and pose of each photo."""
+        return tuple(View(self.camera, pose) for pose in self.poses)
+
+
+def planned_network(
+    model: ObserverPlanModel, folder: Path, poses: tuple[RigidTransform, ...]
+) -> tuple[PlannedNetwork, tuple[str, ...]]:
+    """Build the photo network of a plan.
+
+    model: What measurement.toml says.
+    poses: ``cam_from_frame`` of each planned photo.
+    Returns: The network, and why photos were left out.
+    InputError: A list of targets or a camera that cannot be used.
+    EstimationError: Fewer than two photos see four targets.
+    """
+    coordinates, names, points = planned_targets(model, folder)
+    photogrammetry = PhotogrammetryModel(
+        kind="photogrammetry",
+        name=model.name,
+        camera=(model.camera,),
+        images=PhotosSection(photos=("planned",)),
+        targets=TargetsSection(dictionary="aicon-12"),
+        scale_bar=model.scale_bar,
+        constraint=(*coordinates, *model.distance),
+        datum=DatumSection(kind="inner"),
+    )
+    found = build_cameras(PhotogrammetryMeasurement(folder, photogrammetry, ()), ["planned"], None)
+    constraints = build_constraints(photogrammetry)
+    network = PlannedNetwork(
+        found.cameras[0], found.models[0], poses, names, points, constraints, model.targets.sigma_px
+    )
+    seen = np.array([in_image(view, points).sum() for view in network.views])
+    keep = seen >= _LEAST_IN_PHOTO
+    if keep.sum() < 2:
+        raise EstimationError(
+            f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(names)} targets, two are needed; fly "
+            "higher, look at the collector, or use a shorter focal length"
+        )
+    left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
+    return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
+
+
+def planned_targets(
+    model: ObserverPlanModel, folder: Path
+) -> tuple[tuple[CoordinateSection, ...], tuple[str, ...], FloatArray]:
+    """Return the targets that are planned: as the list has them, or along the rims.
+
+    Shapes: points_m (n, 3).
+    model: What measurement.toml says.
+    InputError: A list that cannot be used.
+    """
+    section, design = model.targets, model.collector
+    if section.list_file is not None:
+        path = folder / section.list_file
+        return (target_constraints(path), *_places(path))
+    half = (section.rim_count or 0) // 2
+    across, along = design.aperture_width_m / 2 + _BESIDE_RIM_M, 0.49 * design.length_m
+    height = design.aperture_width_m**2 / (16 * design.focal_length_m)
+    points = np.array([[side * across, y, height] for side in (-1, 1) for y in np.linspace(-along, along, half)])
+    names = tuple(str(k + 1) for k in range(len(points)))
+    coordinates = tuple(
+        CoordinateSection(kind="coordinate", target=name, axis=axis, value_m=float(value), sigma_mm=section.sigma_mm)
+        for name, point in zip(names, points, strict=True)
+        for axis, value in zip(AXES, point, strict=True)
+    )
+    return coordinates, names, points
+
+
+def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:
+    """Read where the targets are planned; those whose coordinates will not be known (empty sigma) have a place too."""
+    table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
+    rows = []
+    for line, name in enumerate(table["target"], start=2):
+        try:
+            rows.append([float(table[f"{axis}_m"][line - 2]) for axis in "xyz"])
+        except ValueError:
+            raise InputError(
+                f"{path}, line {line}: target {name} needs x_m, y_m and z_m for a plan; leave the sigmas empty where "
+                "the coordinates will not be known"
+            ) from None
+    return tuple(table["target"]), np.array(rows)
+
+
+def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> BundleResult:
+    """Adjust the photo network, with everything that is known disturbed by its sigma.
+
+    rng: Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
+    EstimationError: The network is not determined.
+    """
+    points = _image_points(network, rng)
+    present = {points.targets[i] for i in np.unique(points.target_index)}
+    constraints = [one for one in network.constraints if present.issuperset(one.targets)]
+    known = dict(zip(network.names, network.points_m, strict=True))
+    drawn = tuple(_true_to(one, known, rng) for one in constraints)
+    table = points.compacted()
+    model, camera = _drawn_camera(network, rng)
+    start = bundle_state([camera], network.poses, np.array([known[name] for name in table.targets]))
+    return adjust(BundleProblem(table, (model,), None, drawn), start)
+
+
+def _image_points(network: PlannedNetwork, rng: np.random.Generator | None) -> ImagePoints:
+    photo: list[IntArray] = []
+    target: list[IntArray] = []
+    pixels: list[FloatArray] = []
+    for k, view in enumerate(network.views):
+        seen = np.nonzero(in_image(view, network.points_m))[0]
+        photo.append(np.full(seen.size, k))
+        target.append(seen)
+        pixels.append(network.camera.project(view.cam_from_frame.apply(network.points_m[seen])))
+    places = np.concatenate(pixels)
+    if rng is not None:
+        places = places + network.sigma_px * rng.standard_normal(places.shape)
+    covariance = np.broadcast_to(np.eye(2) * network.sigma_px**2, (len(places), 2, 2))
+    names = tuple(f"photo_{k + 1:03d}" for k in range(len(network.poses)))
+    return ImagePoints(names, network.names, np.concatenate(photo), np.concatenate(target), places, covariance)
+
+
+def _true_to(one: Constraint, known: dict[str, FloatArray], rng: np.random.Generator | None) -> Constraint:
+    """Return what is known with the value that fits the planned places, plus its error."""
+    error = 0.0 if rng is None else float(rng.standard_normal())
+    if isinstance(one, Coordinate):
+        return replace(one, value_m=one.value_m + error * one.sigma_m)
+    if isinstance(one, Distance):
+        true = float(np.linalg.norm(known[one.target_a] - known[one.target_b]))
+        return replace(one, distance_m=true + error * one.sigma_m)
+    return one
+
+
+def _drawn_camera(network: PlannedNetwork, rng: np.random.Generator | None) -> tuple[CameraModel, Camera]:
+    """Return the camera as its calibration has it: wrong by what the priors of its free intrinsics allow."""
+    model = network.model
+    if rng is None:
+        return model, network.camera
+    priors = tuple(replace(one, value=one.value + one.sigma * float(rng.standard_normal())) for one in model.priors)
+    if model.prior_covariance is None:
+        return replace(model, priors=priors), network.camera
+    error = rng.multivariate_normal(np.zeros(len(model.prior_covariance)), model.prior_covariance, method="eigh")
+    values = None if model.prior_values is None else model.prior_values + error
+    return replace(model, priors=priors, prior_values=values), network.camera
+
+
+def believed_after(bundle: BundleResult) -> Believed:
+    """Return cameras and poses as an adjustment found them, with the joint covariance of the poses.
+
+    Returns: What the evaluation of the reflection starts from.
+    """
+    poses = bundle.cam_from_world
+    views = tuple(View(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True))
+    return Believed(views, bundle.covariance.joint((), np.arange(len(poses))))

@@ -1,0 +1,429 @@
+"""From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
+from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
+from observer.selection.shadows import borne_out, pulled_curves
+from observer.slopes.along_variance import find_along
+from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
+from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
+from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
+from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
+from observer.slopes.row_likeness import row_likeness
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
+from observer.slopes.shape_share import ShapeShare, find_shape_share
+from observer.slopes.slope_sums import sum_covariance
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+from observer.trough.observation_equation import Sights, change_across, misfit_with_slopes
+
+#: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out
+#: step by step, while those of a mirror that is bent more than expected stay.
+_ALLOWANCES_RAD = (4e-3, 1e-3, 2.5e-4, 0.0)
+#: Times the standard deviation beyond which an edge is not the tube's.
+_REJECT_TIMES = 4.0
+#: What observations lack besides the noise of their edge, which counts where the reflection moves quickly [rad]: the
+#: mirror between nodes, its height, slopes along the trough.
+_MODEL_RAD = 6e-6
+#: An edge that steps the other way because the mirror bends so much is the tube's where its angle is known that well
+#: [rad].
+_TURNED_KNOWN_RAD = 1e-3
+#: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
+_STEEPEST_RAD = 0.04
+#: Where the slope along the trough is measured better than this, and better than this share of what it usually is, it
+#: helps to integrate the surface [rad].
+_ALONG_KNOWN_RAD, _ALONG_GAIN = 0.7e-3, 0.5
+#: An edge says something of the mirror up to this distance along its row [m].
+_REACH_M = 0.12
+#: Edges tell the noise where they have less leverage than this. What those with more say of it hangs on their leverage:
+#: it came out as a third of what it is, and 24 photos of a shaped mirror were wrong by 3 mrad with a sigma of 0.3.
+_MOST_INFORMATIVE_LEVERAGE = 0.5
+#: An edge that others say nothing of has all the leverage; its residual is taken to have this share of its noise.
+_MOST_LEVERAGE = 0.98
+#: No mirror bends more than this beside its design; what does is noise [1/m].
+_MOST_BEND_PER_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflector:
+    """The mirror's slope errors.
+
+    grid: Nodes across the trough.
+    y_m (r,): Rows [m].
+    errors: Slope errors and their covariance at all nodes.
+    measured (r, nx): Nodes near enough to an edge.
+    fate (m,): `EdgeFate` of each edge.
+    residuals_rad (m,): What remains of each edge's angle [rad].
+    roughness: Of the slopes along the rows.
+    noise_factor: By what the sigmas of the edges had to be multiplied.
+    absorber: The tube's axis, to which the width of its reflection has added what it says of it.
+    unknowns: What the lines have in common.
+    lines: The edges that were used, as observations.
+    height_m (r, nx): Height of the mirror over its design, mean zero on each panel [m].
+    last_change_m: RMS change of the height in the last round [m].
+    has_shadows: Whether shadows as dark as the tube are in the reflection, and edges were checked against those of
+        the other side: what few edges say is then not believed.
+    shape: Whether the mirror deviates as its slopes say, as the reflection tells it.
+    """
+
+    grid: RowGrid
+    y_m: FloatArray
+    errors: SlopeErrors
+    measured: BoolArray
+    fate: IntArray
+    residuals_rad: FloatArray
+    roughness: Roughness
+    noise_factor: float
+    absorber: AbsorberPath
+    unknowns: CommonUnknowns
+    lines: TouchingLines
+    height_m: FloatArray
+    last_change_m: float
+    has_shadows: bool
+    shape: ShapeShare
+
+    def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
+        """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
+
+        Returns: From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
+        """
+        return sum_covariance(
+            self.lines, self.grid, self.roughness, self.errors.covariance_common, ~self.unknowns.is_place,
+            alike=self.alike,
+        )  # fmt: skip
+
+    @property
+    def alike(self) -> FloatArray:
+        """Correlation of the rows' slope errors, shape (r, r)."""
+        return row_likeness(self.errors.slopes[..., 0], self.measured, self.grid, self.y_m)
+
+
+def row_grid(collector: Collector, n_rows: int, step_m: float) -> RowGrid:
+    """Lay nodes across the aperture.
+
+    collector: Its width and panels.
+    step_m: Wanted distance of the nodes [m].
+    Returns: An even number of nodes in the middles of equal cells.
+    """
+    width = collector.aperture_width_m
+    count = max(4, 2 * round(width / step_m / 2))
+    x = np.asarray((np.arange(count) + 0.5) * (width / count) - width / 2, dtype=np.float64)
+    inner = collector.panel_edges_x_m[1:-1]
+    between = (x[:-1, None] < inner) & (inner <= x[1:, None])
+    return RowGrid(x, np.asarray(~between.any(axis=1)), n_rows)
+
+
+def solve_reflector(
+    edges: ReflectionEdges,
+    photos: Photos,
+    expected: Expectation,
+    step_m: float,
+    prior: Roughness,
+    *,
+    shaped: bool | None = False,
+) -> Reflector:
+    """Estimate the slope errors of the mirror.
+
+    edges: Candidates of all photos.
+    photos: Poses with their covariance.
+    expected: Collector, absorber and rows.
+    step_m: Wanted distance of the nodes across the trough [m].
+    prior: What is known of the slope along the trough.
+    shaped: Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that;
+        None: as the reflection itself tells (`observer.slopes.shape_share`).
+    Returns: Slope errors with covariance, and what became of each edge.
+    EstimationError: Too few edges.
+    """
+    grid = row_grid(expected.collector, expected.y_m.size, step_m)
+    nominal = _Nominal(edges, photos, expected)
+    fate = first_fate(edges)
+    fate[is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
+    if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
+        raise EstimationError(
+            f"reflection: only {np.count_nonzero(fate == EdgeFate.USED)} edges of the absorber's reflection were found "
+            f"in {len(photos.poses)} photos; does the camera cross the optical axis above the mirror, and are the "
+            "collector's dimensions and the targets right?"
+        )
+    is_bold, wrong = fate == EdgeFate.USED, fate == EdgeFate.WRONG_STEP
+    none = np.zeros((grid.n_rows, grid.x_m.size, 2))
+    present = whole = _Surface(none, none[..., 0])
+    noise, roughness = 1.0, prior
+    for allowance in _ALLOWANCES_RAD:
+        if allowance == 0.0:
+            # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
+            # its place moves an edge by 0.1 mrad more.
+            nominal = _Nominal(edges, photos, expected, _bends(edges, present, grid))
+        lines, covariance = _in_round(_lines(nominal, expected, present, grid), nominal, noise, allowance)
+        keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+        used = lines.chosen(keep)
+        roughness = find_roughness(used, grid, roughness, covariance, any_order=allowance == 0.0)
+        errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
+        residuals, predicted = _residuals(lines, grid, errors)
+        factor = 1.0
+        if allowance == 0.0:
+            factor = _noise_factor(residuals[keep] / used.sigma_rad, predicted[keep] / used.sigma_rad**2)
+            noise *= factor
+        limit = _REJECT_TIMES * np.sqrt((factor * lines.sigma_rad) ** 2 + predicted)
+        fits = np.abs(residuals) < limit
+        fate[is_bold] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
+        turned = wrong & nominal.turned & (predicted < _TURNED_KNOWN_RAD**2)
+        fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
+        whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
+        present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
+    usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
+    flat = replace(whole, height_m=none[..., 0])
+    both = tuple(_lines(nominal, expected, surface, grid) for surface in (whole, flat))
+    share = _shape_told(nominal, both, (usable, noise), grid, roughness)
+    is_flat = shaped is False or (shaped is None and not share.has_shape)
+    present, lines = (flat, both[1]) if is_flat else (whole, both[0])
+    lines = _joint(replace(lines, sigma_rad=noise * lines.sigma_rad), nominal)
+    keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+    agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
+    shadows = has_shadows(edges, fate, expected.y_m)
+    if shadows:
+        fate, errors, roughness, agreed = _without_shadows(
+            lines, edges, (fate, errors, roughness), unknowns.covariance, grid
+        )
+        keep &= fate == EdgeFate.USED
+    if not keep.any():
+        raise EstimationError(
+            f"reflection: none of {keep.size} edges in {len(photos.poses)} photos agrees with the others: photos at "
+            "most 0.2 m apart across the trough bear each other out; are camera, targets and dimensions right?"
+        )
+    used = lines.chosen(keep)
+    roughness = find_along(_apart(used, errors), grid, roughness)
+    errors = solve_jointly(
+        used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place,
+        looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
+    )  # fmt: skip
+    absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
+    return Reflector(
+        grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
+        roughness, noise, absorber, unknowns, used, present.height_m, change, shadows, share,
+    )  # fmt: skip
+
+
+def _shape_told(
+    nominal: "_Nominal",
+    both: tuple[TouchingLines, ...],
+    usable: tuple[BoolArray, float],
+    grid: RowGrid,
+    roughness: Roughness,
+) -> ShapeShare:
+    """Compare the edges on the mirror with the heights of its slopes and without."""
+    keep, noise = usable
+    # Where all edges are a little too far to one side, the mirror point moves across.
+    by_edge = nominal.edges.side * nominal.across_rad_per_m
+    keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
+    shaped, plain = (
+        replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in (_joint(both[0], nominal), both[1])
+    )
+    return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
+
+
+def _without_shadows(
+    lines: TouchingLines,
+    edges: ReflectionEdges,
+    present: tuple[IntArray, SlopeErrors, Roughness],
+    covariance: FloatArray,
+    grid: RowGrid,
+) -> tuple[IntArray, SlopeErrors, Roughness, BoolArray]:
+    """Refuse edges that shadows may have made; return fates, solution, roughness and the nodes that are borne out."""
+    fate, errors, roughness = present
+    fate = fate.copy()
+    some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
+    borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    keep = some.copy()
+    keep[some] = borne
+    if not borne.any():
+        fate[some] = EdgeFate.ONE_SIDED
+        return fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
+    # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
+    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
+    errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
+    pulled = _is_pulled(lines, keep, edges, errors, grid)
+    fate[pulled] = EdgeFate.BESIDE
+    some &= ~pulled
+    errors = solve_jointly(lines.chosen(keep & some), grid, roughness, covariance, with_shares=None)
+    borne, agreed = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
+    return fate, errors, roughness, agreed
+
+
+def _is_pulled(
+    lines: TouchingLines, keep: BoolArray, edges: ReflectionEdges, errors: SlopeErrors, grid: RowGrid
+) -> BoolArray:
+    """Return which edges are off together with their curve, where the others alone would predict them."""
+    residuals, predicted = _residuals(lines, grid, errors)
+    leverage = np.clip(predicted / lines.sigma_rad**2, 0.0, _MOST_LEVERAGE)
+    normalised = residuals / (lines.sigma_rad * np.sqrt(1 - leverage))
+    curve = 2 * edges.photo + (edges.side > 0)
+    pulled = np.zeros(keep.size, dtype=bool)
+    pulled[keep] = pulled_curves(curve[keep], edges.row[keep], normalised[keep], grid.n_rows)
+    return pulled
+
+
+def _apart(lines: TouchingLines, errors: SlopeErrors) -> TouchingLines:
+    """Return lines from whose misfits the common unknowns, as found, are taken off."""
+    return lines.alone(lines.misfit_rad + _moved(lines, errors), lines.sigma_rad)
+
+
+def _moved(lines: TouchingLines, errors: SlopeErrors) -> FloatArray:
+    """Return by how much the common unknowns, as found, move the lines."""
+    return np.asarray(np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index]))
+
+
+def _in_round(
+    lines: TouchingLines, nominal: "_Nominal", noise: float, allowance_rad: float
+) -> tuple[TouchingLines, FloatArray]:
+    """Return lines with the sigma of a round, and the covariance of the common unknowns that it solves for.
+
+    As long as more scatter is allowed than the common unknowns make, they are part of it.
+    """
+    square = (noise * lines.sigma_rad) ** 2 + allowance_rad**2
+    if float(np.mean(nominal.scatter_square)) < allowance_rad**2:
+        return replace(lines, sigma_rad=np.sqrt(square + nominal.scatter_square)), np.zeros((0, 0))
+    return _joint(replace(lines, sigma_rad=np.sqrt(square)), nominal), nominal.unknowns.covariance
+
+
+def _joint(lines: TouchingLines, nominal: "_Nominal") -> TouchingLines:
+    """Return lines with what they have in common."""
+    return replace(lines, common_index=nominal.unknowns.index, d_common=nominal.unknowns.derivative)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """The mirror that observations are linearised at: slope errors, shape (r, nx, 2), and height over the design."""
+
+    slopes: FloatArray
+    height_m: FloatArray
+
+
+class _Nominal:
+    """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
+
+    def __init__(
+        self, edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
+    ) -> None:
+        focal = expected.collector.focal_length_m
+        self.edges, self._photos, self._expected = edges, photos, expected
+        self.sights = Sights(edges.points_m, photos.eyes_m[edges.photo], edges.side)
+        self._found = design_misfit(
+            edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
+        )
+        self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
+        self.sigma_rad = np.hypot(self.across_rad_per_m * edges.sigma_x_m, _MODEL_RAD)
+        self._by_pose = pose_derivatives(self.sights, self._found, photos.poses, edges.photo, focal, bend_per_m)
+
+    @property
+    def turned(self) -> BoolArray:
+        """Which edges lie where the mirror bends so much that the reflection moves the other way on it, shape (m,)."""
+        return np.asarray(self.across_rad_per_m * np.median(self.across_rad_per_m) < 0)
+
+    @cached_property
+    def unknowns(self) -> CommonUnknowns:
+        """What the edges have in common.
+
+        Where the mirror bends beside the design other movements of a camera matter: its modes are those of the bends.
+        """
+        modes = reduce_to_modes(self._by_pose, self.edges.photo, self._photos.covariance)
+        return common_unknowns(self.edges, self.sights, self._found, modes, self._expected, self._photos.with_tube)
+
+    @cached_property
+    def scatter_square(self) -> FloatArray:
+        """Variance that uncertain poses and the tube's place make in each edge's angle, shape (m,) [rad^2].
+
+        The tube's other unknowns make as little as the noise of an edge.
+        """
+        poses = pose_scatter(self._by_pose, self.edges.photo, self._photos.covariance)
+        sigmas = self._expected.absorber.sigma_at(np.nan_to_num(self._found.passing_y_m))
+        place = np.square(self._found.d_angle_d_absorber * np.stack(sigmas, axis=1)).sum(axis=1)
+        return np.asarray(np.nan_to_num(poses + place))
+
+
+def _bends(edges: ReflectionEdges, present: _Surface, grid: RowGrid) -> FloatArray:
+    """Return by how much the slope error across changes at each edge, within its panel [1/m]."""
+    across = present.slopes[..., 0]
+    change = np.where(grid.joined, np.diff(across, axis=1), 0.0) / grid.step_m
+    sides = np.zeros(across.shape)
+    count = np.zeros(grid.x_m.size)
+    for part in (slice(None, -1), slice(1, None)):
+        sides[:, part] += change
+        count[part] += grid.joined
+    bend = at_points(sides / np.maximum(count, 1.0), edges.row, edges.points_m[:, 0], grid)
+    return np.asarray(np.clip(bend, -_MOST_BEND_PER_M, _MOST_BEND_PER_M))
+
+
+def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: RowGrid) -> TouchingLines:
+    """Turn edges into observations of the slopes, linearised at the present surface but counted from the design."""
+    edges, collector = nominal.edges, expected.collector
+    focal = collector.focal_length_m
+    points, eyes = edges.points_m, nominal.sights.eyes_m
+    if present.height_m.any():
+        points = on_surface(points, eyes, edges.row, present.height_m, grid, focal)
+    slopes = at_points(present.slopes, edges.row, points[:, 0], grid)
+    sights = Sights(points, eyes, edges.side)
+    # Observations are those of the nodes beside them; what the mirror departs from the chord is known by now.
+    curved = slopes[:, 0] + beside_chord(present.slopes[..., 0], edges.row, points[:, 0], grid)
+    angle, by_x, by_y = misfit_with_slopes(
+        sights, (points[:, 0] / (2 * focal) + curved, slopes[:, 1]), expected.absorber,
+        collector.absorber_diameter_m / 2,
+    )  # fmt: skip
+    return TouchingLines(
+        edges.row, points[:, 0], angle - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
+        nominal.sigma_rad, np.zeros((len(angle), 0), dtype=np.intp), np.zeros((len(angle), 0)),
+    )  # fmt: skip
+
+
+def _next_surface(
+    present: _Surface, errors: SlopeErrors, known: tuple[BoolArray, Roughness], expected: Expectation, grid: RowGrid
+) -> tuple[_Surface, float]:
+    """Return the surface found, and the RMS change of its height [m]."""
+    measured, roughness = known
+    slopes = np.where(measured[..., None], np.clip(errors.slopes, -_STEEPEST_RAD, _STEEPEST_RAD), 0.0)
+    along = errors.random[..., 1, 1] < min(_ALONG_KNOWN_RAD, _ALONG_GAIN * roughness.along_rad) ** 2
+    height = heights(slopes, measured, along & measured, expected.collector, grid, expected.y_m)
+    return _Surface(slopes, height), float(np.sqrt(np.mean(np.square(height - present.height_m)[measured])))
+
+
+def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tuple[FloatArray, FloatArray]:
+    """Return what remains of all lines' misfits, and the variance that the solution itself has there."""
+    before, share = nodes_of(grid, lines.x_m)
+    nearest = before + (share > 0.5)
+    slopes = at_points(errors.slopes, lines.row, lines.x_m, grid)
+    residuals = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
+    residuals += _moved(lines, errors)
+    x_x, x_y, y_y = (errors.random[..., i, j][lines.row, nearest] for i, j in ((0, 0), (0, 1), (1, 1)))
+    by_x, by_y = lines.d_slope_x, lines.d_slope_y
+    return residuals, by_x * (by_x * x_x + 2 * by_y * x_y) + by_y**2 * y_y
+
+
+def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:
+    """Return the robust scatter of residuals over what their sigmas and the fit's freedom let expect."""
+    freedom = np.sqrt(np.clip(1 - leverage, 0.02, 1.0))
+    informative = leverage < _MOST_INFORMATIVE_LEVERAGE
+    if np.count_nonzero(informative) < 100:
+        return 1.0
+    return float(1.4826 * np.median(np.abs(normalised[informative] / freedom[informative])))
+
+
+def _near_edges(used: TouchingLines, grid: RowGrid) -> BoolArray:
+    """Return the nodes that have an edge of their own row and panel within reach."""
+    hit = np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
+    before, share = nodes_of(grid, used.x_m)
+    hit[used.row, before + (share > 0.5)] = True
+    reach = max(1, round(_REACH_M / grid.step_m))
+    near = hit.copy()
+    towards_right, towards_left = hit.copy(), hit.copy()
+    for _ in range(reach):
+        towards_right[:, 1:] |= towards_right[:, :-1] & grid.joined
+        towards_left[:, :-1] |= towards_left[:, 1:] & grid.joined
+    near |= towards_right | towards_left
+    return near

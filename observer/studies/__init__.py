@@ -1,0 +1,1 @@
+"""What finished measurements are for: panels aligned, orientations compared, modules side by side."""

@@ -1,0 +1,257 @@
+"""A result of the Observer to a prescription: how far each mount of each panel is to be moved."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
+from heliogauge.reporting.canvas import png_of
+from heliogauge.results.arrays import read_arrays
+from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_summary, write_table_csv
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import read_cameras_json, read_table_csv
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.files import (
+    ALIGNMENT_MOVES,
+    ALIGNMENT_OVERLAY,
+    ANGLES,
+    COLLECTOR,
+    OVERLAY,
+    OVERLAY_PHOTO,
+    read_absorber,
+    read_collector,
+    read_overlay,
+)
+from observer.product.panel_alignment import LEAST_SHARE, PanelTilts, image_edges, mount_moves, panel_tilts
+from observer.report.figures_alignment import moves_figure
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+KIND = "observer-alignment"
+#: Distance of assumed mounts from the edges of their panel [m].
+_INSET_M = 0.1
+#: Number of the first panel in all files and texts, as in the panels.csv of the measurement: with a prescription that
+#: counted from 0 the neighbour of the panel that the report shows was shimmed.
+_FIRST_PANEL = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """A prescription.
+
+    collector: The design with its panels.
+    to_absorber, to_design: Mean angles of the panels against the absorber as it is, and against the design's focal
+        line.
+    mounts_m (n, 2): x and y of the mounts [m].
+    absorber: The tube's axis.
+    cameras: Photos on which the theoretical image is laid.
+    doubts: What makes the prescription doubtful.
+    input_sha256: Hash of each file read.
+    picture: The theoretical image over the photo that the result holds; None where it holds none.
+    """
+
+    collector: Collector
+    to_absorber: PanelTilts
+    to_design: PanelTilts
+    mounts_m: FloatArray
+    absorber: AbsorberPath
+    cameras: dict[str, tuple[Camera, PhotoPose]]
+    doubts: tuple[str, ...]
+    input_sha256: dict[str, str]
+    picture: "Figure | None" = None
+
+
+def run(folder: Path, mounts: Path | None = None) -> Result:
+    """Prescribe how the panels of a measured trough are to be aligned.
+
+    mounts: Table with the columns x_m, y_m of all mounts; without it four mounts are assumed near the corners of
+        each panel.
+    Returns: Mean angles of the panels, and what the mounts need.
+    """
+    names = ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json", "panels.csv")
+    files = [folder / name for name in names]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise InputError(f"{folder}: there is no {missing[0]}; give the folder that `heliogauge observer` wrote")
+    slope_map, collector = read_slope_map(files[0]), read_collector(files[2])
+    angles, _ = read_arrays(files[1], ("theta_ra", "theta_r"))
+    theta_ra, theta_r = (np.asarray(angles[name], dtype=np.float64) for name in ("theta_ra", "theta_r"))
+    sigma_ra, sigma_r = _read_sigmas(files[5], collector.n_panels)
+    cameras, poses = read_cameras_json(files[4])
+    to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_ra)
+    places = _corners(collector) if mounts is None else _read_mounts(mounts)
+    absorber = read_absorber(files[3])
+    picture = None
+    if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
+        picture = _picture(folder, slope_map, (collector, absorber), poses)
+    return Result(
+        collector, to_absorber, panel_tilts(theta_r, slope_map, collector, sigma_r), places, absorber,
+        {name: (cameras[pose.camera], pose) for name, pose in poses.items()},
+        _doubts(slope_map, to_absorber, mounts is None), hash_files([*files, *([] if mounts is None else [mounts])]),
+        picture,
+    )  # fmt: skip
+
+
+def _picture(
+    folder: Path, slope_map: SlopeMap, trough: tuple[Collector, AbsorberPath], poses: dict[str, PhotoPose]
+) -> "Figure | None":
+    """Draw the theoretical image over the photo that the result holds."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    from observer.report.figures_alignment import theory_figure
+
+    image, nodes, name = read_overlay(folder)
+    if name not in poses:
+        return None
+    x, y = (
+        axis[np.unique(np.linspace(0, axis.size - 1, count).round().astype(int))]
+        for axis, count in zip((slope_map.x_m, slope_map.y_m), nodes["x_px"].shape[::-1], strict=True)
+    )
+    pixels = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1)
+    where = RegularGridInterpolator((y, x), pixels, bounds_error=False)
+    collector, absorber = trough
+    gap = collector.panel_gap_m / 2
+    ends = np.stack([collector.panel_edges_y_m[:-1] + gap, collector.panel_edges_y_m[1:] - gap], axis=1)
+    lines = []
+    for low, high in ends:
+        along = np.clip(np.linspace(low, high, 9), y[0], y[-1])
+        eye = poses[name].cam_from_world.inverse().translation_m
+        found = image_edges(eye, along, collector, absorber)
+        columns = found.reshape(along.size, -1).T
+        lines += [where(np.stack([along, column], axis=1)) for column in columns if np.isfinite(column).all()]
+    return theory_figure(image, name, lines, (nodes["x_px"], nodes["y_px"], nodes["beside_measured"]))
+
+
+def _corners(collector: Collector) -> FloatArray:
+    x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
+    inset_x, inset_y = np.minimum(_INSET_M, np.diff(x) / 4), np.minimum(_INSET_M, np.diff(y) / 4)
+    across = np.sort(np.concatenate([x[:-1] + inset_x, x[1:] - inset_x]))
+    along = np.sort(np.concatenate([y[:-1] + inset_y, y[1:] - inset_y]))
+    grid = np.meshgrid(across, along)
+    return np.stack([grid[0].ravel(), grid[1].ravel()], axis=1)
+
+
+def _read_sigmas(path: Path, n_panels: int) -> tuple[FloatArray, FloatArray]:
+    """Return the sigmas of the panels' mean theta_ra and theta_r: with the noise that neighbouring nodes share."""
+    names = ("sigma_mean_theta_ra_rad", "sigma_mean_theta_r_rad")
+    table = read_table_csv(path, ("panel", *names))
+    first, second = (np.array([float(cell) if cell else np.nan for cell in table[name]]) for name in names)
+    if first.size != n_panels:
+        raise InputError(f"{path}: {first.size} panels, but {COLLECTOR} has {n_panels}; measure again")
+    return first, second
+
+
+def _read_mounts(path: Path) -> FloatArray:
+    table = read_table_csv(path, ("x_m", "y_m"))
+    try:
+        places = np.array([table["x_m"], table["y_m"]], dtype=np.float64).T
+    except ValueError as error:
+        raise InputError(f"{path}: x_m and y_m must be numbers in every row ({error})") from None
+    if places.size == 0 or not np.isfinite(places).all():
+        raise InputError(f"{path}: every mount needs x_m and y_m, and there must be one at least")
+    return places
+
+
+def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> tuple[str, ...]:
+    said = []
+    if tilts.tilt_rad.size == 1:
+        said.append("collector.panel_edges_x_m and panel_edges_y_m are not given: the mirror is taken for one panel")
+    unknown = int(np.isnan(tilts.tilt_rad).sum())
+    if unknown:
+        said.append(f"{unknown} of {tilts.tilt_rad.size} panels are measured on less than {100 * LEAST_SHARE:.0f} %: "
+                    "no prescription for them")  # fmt: skip
+    if assumed:
+        said.append(f"no --mounts: mounts are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners")
+    if slope_map.removed != "nothing":
+        said.append(f"the slope map has {slope_map.removed} removed; the prescription lacks it")
+    return tuple(said)
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder."""
+    absorber, design = result.to_absorber, result.to_design
+    write_table_csv(folder / "panels.csv", {
+        "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
+        "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
+        "theta_ra_rad": absorber.tilt_rad, "sigma_theta_ra_rad": absorber.sigma_rad,
+        "theta_r_rad": design.tilt_rad, "sigma_theta_r_rad": design.sigma_rad,
+        "measured_share": absorber.measured_share,
+    })  # fmt: skip
+    panel, move, sigma = mount_moves(absorber, result.mounts_m, result.collector)
+    _, own_move, own_sigma = mount_moves(design, result.mounts_m, result.collector)
+    write_table_csv(folder / "mounts.csv", {
+        "panel": _FIRST_PANEL + panel, "x_m": result.mounts_m[:, 0], "y_m": result.mounts_m[:, 1],
+        "move_mm": 1e3 * move, "sigma_move_mm": 1e3 * sigma,
+        "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
+    })  # fmt: skip
+    write_table_csv(folder / "overlay.csv", _overlay(result))
+    if result.picture is not None:
+        (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(result.picture))
+    drawn = moves_figure(result.collector, absorber.tilt_rad, result.mounts_m, (move, sigma))
+    (folder / ALIGNMENT_MOVES).write_bytes(png_of(drawn))
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def summarise(result: Result) -> Summary:
+    """Collect the headline numbers."""
+    tilt = result.to_absorber.tilt_rad
+    known = tilt[np.isfinite(tilt)]
+    move = mount_moves(result.to_absorber, result.mounts_m, result.collector)[1]
+    largest = 1e3 * float(np.nanmax(np.abs(move))) if np.isfinite(move).any() else None
+    numbers = {
+        "panels_count": tilt.size,
+        "panels_prescribed_count": known.size,
+        "rms_panel_theta_ra_rad": float(np.sqrt(np.mean(known**2))) if known.size else None,
+        "largest_move_mm": largest,
+    }
+    reasons = {key: "no panel is measured well enough" for key, value in numbers.items() if value is None}
+    texts = {"sign": "moves along the mirror's normal, positive towards the absorber; panels turn about their middles"}
+    return Summary(
+        kind=KIND, name="panel alignment", numbers=numbers, texts=texts, doubts=result.doubts, durations_s={},
+        input_sha256=result.input_sha256, not_determined=reasons,
+    )  # fmt: skip
+
+
+def _overlay(result: Result) -> dict[str, list[Any]]:
+    """Return the corners of the theoretical image in each panel and photo: both edges at both ends."""
+    collector = result.collector
+    low, high = collector.panel_edges_y_m[:-1], collector.panel_edges_y_m[1:]
+    gap = collector.panel_gap_m / 2
+    rows = np.stack([low + gap, high - gap], axis=1).ravel()
+    n_columns = len(collector.panel_edges_x_m) - 1
+    table: dict[str, list[Any]] = {name: [] for name in ("image", "panel", "edge", "x_m", "y_m", "column_px", "row_px")}
+    for image, (camera, pose) in result.cameras.items():
+        found = image_edges(pose.cam_from_world.inverse().translation_m, rows, collector, result.absorber)
+        row, column, edge = np.nonzero(np.isfinite(found))
+        x, y = found[row, column, edge], rows[row]
+        points = np.stack([x, y, x**2 / (4 * collector.focal_length_m)], axis=1)
+        pixels = camera.project(pose.cam_from_world.apply(points))
+        panel = _FIRST_PANEL + row // 2 * n_columns + column
+        values = (panel, 2 * edge - 1, x, y, pixels[:, 0], pixels[:, 1])
+        table["image"].extend([image] * x.size)
+        for name, part in zip(list(table)[1:], values, strict=True):
+            table[name].extend(part.tolist())
+    return table
+
+
+def headline_text(result: Result) -> str:
+    """Say the largest prescriptions in a few lines."""
+    tilt, sigma = result.to_absorber.tilt_rad, result.to_absorber.sigma_rad
+    known = np.isfinite(tilt)
+    if not known.any():
+        return "no panel is measured well enough for a prescription"
+    rms = 1e3 * float(np.sqrt(np.mean(tilt[known] ** 2)))
+    worst = int(np.nanargmax(np.abs(tilt)))
+    _, move, _ = mount_moves(result.to_absorber, result.mounts_m, result.collector)
+    return "\n".join([
+        f"{known.sum()} of {tilt.size} panels: mean angle to the absorber {rms:.2f} mrad RMS",
+        f"  worst            panel {_FIRST_PANEL + worst}: {1e3 * tilt[worst]:+.2f} +- {1e3 * sigma[worst]:.2f} mrad",
+        f"  largest move     {1e3 * float(np.nanmax(np.abs(move))):.2f} mm (mounts.csv; positive towards the absorber)",
+    ])  # fmt: skip

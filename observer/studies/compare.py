@@ -1,0 +1,250 @@
+"""Results of one trough at several orientations to a table and a figure: what its weight does (gravity study)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.reporting.canvas import png_of
+from heliogauge.results.arrays import LabelledArray, write_arrays
+from heliogauge.results.folder import Summary, hash_files, read_summary, write_summary, write_table_csv
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import read_table_csv
+from heliogauge.slopes.grid import resample
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+from observer.files import ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS
+from observer.product.orientation_study import SpanSags, WeightSag, mirror_change, sag_by_weight, theta_r_change
+from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
+from observer.report.figures_orientation import Profile, orientation_figure
+
+KIND = "observer-compare"
+FIGURE = "orientations.png"
+CHANGES_FIGURE = "theta_r_change.png"
+#: Spans whose supports differ by less are the same one [m].
+_SAME_M = 0.05
+#: A sag that departs from weight and bend by more than so many sigma is said.
+_DOUBT_TIMES = 3.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneOrientation:
+    """What the study takes from a result.
+
+    profile: The absorber along the trough.
+    spans: Columns of ``absorber_spans.csv``.
+    slope_map: The mirror; None where only the absorber was measured.
+    """
+
+    folder: Path
+    summary: Summary
+    profile: Profile
+    spans: dict[str, FloatArray]
+    slope_map: SlopeMap | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A gravity study, ready to be written.
+
+    orientations: In the order given; the first is what the others are compared with.
+    sags: For each span; None where fewer than two orientations show it.
+    maps: All mirrors on the first one's grid.
+    doubts: What is doubtful.
+    """
+
+    orientations: tuple[OneOrientation, ...]
+    sags: tuple[WeightSag | None, ...]
+    maps: tuple[SlopeMap | None, ...]
+    doubts: tuple[str, ...]
+
+
+def run(folders: Sequence[Path]) -> Comparison:
+    """Compare results of one trough at several orientations.
+
+    folders: Results of ``heliogauge observer`` or ``heliogauge observer absorber``, two at least.
+    Returns: Sags by weight, profiles, maps on one grid.
+    InputError: Fewer than two results, a folder that holds none, or results of different collectors.
+    """
+    if len(folders) < 2:
+        raise InputError(f"observer compare: {len(folders)} result given, two at different orientations are needed")
+    found = tuple(_read(folder) for folder in folders)
+    designs = {one.summary.texts.get("design", "").split(", focal")[0] for one in found if one.slope_map is None}
+    if len(designs) > 1:
+        raise InputError(f"observer compare: results of different collectors: {'; '.join(sorted(designs))}")
+    sags: list[WeightSag | None] = []
+    warnings: list[str] = []
+    for number in range(len(found[0].spans["from_y_m"])):
+        try:
+            sag = sag_by_weight(_sags_of(found, number))
+        except EstimationError as error:
+            warnings.append(f"span {number + 1}: {error}")
+            sags.append(None)
+            continue
+        sags.append(sag)
+        if sag.worst_residual > _DOUBT_TIMES:
+            warnings.append(
+                f"span {number + 1}: a sag is {sag.worst_residual:.1f} sigma beside weight and bend; did the tube move "
+                "in its supports, or is an orientation_deg wrong?"
+            )
+    first = found[0].slope_map
+    maps = tuple(
+        one.slope_map if one.slope_map is None or first is None else resample(one.slope_map, first.x_m, first.y_m)
+        for one in found
+    )
+    return Comparison(found, tuple(sags), maps, tuple(warnings))
+
+
+def _read(folder: Path) -> OneOrientation:
+    if not (folder / "absorber_spans.csv").is_file():
+        raise InputError(
+            f"{folder}: no absorber_spans.csv; give results of `heliogauge observer` or `heliogauge observer absorber`"
+        )
+    summary = read_summary(folder / "summary.json")
+    if "orientation_rad" not in summary.numbers:
+        raise InputError(f"{folder / 'summary.json'}: no orientation_rad; set [collector] orientation_deg, run again")
+    names = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
+    table = _numbers(folder / "absorber.csv", names)
+    turn = float(summary.numbers["orientation_rad"] or 0.0)
+    label = f"{summary.name} ({np.degrees(turn):g} deg)"
+    spans = _numbers(
+        folder / "absorber_spans.csv", ("from_y_m", "to_y_m", "sag_x_m", "sag_z_m", "sigma_sag_x_m", "sigma_sag_z_m")
+    )
+    slopes = folder / "slope_map.nc"
+    profile = Profile(label, turn, *(table[name] for name in names))
+    return OneOrientation(folder, summary, profile, spans, read_slope_map(slopes) if slopes.is_file() else None)
+
+
+def _numbers(path: Path, names: Sequence[str]) -> dict[str, FloatArray]:
+    table = read_table_csv(path, names)
+    try:
+        return {name: np.array([float(cell) if cell else np.nan for cell in table[name]]) for name in names}
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _sags_of(found: Sequence[OneOrientation], number: int) -> SpanSags:
+    """Collect the sags of one span of the first result from all results that have it."""
+    ends = [found[0].spans[name][number] for name in ("from_y_m", "to_y_m")]
+    rows = []
+    for one in found:
+        apart = np.hypot(one.spans["from_y_m"] - ends[0], one.spans["to_y_m"] - ends[1])
+        same = int(np.argmin(apart))
+        values = [one.spans[name][same] for name in ("sag_x_m", "sag_z_m", "sigma_sag_x_m", "sigma_sag_z_m")]
+        if apart[same] < _SAME_M and np.isfinite(values).all():
+            rows.append([one.profile.orientation_rad, *values])
+    return SpanSags(*np.array(rows).reshape(-1, 5).T)
+
+
+def write(result: Comparison, folder: Path) -> None:
+    """Write table and figure into an existing folder."""
+    write_table_csv(folder / "orientations.csv", _table(result))
+    spans = result.orientations[0].spans
+    known = [(k, sag) for k, sag in enumerate(result.sags) if sag is not None]
+    columns = {name: [float(spans[name][k]) for k, _ in known] for name in ("from_y_m", "to_y_m")}
+    columns |= {name: [getattr(sag, name) for _, sag in known] for name in WeightSag.__slots__}
+    write_table_csv(folder / "sag_by_weight.csv", columns)
+    sags = [_sags_of(result.orientations, k) for k, _ in known]
+    profiles = [one.profile for one in result.orientations]
+    changes = mirror_changes(result)
+    write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, "y_m"))
+    write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
+    write_changes(folder / ORIENTATION_CHANGES, changes)
+    (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
+    if changes:
+        (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
+    write_summary(folder / "summary.json", summarise(result))
+
+
+def mirror_changes(result: Comparison) -> list[OneMap]:
+    """Return how theta_r changes from the first orientation to the others, without its mean.
+
+    Returns: One for each other orientation whose mirror was measured.
+    """
+    found, first = [], result.maps[0]
+    for one, other in zip(result.orientations[1:], result.maps[1:], strict=True):
+        if first is not None and other is not None:
+            change = theta_r_change(first, other)
+            mean = np.nanmean(change) if np.isfinite(change).any() else 0.0
+            found.append(OneMap(one.profile.label, other.x_m, other.y_m, np.asarray(change - mean)))
+    return found
+
+
+def _long(parts: Sequence[Any], size: str, names: Sequence[str | int] | None = None) -> dict[str, list[Any]]:
+    """Return values of several dataclasses below each other; the first column says whose they are."""
+    columns: dict[str, list[Any]] = {"of": []}
+    for k, part in enumerate(parts):
+        n = getattr(part, size).size
+        columns["of"] += [part.label if names is None else names[k]] * n
+        for name in (name for name in part.__slots__ if name != "label"):
+            columns.setdefault(name, []).extend(np.broadcast_to(getattr(part, name), n).tolist())
+    return columns
+
+
+def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
+    """Write maps of the mirror's change."""
+    if not changes:
+        return
+    arrays = [
+        LabelledArray("y", ("y",), changes[0].y_m, "m", "along the trough"),
+        LabelledArray("x", ("x",), changes[0].x_m, "m", "across the aperture"),
+    ]
+    for k, one in enumerate(changes, start=1):
+        text = f"theta_r minus that of the first orientation, without its mean: {one.name}"
+        arrays.append(LabelledArray(f"theta_r_change_{k}", ("y", "x"), one.angle_rad.astype(np.float32), "rad", text))
+    write_arrays(path, arrays, {"orientations": [one.name for one in changes]})
+
+
+def _table(result: Comparison) -> dict[str, list[float | str]]:
+    """Return one row for each orientation: the absorber's numbers, and the mirror's change against the first."""
+    names = (
+        "absorber_mean_x_m", "sigma_absorber_mean_x_m", "absorber_mean_z_offset_m", "sigma_absorber_mean_z_offset_m",
+        "absorber_tilt_x_rad", "absorber_tilt_z_rad", "absorber_sag_down_m", "sigma_absorber_sag_down_m",
+    )  # fmt: skip
+    rows: list[dict[str, float | str]] = []
+    for one, other in zip(result.orientations, result.maps, strict=True):
+        numbers = one.summary.numbers
+        row: dict[str, float | str] = {
+            "result": one.folder.name, "orientation_deg": round(float(np.degrees(one.profile.orientation_rad)), 6)
+        }  # fmt: skip
+        values = {name: numbers.get(name) for name in names}
+        row |= {name: np.nan if value is None else float(value) for name, value in values.items()}
+        change = None if other is None or result.maps[0] is None else mirror_change(result.maps[0], other)
+        row["theta_r_turned_rad"] = np.nan if change is None else change.tilt_rad
+        row["theta_r_change_rms_rad"] = np.nan if change is None else change.rms_rad
+        row["theta_r_change_noise_rad"] = np.nan if change is None else change.noise_rad
+        rows.append(row)
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def summarise(result: Comparison) -> Summary:
+    """Collect the headline numbers."""
+    numbers: dict[str, float | int | None] = {"orientations_count": len(result.orientations)}
+    for number, sag in enumerate(result.sags, start=1):
+        if sag is not None:
+            numbers[f"span_{number}_sag_by_weight_m"] = sag.by_weight_m
+            numbers[f"sigma_span_{number}_sag_by_weight_m"] = sag.sigma_by_weight_m
+    inputs = [one.folder / "absorber.csv" for one in result.orientations]
+    name = result.orientations[0].summary.name
+    return Summary(
+        kind=KIND, name=name, numbers=numbers, doubts=result.doubts,
+        texts={"results": ", ".join(one.profile.label for one in result.orientations)},
+        input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in enumerate(inputs, 1)},
+    )  # fmt: skip
+
+
+def headline_text(result: Comparison) -> str:
+    """Say the most important numbers in a few lines for the terminal."""
+    turns = ", ".join(f"{np.degrees(one.profile.orientation_rad):g}" for one in result.orientations)
+    lines = [f"{len(result.orientations)} orientations: {turns} degrees from zenith"]
+    for number, sag in enumerate(result.sags, start=1):
+        if sag is not None:
+            lines.append(
+                f"  span {number}   sag by weight {1e3 * sag.by_weight_m:.2f} +- {1e3 * sag.sigma_by_weight_m:.2f} mm, "
+                f"bend x {1e3 * sag.bend_x_m:.2f} +- {1e3 * sag.sigma_bend_x_m:.2f} mm, "
+                f"z {1e3 * sag.bend_z_m:.2f} +- {1e3 * sag.sigma_bend_z_m:.2f} mm"
+            )
+    return "\n".join(lines)

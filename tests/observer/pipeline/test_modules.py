@@ -1,0 +1,164 @@
+"""One flight over several modules: who belongs where, who fails alone, what is written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.measurement.load import load_observer
+from heliogauge.results.folder import Summary, read_summary, write_summary
+from heliogauge.results.tables import read_table_csv, write_table_csv
+from observer.pipeline import measure as pipeline
+from observer.pipeline import modules as pipeline_modules
+from observer.pipeline.photos import FirstLook
+from photogrammetry.detection.detections import Detections
+from photogrammetry.pipeline.photos import OnePhoto
+
+TOML = """
+kind = "observer"
+name = "a field"
+[collector]
+aperture_width_m = 5.0
+length_m = 3.16
+focal_length_m = 1.49
+absorber_diameter_mm = 70.0
+[camera]
+width_px = 480
+height_px = 640
+focal_px = 1000.0
+[images]
+photos = "photo_*.png"
+[targets]
+dictionary = "aicon-12"
+[[scale_bar]]
+a = "1"
+b = "3"
+length_m = 3.0
+sigma_mm = 1.0
+[[module]]
+name = "A"
+[[module]]
+name = "B"
+place_m = [7.0, 0.0, 0.0]
+"""
+
+
+def flight(folder: Path, toml: str = TOML, photos: int = 3) -> Path:
+    """Write a folder with six targets on the rims of each of two rows."""
+    places = [
+        [row * 7 + side * 2.6, y, 1.05] for row in (0, 1) for side in (-1, 1) for y in (-1.5, 0.0, 1.5)
+    ]  # fmt: skip
+    columns = {"target": [str(k + 1) for k in range(12)], "sigma_mm": ["1"] * 12}
+    columns |= {f"{axis}_m": [f"{place[k]}" for place in places] for k, axis in enumerate("xyz")}
+    write_table_csv(folder / "targets.csv", columns)
+    (folder / "measurement.toml").write_text(toml, encoding="utf-8")
+    for k in range(photos):
+        (folder / f"photo_{k}.png").write_bytes(b"")
+    return folder
+
+
+def shown(photo: str, names: tuple[str, ...]) -> OnePhoto:
+    n = len(names)
+    table = Detections(
+        photo, names, np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.zeros(n, np.uint32)
+    )
+    none = table.chosen(np.zeros(0, dtype=np.intp))
+    return OnePhoto(table, np.tile(np.eye(2), (n, 1, 1)), (480, 640), (), none, np.zeros((0, 2, 2)))
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
+    """Replace photos and solution: photo 0 shows A, 1 shows both, 2 B and one rim of A; B has no reflection."""
+    first, second = tuple("123456"), ("7", "8", "9", "10", "11", "12")
+    looked = (
+        shown("photo_0.png", first), shown("photo_1.png", first + second),
+        shown("photo_2.png", ("4", "5", "6", *second)),
+    )  # fmt: skip
+    seen: dict[str, list[str]] = {}
+
+    def look(files, finders, **_):
+        names = tuple(file.name for file in files)
+        assert [len(one.known.names) for one in finders] == [6, 6]
+        np.testing.assert_allclose(finders[1].known.points_m[:, 0], [-2.6] * 3 + [2.6] * 3)
+        return [FirstLook(names, looked, {}, {}, {}, None) for _ in finders]
+
+    def evaluate(measurement, prepared, first, options, progress):
+        with progress.stage("adjust"):
+            name = measurement.model.name
+        seen[name] = [one.detections.photo for one in first.targets]
+        assert prepared.survey.photo_files == measurement.photo_files
+        assert len(measurement.model.scale_bar) == (name == "A")
+        if name == "B":
+            raise EstimationError("reflection: only 0 edges")
+        return pipeline.Result(name, *([None] * 15), (), {})
+
+    def write(result, folder):
+        write_summary(folder / "summary.json", Summary(
+            "observer", result.name, {"rms_theta_r_rad": 3e-3}, doubts=("a doubt",),
+            input_sha256=result.input_sha256,
+        ))  # fmt: skip
+
+    monkeypatch.setattr(pipeline_modules, "look_first_at_each", look)
+    monkeypatch.setattr(pipeline_modules, "evaluate", evaluate)
+    monkeypatch.setattr(pipeline_modules, "write", write)
+    return seen
+
+
+def test_a_module_that_fails_is_told_and_stops_nobody(tmp_path: Path, solved: dict[str, list[str]]) -> None:
+    measurement = load_observer(flight(tmp_path))
+    out = tmp_path / "out"
+    out.mkdir()
+    result = pipeline_modules.run(measurement, out)
+    # One rim of A in photo 2: three targets, which tell no pose.
+    assert solved == {"A": ["photo_0.png", "photo_1.png"], "B": ["photo_1.png", "photo_2.png"]}
+    assert sorted(path.name for path in out.iterdir()) == ["A", "overview.csv", "overview.nc", "summary.json"]
+    assert set(read_summary(out / "A").input_sha256) == {
+        "measurement.toml", "targets.csv", "photo_0.png", "photo_1.png"
+    }  # fmt: skip
+    table = read_table_csv(out / "overview.csv")
+    assert table["result"] == ["A", "B"]
+    assert table["failed"] == ["", "reflection: only 0 edges"]
+    summary = read_summary(out)
+    assert summary.numbers == {"modules_count": 1, "failed_count": 1}
+    assert summary.facets == {"A": {"rms_theta_r_rad": 3e-3}}
+    assert list(summary.durations_s) == ["hash inputs", "A", "B: adjust", "overview"]
+    assert result.all_warnings == ("B: not measured: reflection: only 0 edges", "A: a doubt")
+
+
+def test_all_modules_failing_is_an_error_with_each_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toml = TOML.replace("[7.0, 0.0, 0.0]", "[50.0, 0.0, 0.0]").replace('name = "A"', 'name = "A"\nplace_m = [0, 30, 0]')
+    with pytest.raises(EstimationError, match=r"none of 2 modules(.|\n)*A: 0 targets of the list(.|\n)*B: 0 targets"):
+        pipeline_modules.run(load_observer(flight(tmp_path, toml)), tmp_path)
+
+
+def test_lists_of_their_own_are_in_the_modules_own_frames(tmp_path: Path) -> None:
+    toml = TOML.replace('name = "A"', 'name = "A"\ntargets_file = "a.csv"')
+    toml = toml.replace('name = "B"', 'name = "B"\ntargets_file = "b.csv"')
+    folder = flight(tmp_path, toml)
+    (folder / "targets.csv").rename(folder / "a.csv")
+    (folder / "b.csv").write_bytes((folder / "a.csv").read_bytes())
+    measurement = load_observer(folder)
+    assert {path.name for path in measurement.input_files[:3]} == {"measurement.toml", "a.csv", "b.csv"}
+    modules, failed = pipeline_modules._modules(measurement)
+    assert not failed
+    np.testing.assert_allclose(modules[1].prepared.finder.known.points_m[0], [-2.6, -1.5, 1.05])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('name = "B"', 'name = "a"'), "the name a occurs twice"),
+        (('name = "B"', 'name = "../B"'), "letters, digits"),
+        (('dictionary = "aicon-12"', 'uncoded_file = "u.csv"'), "coded targets"),
+        (("[[scale_bar]]", '[absorber]\nsource = "file"\nfile = "a.csv"\n[[scale_bar]]'), "common photos"),
+    ],
+)
+def test_flights_that_cannot_be_are_refused(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_observer(flight(tmp_path, TOML.replace(*change)))
+
+
+def test_a_flight_is_no_single_measurement(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"observer\.pipeline\.modules"):
+        pipeline.run(load_observer(flight(tmp_path)))

@@ -1,0 +1,89 @@
+"""Which edges of a photo can be the tube's: by darkness, by how they go on from row to row."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from observer.photo_edges.edges import Edges
+from observer.photo_edges.rectify import Strip
+from observer.photo_edges.reflection_edges import ReflectionEdges, _is_tube_dark, _Look, _unevenness
+from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone, unchecked_doubt
+
+Y = np.arange(50) * 0.02
+
+
+def curve(photo: int, rows: np.ndarray, x: np.ndarray) -> ReflectionEdges:
+    n = rows.size
+    points = np.stack([x, Y[rows], np.zeros(n)], axis=1)
+    return ReflectionEdges(np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8), np.zeros(n))
+
+
+def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() -> None:
+    long = curve(0, np.arange(40), 0.1 + 0.05 * np.arange(40))
+    short = curve(0, np.arange(10, 14), np.full(4, -0.5))
+    elsewhere = curve(1, np.arange(14, 40), np.full(26, -0.5))
+    jump = curve(1, np.arange(3), np.full(3, -0.2))
+    edges = ReflectionEdges(
+        *(
+            np.concatenate([getattr(one, name) for one in (long, short, elsewhere, jump)])
+            for name in ReflectionEdges.__slots__
+        )
+    )
+    alone = is_alone(edges, np.ones(edges.row.size, dtype=bool), Y)
+    np.testing.assert_array_equal(alone, np.repeat([False, True, False, True], [40, 4, 26, 3]))
+    # Rows 0.4 m apart do not show how an edge goes on.
+    assert not is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
+
+
+def test_noise_that_does_not_go_on_from_row_to_row_is_no_shadow() -> None:
+    rng = np.random.default_rng(1)
+    tube = [curve(photo, np.arange(40), 0.1 + 0.05 * np.arange(40)) for photo in range(20)]
+    noise = [curve(photo, np.arange(0, 40, 8), rng.uniform(-2, 2, 5)) for photo in range(20)]
+    shadow = [curve(photo, np.arange(10, 20), np.full(10, -0.5)) for photo in range(20)]
+    for wrong, is_shadow in ((noise, False), (shadow, True)):
+        edges = ReflectionEdges(
+            *(np.concatenate([getattr(one, name) for one in (*tube, *wrong)]) for name in ReflectionEdges.__slots__)
+        )
+        fate = np.full(edges.row.size, int(EdgeFate.USED))
+        fate[800:] = int(EdgeFate.WRONG_STEP)
+        assert has_shadows(edges, fate, Y) is is_shadow
+
+
+def edges_between(dark: np.ndarray, bright: np.ndarray) -> Edges:
+    n = dark.size
+    rise = dark - bright
+    return Edges(np.arange(n), np.zeros(n), np.full(n, 1e-3), rise, rise / bright)
+
+
+def test_edges_of_bright_things_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    tube = edges_between(np.full(60, 18.0) + rng.normal(0, 1, 60), rng.uniform(80, 200, 60))
+    ground = edges_between(rng.uniform(60, 90, 60), rng.uniform(130, 200, 60))
+    both = Edges(*(np.concatenate([getattr(one, name) for one in (tube, ground)]) for name in Edges.__slots__))
+    everything = np.ones(120, dtype=bool)
+    kept = _is_tube_dark(both, np.ones(120), everything)
+    np.testing.assert_array_equal(kept, np.repeat([True, False], 60))
+    # Steps the other way: a bright tube is not judged by its darkness.
+    assert _is_tube_dark(both, -np.ones(120), everything).all()
+
+
+def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> None:
+    x = np.arange(120) * 0.01
+    step = 100.0 / (1 + np.exp(-(x - 0.4) / 0.01)) + 20.0
+    # A shadow that ends 5 samples beside the second row's edge.
+    shadowed = np.where(x > 0.45, 0.4 * step, step)
+    image = np.stack([step, shadowed]).astype(np.float32)
+    strip = Strip(image, x, np.ones(image.shape, dtype=bool))
+    edges = Edges(np.array([0, 1]), np.full(2, 0.4), np.full(2, 1e-3), np.full(2, 100.0), np.full(2, 0.8))
+    even, uneven = _unevenness(_Look(0, np.zeros(3), 0.01, strip), edges)
+    assert even < 0.05
+    assert uneven > 0.5
+    both = curve(0, np.arange(40), np.full(40, 0.1))
+    both = replace(both, unevenness=np.where(np.arange(40) < 5, uneven, even))
+    np.testing.assert_array_equal(first_fate(both) == EdgeFate.UNEVEN, np.arange(40) < 5)
+
+
+def test_a_word_is_said_where_most_edges_stand_alone() -> None:
+    fate = np.repeat([EdgeFate.USED, EdgeFate.WRONG_STEP, EdgeFate.ONE_SIDED], [40, 10, 50])
+    assert "50 % are not borne out" in str(unchecked_doubt(fate))
+    assert unchecked_doubt(fate[:55]) is None

@@ -1,0 +1,153 @@
+"""Gravity study: weight told from bend, sigmas, refusals; results in, table and figure out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import read_image
+from heliogauge.results.folder import Summary, write_summary, write_table_csv
+from heliogauge.results.slope_map_file import write_slope_map
+from heliogauge.results.tables import read_table_csv
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from observer import cli
+from observer.absorber.product import absorber_columns, shape_numbers, span_columns, tube_spans
+from observer.product.orientation_study import SpanSags, mirror_change, sag_by_weight
+from observer.report import compare as report
+from observer.report.figures_modules import maps_figure
+from observer.studies.compare import mirror_changes, run, write
+from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
+
+TURNS = np.radians([0.0, 90.0, 170.0])
+COLLECTOR = Collector(5.0, 7.8, 1.49, 0.07)
+Y_M = np.linspace(-3.9, 3.9, 33)
+
+
+def sags(noise: np.ndarray, sigma_m: float = 2e-4) -> SpanSags:
+    """A tube that sags by 6 mm and is bent by (1, -0.5) mm."""
+    full = np.full(3, sigma_m)
+    return SpanSags(TURNS, 6e-3 * np.sin(TURNS) + 1e-3 + noise[0], -6e-3 * np.cos(TURNS) - 5e-4 + noise[1], full, full)
+
+
+def test_weight_is_told_from_bend_with_its_sigma() -> None:
+    exact = sag_by_weight(sags(np.zeros((2, 3))))
+    np.testing.assert_allclose([exact.by_weight_m, exact.bend_x_m, exact.bend_z_m], [6e-3, 1e-3, -5e-4], atol=1e-12)
+    rng = np.random.default_rng(3)
+    found = [sag_by_weight(sags(2e-4 * rng.standard_normal((2, 3)))) for _ in range(400)]
+    for name in ("by_weight_m", "bend_x_m", "bend_z_m"):
+        scatter = np.std([getattr(one, name) for one in found])
+        np.testing.assert_allclose(scatter, getattr(exact, f"sigma_{name}"), rtol=0.12)
+    # A tube that slipped by 3 mm at one orientation is seen.
+    assert sag_by_weight(sags(np.array([[0, 3e-3, 0], [0, 0, 0]]))).worst_residual > 3.5
+
+
+def test_one_orientation_or_two_alike_are_refused() -> None:
+    one = SpanSags(*(np.zeros(1) for _ in range(3)), np.ones(1), np.ones(1))
+    with pytest.raises(EstimationError, match=r"1 orientations within 0 degrees.*10 degrees apart"):
+        sag_by_weight(one)
+    alike = replace(sags(np.zeros((2, 3))), orientation_rad=np.radians([10.0, 12.0, 15.0]))
+    with pytest.raises(EstimationError, match="3 orientations within 5 degrees"):
+        sag_by_weight(alike)
+
+
+def mirror(change_rad: float = 0.0, noise_rad: float = 0.0) -> SlopeMap:
+    """A trough's mirror whose normals are turned towards +x by an angle, and noise."""
+    x, y = (np.arange(40) - 19.5) * 0.1, (np.arange(30) - 14.5) * 0.2
+    design = np.tile(x / (2 * 1.49), (30, 1))
+    noise = noise_rad * np.random.default_rng(1).standard_normal(design.shape)
+    slope = np.tan(np.arctan(design) - change_rad + noise)
+    zero, sigma = np.zeros(design.shape), np.full(design.shape, max(noise_rad, 1e-6))
+    return SlopeMap(
+        x_m=x, y_m=y, slope_x=slope, slope_y=zero, design_slope_x=design, design_slope_y=zero,
+        sigma_random_x=sigma * (1 + design**2), sigma_random_y=sigma, noise_correlation=0.0, common=no_common_modes(),
+        height_m=np.full(design.shape, np.nan), flags=np.zeros(design.shape, dtype=np.uint32),
+        aperture=np.ones(design.shape, dtype=bool), design="parabola", frame="trough", removed="nothing",
+    )  # fmt: skip
+
+
+def result_at(folder: Path, degrees: float, *, with_map: bool = True) -> Path:
+    """Write what `heliogauge observer` writes, as far as the study reads it."""
+    folder.mkdir()
+    turn = np.radians(degrees)
+    shape = 1 - (Y_M / 3.9) ** 2
+    path = AbsorberPath(Y_M, 6e-3 * np.sin(turn) * shape, 1.49 - 6e-3 * np.cos(turn) * shape, 1e-8 * np.eye(66))
+    write_table_csv(folder / "absorber.csv", absorber_columns(path, None, COLLECTOR))
+    write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(path, None, COLLECTOR, turn)))
+    numbers = {**shape_numbers(path, None, COLLECTOR, turn), "orientation_rad": turn}
+    write_summary(folder / "summary.json", Summary("observer", "LS-2", numbers, texts={"design": COLLECTOR.describe()}))
+    if with_map:
+        write_slope_map(folder / "slope_map.nc", {"": mirror(1e-3 * np.sin(turn), 2e-4 if degrees else 0.0)})
+    return folder
+
+
+def test_command_line_makes_table_and_figure(tmp_path: Path) -> None:
+    folders = [result_at(tmp_path / f"at{degrees:g}", degrees) for degrees in (0.0, 90.0, 170.0)]
+    out = tmp_path / "study"
+    result = CliRunner().invoke(cli.app, ["compare", *map(str, folders), "-o", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "3 orientations: 0, 90, 170 degrees" in result.output
+    assert "sag by weight 6.00" in result.output
+    table = read_table_csv(out / "orientations.csv")
+    np.testing.assert_allclose([float(cell) for cell in table["orientation_deg"]], [0, 90, 170])
+    np.testing.assert_allclose(float(table["theta_r_turned_rad"][1]), 1e-3, atol=3e-5)
+    np.testing.assert_allclose(float(table["theta_r_change_rms_rad"][1]), 2e-4, rtol=0.1)
+    np.testing.assert_allclose(float(table["theta_r_change_noise_rad"][1]), 2e-4, rtol=0.1)
+    weight = read_table_csv(out / "sag_by_weight.csv")
+    np.testing.assert_allclose(float(weight["by_weight_m"][0]), 6e-3, atol=1e-6)
+    for name in ("orientations.png", "theta_r_change.png"):
+        image = read_image(out / name)
+        assert min(image.shape) > 300
+        assert np.std(image) > 10
+
+
+def test_the_report_has_what_the_study_wrote(tmp_path: Path) -> None:
+    folders = [result_at(tmp_path / f"at{degrees:g}", degrees) for degrees in (0.0, 90.0)]
+    study = run(folders)
+    write(study, tmp_path)
+    results = report.open_study(tmp_path)
+    assert [one.label for one in results.profiles] == ["LS-2 (0 deg)", "LS-2 (90 deg)"]
+    for one, other in zip(results.profiles, study.orientations, strict=True):
+        np.testing.assert_allclose(one.z_m, other.profile.z_m, rtol=1e-9)
+        np.testing.assert_allclose(one.sigma_x_m, other.profile.sigma_x_m, rtol=1e-9)
+        assert one.orientation_rad == pytest.approx(other.profile.orientation_rad)
+    np.testing.assert_allclose(results.sags[0].sag_x_m, [0.0, 6e-3], atol=1e-6)
+    np.testing.assert_allclose(results.changes[0].angle_rad, mirror_changes(study)[0].angle_rad, atol=1e-9)
+    # Without its mean, 1 mrad, the change is noise; x goes to the right and y up, as in all maps.
+    assert abs(np.nanmean(results.changes[0].angle_rad)) < 1e-8
+    image = maps_figure(results.changes, "").axes[0].images[0]
+    assert image.origin == "lower"
+    np.testing.assert_allclose(image.get_extent()[:2], results.changes[0].x_m[[0, -1]])
+    assert "6.00" in report.weight(results).text
+    assert "1.01 mrad" in report.absorber(results).text
+    assert report.mirror(results).text.count("<img") == 1
+    assert "2 orientations" in report.head(results).text
+
+
+def test_absorber_alone_is_enough(tmp_path: Path) -> None:
+    folders = [result_at(tmp_path / f"at{degrees:g}", degrees, with_map=False) for degrees in (0.0, 60.0)]
+    found = run(folders)
+    assert found.maps == (None, None)
+    assert found.sags[0] is not None
+    np.testing.assert_allclose(found.sags[0].by_weight_m, 6e-3, atol=1e-6)
+
+
+def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
+    one = result_at(tmp_path / "one", 0.0, with_map=False)
+    with pytest.raises(InputError, match="1 result given"):
+        run([one])
+    with pytest.raises(InputError, match=r"no absorber_spans\.csv; give results of"):
+        run([one, tmp_path])
+    again = result_at(tmp_path / "again", 0.0, with_map=False)
+    found = run([one, again])
+    assert found.sags == (None,)
+    assert "10 degrees apart" in found.doubts[0]
+
+
+def test_a_turned_mirror_is_a_tilt() -> None:
+    change = mirror_change(mirror(), mirror(5e-4))
+    np.testing.assert_allclose(change.tilt_rad, 5e-4, rtol=1e-3)
+    assert change.rms_rad < 1e-6

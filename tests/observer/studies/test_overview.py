@@ -1,0 +1,76 @@
+"""One table for several modules."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliogauge.errors import InputError
+from heliogauge.results.folder import Summary, write_summary
+from heliogauge.results.tables import read_table_csv
+from observer.files import OVERVIEW_MAPS, write_maps
+from observer.report.figures_modules import ModuleMap, modules_figure
+from observer.studies.overview import headline_text, run, write
+
+
+def result_of(folder, kind="observer", doubts=(), **numbers):
+    folder.mkdir()
+    write_summary(folder / "summary.json", Summary(
+        kind=kind, name=folder.name.upper(), numbers=numbers, texts={}, doubts=doubts, durations_s={},
+        input_sha256={}, not_determined={key: "unseen" for key, value in numbers.items() if value is None},
+    ))  # fmt: skip
+    return folder
+
+
+def test_a_row_for_each_module(tmp_path):
+    first = result_of(tmp_path / "a1", rms_theta_r_rad=3e-3, rms_theta_ra_rad=2.5e-3)
+    second = result_of(tmp_path / "a2", doubts=("a doubt",), rms_theta_r_rad=None, edges_used_count=12)
+    result = run([first, second])
+    (tmp_path / "out").mkdir()
+    write(result, tmp_path / "out")
+    table = read_table_csv(tmp_path / "out" / "overview.csv", ("result", "name"))
+    assert table["name"] == ["A1", "A2"]
+    assert [float(table["rms_theta_r_rad"][0]), table["rms_theta_r_rad"][1]] == [3e-3, ""]
+    assert table["edges_used_count"] == ["", "12"]
+    assert table["warnings"] == ["0", "1"]
+    assert result.doubts == (f"{second}: a doubt",)
+    assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in headline_text(result)
+    assert len(result.input_sha256) == 2
+
+
+def test_other_results_and_doubled_ones_are_refused(tmp_path):
+    first, other = result_of(tmp_path / "a"), result_of(tmp_path / "b", kind="deflectometry")
+    with pytest.raises(InputError, match='kind "deflectometry"'):
+        run([first, other])
+    with pytest.raises(InputError, match="given twice"):
+        run([first, tmp_path / "b" / ".." / "a"])
+
+
+def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
+    from observer.report import overview as report
+
+    folders = [
+        result_of(tmp_path / name, rms_theta_r_rad=3e-3, sigma_rms_theta_r_rad=1e-4, intercept_ratio=0.99)
+        for name in ("one", "two")
+    ]
+    write(replace(run(folders, base=tmp_path), failed={"three": "no <targets>"}), tmp_path)
+    x, y = np.linspace(-2.5, 2.5, 26), np.linspace(-1.5, 1.5, 16)
+    theta = np.where(x > 0, 2e-3, -1e-3) * np.ones((16, 1))
+    theta[3] = np.nan
+    write_maps(tmp_path / OVERVIEW_MAPS, [ModuleMap(name, x, y, theta, theta + 1e-3) for name in ("one", "two")])
+    results = report.open_overview(tmp_path)
+    np.testing.assert_allclose(results.maps[1].theta_r_rad, theta + 1e-3, atol=1e-9)
+    table = report.modules(results).text
+    assert '<a href="two/report.html">two</a>' in table
+    assert "3.00 \u00b1 0.10 mrad" in table
+    assert "no &lt;targets&gt;" in table
+    assert report.maps(results).text.count("<img") == 2
+    assert report.numbers(results).text.count("<img") == 1
+    # Half of the aperture at +1.5, half at -1.5 mrad without the mean.
+    figure = modules_figure(results.maps, "theta_r")
+    assert figure.axes[0].get_title(loc="left") == "one: 1.50 mrad RMS"
+    image = figure.axes[0].images[0]
+    assert image.origin == "lower"
+    assert image.get_extent()[:2] == [-2.5, 2.5]
+    assert "2 modules" not in report.head(results).text
+    assert "overview of 3 modules" in report.head(results).text
