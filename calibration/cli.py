@@ -15,7 +15,7 @@ from heliogauge.running.commands import (
     Quiet,
     Scheduler,
     Verbose,
-    into_folder,
+    deliver,
     make_app,
     tell,
 )
@@ -33,7 +33,7 @@ def response_command(
     verbose: Verbose = False,
 ) -> None:
     """Photographs of uniform grey levels -> response.csv, response.png, summary.json in the folder OUT."""
-    from calibration.screen.pipeline import Options, headline_text, run, write
+    from calibration.screen.pipeline import Options, run
     from heliogauge.errors import InputError
     from heliogauge.measurement.load import load_response
     from heliogauge.running.terminal import terminal_progress
@@ -41,14 +41,14 @@ def response_command(
     if out.suffix == ".csv":
         raise InputError(f"--out {out}: give a folder, such as {out.with_suffix('')}; response.csv is written into it")
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
-        out, lambda: run(load_response(folder), Options(jobs=jobs), progress), write, force=force, progress=progress
-    )
-    tell(
-        result.doubts,
-        lambda: headline_text(result),
-        f"results: {out}; use it with response_file in [screen] of measurement.toml",
+    deliver(
+        out,
+        lambda: run(load_response(folder), Options(jobs=jobs), progress),
+        progress,
+        force=force,
         quiet=quiet,
+        report=False,
+        hint="; use it with response_file in [screen] of measurement.toml",
     )
 
 
@@ -77,26 +77,20 @@ def camera_command(
     verbose: Verbose = False,
 ) -> None:
     """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
-    from calibration.camera.files.summary import headline_text
-    from calibration.camera.pipeline.measure import Options, run, write
+    from calibration.camera.pipeline.measure import Options, run
     from heliogauge.measurement.load import load_camera_calibration
     from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_camera_calibration(folder), options, progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
-        report=not no_report,
-    )
-    tell(
-        result.doubts,
-        lambda: headline_text(result),
-        f'results: {out}; use it with file = "cameras.json" in [camera] of another measurement',
         quiet=quiet,
+        report=not no_report,
+        hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
 
 

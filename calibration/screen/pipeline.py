@@ -1,19 +1,20 @@
 """Photographs of uniform grey levels to the response of camera and display: read, choose pixels, fit, write."""
 
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from calibration.screen.response import GreyStep, ScreenResponse, fit_response
-from heliogauge.errors import EstimationError, InputError, QualityWarning
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Frames, read_frames
 from heliogauge.measurement.load import ResponseMeasurement
-from heliogauge.results.folder import Summary, hash_files, write_summary, write_table_csv
+from heliogauge.results.folder import Summary, hash_files, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import BoolArray, FloatArray
 
@@ -53,23 +54,74 @@ class GreyReadings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """The response and what it rests on.
 
-    name: Name of the measurement.
     response: The look-up; levels as shares of the display's range.
     readings: Readings of all levels, also those left out.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = "response"
     response: ScreenResponse
     readings: GreyReadings
-    doubts: tuple[str, ...]
-    durations_s: dict[str, float]
-    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        response, readings = self.response, self.readings
+        departure, sigma_departure = nonlinearity(response)
+        at = int(np.argmax(np.abs(departure)))
+        first, last, bent = (response.display_level[index] for index in (0, -1, at))
+        sigma_dn = _sigma_dn(response)
+        saturated = int(np.count_nonzero(readings.is_saturated))
+        numbers = {
+            "nonlinearity_share": float(departure[at]),
+            "sigma_nonlinearity_share": float(sigma_departure[at]),
+            "darkest_dn": float(response.camera_dn[0]),
+            "sigma_darkest_dn": float(sigma_dn[0]),
+            "brightest_dn": float(response.camera_dn[-1]),
+            "sigma_brightest_dn": float(sigma_dn[-1]),
+            "levels_count": readings.level.size,
+            "used_levels_count": response.camera_dn.size,
+            "saturated_levels_count": saturated,
+            "joined_levels_count": readings.level.size - saturated - response.camera_dn.size,
+            "pixels_count": readings.pixels,
+            "brightness_spread_share": readings.gain_spread,
+        }
+        texts = {
+            "nonlinearity": "largest departure of the reading from a straight line between the ends, as a share of the "
+            f"readings' range; at level {bent:.3f} of the display's range",
+            "range": f"levels {first:.3f} to {last:.3f} of the display's range",
+            "joined": "levels that the camera cannot tell from the one below (within two sigma) are joined with it",
+            "sigma": "1 standard deviation of a mean reading",
+        }
+        return self._summary(numbers, texts)
+
+    def write_files(self, folder: Path) -> None:
+        """Write response.csv and response.png into an existing folder."""
+        from calibration.screen.figures import response_figure
+        from heliogauge.reporting.canvas import png_of
+
+        response = self.response
+        columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
+        write_table_csv(folder / "response.csv", {**columns, "sigma_camera_dn": _sigma_dn(response)})
+        (folder / "response.png").write_bytes(png_of(response_figure(self)))
+
+    def headline(self) -> str:
+        """Return the headline numbers as lines for the terminal."""
+        response, readings = self.response, self.readings
+        departure, sigma = nonlinearity(response)
+        at = int(np.argmax(np.abs(departure)))
+        return "\n".join(
+            (
+                f"{self.name}: response of camera and display",
+                f"  levels           {response.camera_dn.size} of {readings.level.size} used, "
+                f"{np.count_nonzero(readings.is_saturated)} saturated",
+                f"  readings         {response.camera_dn[0]:.2f} to {response.camera_dn[-1]:.2f} DN",
+                f"  nonlinearity     {100 * departure[at]:+.1f} +- {100 * sigma[at]:.1g} % of the range, at level "
+                f"{response.display_level[at]:.2f}",
+                f"  pixels           {readings.pixels}, brightness spread {readings.gain_spread:.0%}",
+            )
+        )
 
 
 def run(measurement: ResponseMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
@@ -81,18 +133,15 @@ def run(measurement: ResponseMeasurement, options: Options | None = None, progre
         rises, or levels that the camera cannot tell apart.
     """
     options, progress = options or Options(), progress or SilentProgress()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", QualityWarning)
-        frames = read_frames(measurement.grey_files, jobs=options.jobs, progress=progress)
-        with progress.stage("fit response"):
-            response, readings = _fit(measurement, frames)
-        with progress.stage("hash inputs"):
-            hashes = hash_files(measurement.input_files, measurement.folder)
-    said = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, QualityWarning)))
-    return Result(measurement.model.name, response, readings, said, dict(progress.durations_s), hashes)
+    frames = read_frames(measurement.grey_files, jobs=options.jobs, progress=progress)
+    with progress.stage("fit response"):
+        result = _fit(measurement, frames)
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    return replace(result, durations_s=dict(progress.durations_s), input_sha256=hashes)
 
 
-def _fit(measurement: ResponseMeasurement, frames: Frames) -> tuple[ScreenResponse, GreyReadings]:
+def _fit(measurement: ResponseMeasurement, frames: Frames) -> Result:
     section, display = measurement.model.images, measurement.model.display
     level = np.asarray(display.levels) / display.full_level
     if section.region_px is None:
@@ -104,7 +153,7 @@ def _fit(measurement: ResponseMeasurement, frames: Frames) -> tuple[ScreenRespon
     pixels = frames.images_dn[:, rows[::every], columns[::every]].astype(np.float64)
     saturation_dn = section.saturation_dn or float(frames.full_scale_dn)
     is_saturated = np.mean(pixels >= saturation_dn, axis=1) > _SATURATED_SHARE
-    _say_saturated(is_saturated, measurement.grey_files, saturation_dn)
+    saturated = _check_saturation(is_saturated, measurement.grey_files, saturation_dn)
     good = np.flatnonzero(~is_saturated)
     response = fit_response([GreyStep(float(level[index]), pixels[index]) for index in good])
     if 2 * response.camera_dn.size < good.size:
@@ -117,14 +166,16 @@ def _fit(measurement: ResponseMeasurement, frames: Frames) -> tuple[ScreenRespon
     readings = GreyReadings(
         level, pixels.mean(axis=1), is_saturated, pixels.shape[1], float(brightness.std() / brightness.mean())
     )
+    uneven = None
     if readings.gain_spread > _DOUBTFUL_SPREAD:
-        warnings.warn(
+        uneven = Doubt(
+            "pixels_differ_in_brightness",
             f"the pixels used differ in brightness by {readings.gain_spread:.0%} (standard deviation): some may not "
             "see the display; narrow images.region_px",
-            QualityWarning,
-            stacklevel=3,
+            {"brightness_spread_share": readings.gain_spread},
         )
-    return response, readings
+    doubts = gather_doubts(frames.doubts, saturated, uneven)
+    return Result(response, readings, name=measurement.model.name, doubts=doubts)
 
 
 def lit_pixels(images_dn: npt.NDArray[Any]) -> BoolArray:
@@ -158,10 +209,10 @@ def _pixels_of_region(shape: tuple[int, ...], region_px: tuple[int, int, int, in
     return chosen
 
 
-def _say_saturated(is_saturated: BoolArray, files: tuple[Path, ...], saturation_dn: float) -> None:
-    """Name the saturated steps in a warning; refuse when too few are left."""
+def _check_saturation(is_saturated: BoolArray, files: tuple[Path, ...], saturation_dn: float) -> Doubt | None:
+    """Return a doubt that names the saturated steps; refuse when too few are left."""
     if not is_saturated.any():
-        return
+        return None
     names = [file.name for file, dropped in zip(files, is_saturated, strict=True) if dropped]
     listed = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
     left = len(files) - len(names)
@@ -170,27 +221,12 @@ def _say_saturated(is_saturated: BoolArray, files: tuple[Path, ...], saturation_
             f"screen response: {left} of {len(files)} grey steps are not saturated ({listed} reach {saturation_dn:g} "
             "DN), 3 are needed; shorten the exposure or close the aperture, for the fringes too"
         )
-    warnings.warn(
+    return Doubt(
+        "grey_steps_saturated",
         f"{len(names)} of {len(files)} grey steps are saturated (pixels at {saturation_dn:g} DN) and left out: "
         f"{listed}; fringes must not use these levels: shorten the exposure",
-        QualityWarning,
-        stacklevel=4,
+        {"saturated_count": len(names), "steps_count": len(files), "saturation_dn": saturation_dn},
     )
-
-
-def write(result: Result, folder: Path) -> None:
-    """Write response.csv, response.png and summary.json into an existing folder.
-
-    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-    """
-    from calibration.screen.figures import response_figure
-    from heliogauge.reporting.canvas import png_of
-
-    response = result.response
-    columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
-    write_table_csv(folder / "response.csv", {**columns, "sigma_camera_dn": _sigma_dn(response)})
-    (folder / "response.png").write_bytes(png_of(response_figure(result)))
-    write_summary(folder / "summary.json", summarise(result))
 
 
 def _sigma_dn(response: ScreenResponse) -> FloatArray:
@@ -211,61 +247,3 @@ def nonlinearity(response: ScreenResponse) -> tuple[FloatArray, FloatArray]:
     own = sigma * ((share > 0) & (share < 1))
     ends = np.hypot((1 - share) * sigma[0], share * sigma[-1]) * ((share > 0) & (share < 1))
     return share - line, np.hypot(own, ends) / reach
-
-
-def summarise(result: Result) -> Summary:
-    """Collect the headline numbers with their sigmas, warnings and provenance."""
-    response, readings = result.response, result.readings
-    departure, sigma_departure = nonlinearity(response)
-    at = int(np.argmax(np.abs(departure)))
-    first, last, bent = (response.display_level[index] for index in (0, -1, at))
-    sigma_dn = _sigma_dn(response)
-    saturated = int(np.count_nonzero(readings.is_saturated))
-    numbers = {
-        "nonlinearity_share": float(departure[at]),
-        "sigma_nonlinearity_share": float(sigma_departure[at]),
-        "darkest_dn": float(response.camera_dn[0]),
-        "sigma_darkest_dn": float(sigma_dn[0]),
-        "brightest_dn": float(response.camera_dn[-1]),
-        "sigma_brightest_dn": float(sigma_dn[-1]),
-        "levels_count": readings.level.size,
-        "used_levels_count": response.camera_dn.size,
-        "saturated_levels_count": saturated,
-        "joined_levels_count": readings.level.size - saturated - response.camera_dn.size,
-        "pixels_count": readings.pixels,
-        "brightness_spread_share": readings.gain_spread,
-    }
-    texts = {
-        "nonlinearity": "largest departure of the reading from a straight line between the ends, as a share of the "
-        f"readings' range; at level {bent:.3f} of the display's range",
-        "range": f"levels {first:.3f} to {last:.3f} of the display's range",
-        "joined": "levels that the camera cannot tell from the one below (within two sigma) are joined with it",
-        "sigma": "1 standard deviation of a mean reading",
-    }
-    return Summary(
-        kind="response",
-        name=result.name,
-        numbers=numbers,
-        texts=texts,
-        doubts=result.doubts,
-        durations_s=result.durations_s,
-        input_sha256=result.input_sha256,
-    )
-
-
-def headline_text(result: Result) -> str:
-    """Return the headline numbers as lines for the terminal."""
-    response, readings = result.response, result.readings
-    departure, sigma = nonlinearity(response)
-    at = int(np.argmax(np.abs(departure)))
-    return "\n".join(
-        (
-            f"{result.name}: response of camera and display",
-            f"  levels           {response.camera_dn.size} of {readings.level.size} used, "
-            f"{np.count_nonzero(readings.is_saturated)} saturated",
-            f"  readings         {response.camera_dn[0]:.2f} to {response.camera_dn[-1]:.2f} DN",
-            f"  nonlinearity     {100 * departure[at]:+.1f} +- {100 * sigma[at]:.1g} % of the range, at level "
-            f"{response.display_level[at]:.2f}",
-            f"  pixels           {readings.pixels}, brightness spread {readings.gain_spread:.0%}",
-        )
-    )

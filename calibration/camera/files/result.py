@@ -1,7 +1,9 @@
 """What a calibration found: camera, poses, shape of the board, how well, and what was left out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +13,8 @@ from calibration.camera.judgement.network import Coverage
 from calibration.camera.judgement.projection_sigma import RadialProfile, SigmaMap
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform, skew
+from heliogauge.results.folder import Summary
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 
@@ -126,10 +130,10 @@ class Quality:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """A calibration.
 
-    name, camera_name: Of the measurement, and of the camera in cameras.json.
+    camera_name: In cameras.json.
     camera: With its covariance.
     intrinsics: What was estimated.
     left_out: Photos that were not, with the reason.
@@ -140,12 +144,9 @@ class Result:
     coverage: Where points were measured.
     held_out: Photos to check with.
     comparison: Against another calibration, if that was asked.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = "camera"
     camera_name: str
     camera: Camera
     intrinsics: tuple[Intrinsic, ...]
@@ -159,9 +160,28 @@ class Result:
     held_out: tuple[HeldOutPhoto, ...] = ()
     comparison: Comparison | None = None
     compared_with: Camera | None = None
-    doubts: tuple[str, ...] = ()
-    durations_s: Mapping[str, float] = field(default_factory=dict)
-    input_sha256: Mapping[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        from calibration.camera.files.summary import headline_numbers, not_determined, texts
+
+        return self._summary(headline_numbers(self), texts(self), not_determined(self))
+
+    def write_files(self, folder: Path) -> None:
+        """Write cameras, points, tables and figures into an existing folder."""
+        from calibration.camera.files.result_folder import write_tables
+        from calibration.camera.report.figures import all_figures
+        from heliogauge.reporting.canvas import png_of
+
+        write_tables(self, folder)
+        for name, figure in all_figures(self).items():
+            (folder / f"{name}.png").write_bytes(png_of(figure))
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        from calibration.camera.files.summary import headline_text
+
+        return headline_text(self)
 
     @property
     def kept_apart_px(self) -> float:

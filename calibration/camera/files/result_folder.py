@@ -7,7 +7,6 @@ import numpy as np
 
 from calibration.camera.boards import TargetField
 from calibration.camera.files.result import BoardShape, HeldOutPhoto, Intrinsic, PhotoResult, Quality, Result
-from calibration.camera.files.summary import summarise
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
@@ -29,17 +28,19 @@ from heliogauge.results.folder import (
     write_camera_json,
     write_cameras_json,
     write_points_csv,
-    write_summary,
     write_table_csv,
 )
 from heliogauge.validate import FloatArray
 
 _IMAGE_COLUMNS = ("image", "target", "x_px", "y_px", "residual_x_px", "residual_y_px", "flag")
 _COMPARED = "compared_camera.json"
+_LEFT_OUT = "left_out.csv"
+#: What the lengths of a board are in, where it was drawn in metres or not.
+_METRES, _PITCHES = "m", "pitch"
 
 
 def write_tables(result: Result, folder: Path) -> None:
-    """Write everything but the figures: cameras, points, tables, summary.json."""
+    """Write everything but figures and summary.json: cameras, points, tables."""
     poses = {
         photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
         for photo in result.photos
@@ -62,9 +63,10 @@ def write_tables(result: Result, folder: Path) -> None:
         },
     )
     write_table_csv(folder / "rejected.csv", {"image_point": list(result.quality.rejected)})
+    left_out = {"image": list(result.left_out), "reason": list(result.left_out.values())}
+    write_table_csv(folder / _LEFT_OUT, left_out)
     if result.compared_with is not None:
         write_camera_json(folder / _COMPARED, result.compared_with)
-    write_summary(folder / "summary.json", summarise(result))
 
 
 def _write_other_formats(camera: Camera, folder: Path) -> None:
@@ -117,7 +119,8 @@ def _write_board(shape: BoardShape, folder: Path) -> None:
     columns = {f"drawn_{axis}_m": drawn[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"departure_{axis}_m": shape.departure_m[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"sigma_{axis}_m": shape.sigma_m[:, i] for i, axis in enumerate("xyz")}
-    write_table_csv(folder / "board.csv", {"id": list(names), **columns})
+    units = [_METRES if shape.board.is_metric else _PITCHES] * len(names)
+    write_table_csv(folder / "board.csv", {"id": list(names), **columns, "unit": units})
 
 
 def _write_image_points(result: Result, folder: Path) -> None:
@@ -178,16 +181,13 @@ def open_calibration(folder: str | Path = ".") -> Result:
     pixels = np.concatenate([photo.pixels_px[photo.used] for photo in photos])
     distance = float(np.median([np.linalg.norm(photo.cam_from_board.translation_m) for photo in photos]))
     other = read_camera_json(folder / _COMPARED) if (folder / _COMPARED).exists() else None
-    left_out = {
-        key.removeprefix("left out "): text for key, text in summary.texts.items() if key.startswith("left out ")
-    }
+    left_out = read_table_csv(folder / _LEFT_OUT, ("image", "reason"))
     return Result(
-        summary.name,
         camera_name,
         camera,
         _read_intrinsics(folder),
         photos,
-        left_out,
+        dict(zip(left_out["image"], left_out["reason"], strict=True)),
         shape,
         Quality(
             float(numbers.get("residual_rms_px") or np.nan),
@@ -202,9 +202,10 @@ def open_calibration(folder: str | Path = ".") -> Result:
         _read_checks(photo_table),
         None if other is None else compare(camera, other),
         other,
-        tuple(summary.doubts),
-        dict(summary.durations_s),
-        dict(summary.input_sha256),
+        name=summary.name,
+        doubts=summary.doubts,
+        durations_s=summary.durations_s,
+        input_sha256=summary.input_sha256,
     )
 
 
@@ -214,10 +215,9 @@ def _floats(cells: list[str]) -> list[float]:
 
 def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) -> BoardShape:
     points = read_points_csv(folder / "points.csv")
-    columns = read_table_csv(folder / "board.csv", ("id", "drawn_x_m", "drawn_y_m", "drawn_z_m"))
+    columns = read_table_csv(folder / "board.csv", ("id", "drawn_x_m", "drawn_y_m", "drawn_z_m", "unit"))
     drawn = np.array([_floats(columns[f"drawn_{axis}_m"]) for axis in "xyz"]).T
-    metric = texts.get("unit", "").startswith("metres")
-    board = TargetField("", tuple(points.ids), drawn, is_metric=metric)
+    board = TargetField("", tuple(points.ids), drawn, is_metric=_METRES in columns["unit"])
     held = not points.sigma_m.any()
     return BoardShape(
         board,

@@ -5,7 +5,7 @@ import numpy as np
 from calibration.camera.files.result import Result
 from calibration.camera.judgement.comparison import Comparison
 from heliogauge.reporting.notation import number_text
-from heliogauge.results.folder import Summary
+from heliogauge.results.frame import Numbers
 
 #: Differences that chance makes less often than this are called more than chance.
 _UNLIKELY = 0.01
@@ -13,8 +13,8 @@ _UNLIKELY = 0.01
 _KEYS = {name: f"{name}_factor" for name in ("k1", "k2", "k3", "p1", "p2")} | {"aspect": "aspect_ratio"}
 
 
-def summarise(result: Result) -> Summary:
-    """Collect the headline numbers with their sigmas, warnings and provenance."""
+def headline_numbers(result: Result) -> Numbers:
+    """Return the headline numbers with their sigmas."""
     quality, sigma, camera = result.quality, result.sigma, result.camera
     numbers: dict[str, float | int | None] = {
         "residual_rms_px": quality.rms_px,
@@ -59,8 +59,13 @@ def summarise(result: Result) -> Summary:
             "compared_chi_square_ratio": result.comparison.chi_square / max(result.comparison.freedom, 1),
             "compared_chance_share": result.comparison.chance,
         }
+    return numbers
+
+
+def not_determined(result: Result) -> dict[str, str]:
+    """Return why numbers of `headline_numbers` are missing."""
     missing: dict[str, str] = {}
-    if not np.isfinite(quality.rms_as_drawn_px):
+    if not np.isfinite(result.quality.rms_as_drawn_px):
         keys = ("residual_rms_board_as_drawn_px", "board_departure_rms_share")
         missing |= dict.fromkeys(keys, "nothing was known of the targets' places")
     if not result.held_out:
@@ -71,16 +76,7 @@ def summarise(result: Result) -> Summary:
         )
     if not np.isfinite(result.kept_apart_px):
         missing["photos_kept_apart_rms_px"] = "not asked for, or too few photos"
-    return Summary(
-        kind="camera",
-        name=result.name,
-        numbers=numbers,
-        texts=_texts(result),
-        doubts=result.doubts,
-        durations_s=result.durations_s,
-        input_sha256=result.input_sha256,
-        not_determined=missing,
-    )
+    return missing
 
 
 def _departure(result: Result) -> float:
@@ -88,11 +84,12 @@ def _departure(result: Result) -> float:
     return float(np.sqrt((result.shape.departure_m**2).sum(axis=1).mean())) / result.shape.board.pitch_m
 
 
-def _texts(result: Result) -> dict[str, str]:
+def texts(result: Result) -> dict[str, str]:
+    """Return what must be said beside the numbers: board, datum, units, meaning of sigma."""
     board = result.shape.board
     held = "held as drawn" if not result.shape.prior_sigma_m.any() else "estimated point by point"
     unit = "metres" if board.is_metric else "squares (pitches) of the board: lengths in cameras.json and points.csv too"
-    texts = {
+    return {
         "board": f"{board.describe()}; its shape is {held}",
         "datum": _datum_text(result),
         "unit": unit,
@@ -103,7 +100,6 @@ def _texts(result: Result) -> dict[str, str]:
         "sigma_of_points": "points.csv: of the board's shape, position, rotation and scale of the whole taken out",
         "aspect": "focal_y_px / focal_x_px - 1",
     }
-    return texts | {f"left out {name}": reason for name, reason in result.left_out.items()}
 
 
 def _datum_text(result: Result) -> str:

@@ -1,6 +1,6 @@
 """Whether the photos of a calibration carry it: coverage of the image, tilt, roll, depth, photos from one place."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 
@@ -54,41 +55,52 @@ def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
     return Coverage(counts, float(np.mean(counts > 0)), reach)
 
 
-def network_warnings(poses: Sequence[RigidTransform], covered: Coverage) -> tuple[str, ...]:
-    """Say what makes a network weak, with the number that says so and the remedy.
+def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterator[Doubt]:
+    """Yield what makes a network weak, with the number that says so and the remedy.
 
     poses: ``cam_from_board`` of each photo.
     """
-    said = []
     angles = np.array([tilt_and_roll(pose) for pose in poses])
     distances = np.array([float(np.linalg.norm(pose.translation_m)) for pose in poses])
     if len(poses) < _FEW_PHOTOS:
-        said.append(f"only {len(poses)} photos: errors of single photos are hardly averaged; take 10 or more")
+        yield Doubt(
+            "photos_few",
+            f"only {len(poses)} photos: errors of single photos are hardly averaged; take 10 or more",
+            {"photos_count": len(poses)},
+        )
     most = float(angles[:, 0].max())
     if most < _LEAST_TILT_RAD:
-        said.append(
+        yield Doubt(
+            "network_flat",
             f"flat network: the board is never tilted by more than {np.degrees(most):.0f} deg, so focal length and "
-            "distance can hardly be told apart; tilt it by 30 to 45 deg to all sides"
+            "distance can hardly be told apart; tilt it by 30 to 45 deg to all sides",
+            {"largest_tilt_rad": most},
         )
     difference = np.abs(np.angle(np.exp(1j * (angles[:, None, 1] - angles[None, :, 1]))))
     roll = float(np.minimum(difference, np.pi - difference).max())
     half_turns = float(difference.max())
     if max(roll, half_turns) < _LEAST_ROLL_RAD:
-        said.append(
+        yield Doubt(
+            "network_without_roll",
             f"no roll: the camera is turned about its axis by {np.degrees(half_turns):.0f} deg at most, so principal "
-            "point, tangential distortion and pixel aspect lean on the board's shape; turn it by 90 deg for some photos"
+            "point, tangential distortion and pixel aspect lean on the board's shape; turn it by 90 deg for some "
+            "photos",
+            {"largest_roll_rad": max(roll, half_turns)},
         )
     depth = float(distances.max() / distances.min())
     if depth < _LEAST_DEPTH_RATIO:
-        said.append(
-            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again"
+        yield Doubt(
+            "network_without_depth",
+            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again",
+            {"depth_ratio": depth},
         )
     if covered.share < _LEAST_COVERED_SHARE or covered.radius_share < _LEAST_RADIUS_SHARE:
-        said.append(
+        yield Doubt(
+            "coverage_poor",
             f"poor coverage: {covered.share:.0%} of the image has points, out to {covered.radius_share:.0%} of the way "
-            "to its corners; beyond, the lens is extrapolated: bring the board into every corner"
+            "to its corners; beyond, the lens is extrapolated: bring the board into every corner",
+            {"covered_share": covered.share, "covered_radius_share": covered.radius_share},
         )
-    return tuple(said)
 
 
 def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[str, str, float]]:
@@ -110,25 +122,27 @@ def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[
     return found
 
 
-def photo_warnings(photos: Sequence[BoardPoints], camera: Camera) -> tuple[str, ...]:
-    """Say which photos are doubtful in themselves.
+def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doubt]:
+    """Yield which photos are doubtful in themselves.
 
     camera: For the size of the image.
     """
-    said = []
     same = same_views(photos, float(np.hypot(camera.width_px, camera.height_px)))
     if same:
         listed = ", ".join(f"{one} and {other} ({distance:.1f} px apart)" for one, other, distance in same[:5])
         more = f" and {len(same) - 5} more" if len(same) > 5 else ""
-        said.append(
+        yield Doubt(
+            "photos_repeat",
             f"{len(same)} photos repeat another one: {listed}{more}; the board stands in the same place there, which "
-            "tells no more about the lens: move board or camera between photos"
+            "tells no more about the lens: move board or camera between photos",
+            {"photos_count": len(same)},
         )
     bright = [one for one in photos if one.saturated_share > _SATURATED_SHARE]
     if bright:
         listed = ", ".join(f"{one.photo} ({one.saturated_share:.0%})" for one in bright[:5])
-        said.append(
+        yield Doubt(
+            "photos_saturated",
             f"{len(bright)} photos are saturated on the board: {listed}; where light spills over, edges are shifted: "
-            "expose less"
+            "expose less",
+            {"photos_count": len(bright), "largest_saturated_share": max(one.saturated_share for one in bright)},
         )
-    return tuple(said)

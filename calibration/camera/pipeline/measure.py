@@ -35,13 +35,14 @@ from calibration.camera.files.result import (
     sigma_of_shape,
 )
 from calibration.camera.judgement.comparison import compare
-from calibration.camera.judgement.network import coverage, network_warnings, photo_warnings
+from calibration.camera.judgement.network import check_network, check_photos, coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
 from calibration.camera.pipeline.inputs import described_board, different_photos, known_codes
 from calibration.camera.pipeline.photos import FoundBoards, UnknownField, search_photos
 from calibration.camera.start_values.intrinsics import homography, start_camera, start_pose
 from calibration.camera.start_values.orientation import Orientations
 from calibration.camera.start_values.target_field import started_from_targets
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.load import CameraCalibrationMeasurement
 from heliogauge.measurement.models import CameraCalibrationModel
@@ -129,24 +130,30 @@ def run(
     found = search_photos(
         files, board, model.camera, known=known_codes(measurement), jobs=options.jobs, progress=progress
     )
-    left_out |= {str(error).split(":", 1)[0]: str(error) for error in found.failures}
+    left_out |= found.failures
     found, held = _held_out(found, options.hold_out)
     with progress.stage("start values"):
         network, doubt = _started(found, board, tuple(model.camera.free), left_out)
     solved = _solved(network, options, left_out, progress)
     with progress.stage("uncertainty"):
         result = replace(_result(model, solved), held_out=_checks(solved, held, left_out))
-        said = [doubt] if doubt else []
-        said += [f"photo left out: {reason}" for reason in left_out.values()]
-        said += list(network_warnings([photo.cam_from_board for photo in result.photos], result.coverage))
-        said += list(photo_warnings(solved.network.points, result.camera)) + _orientation_warnings(solved)
+        doubts = gather_doubts(
+            doubt,
+            (
+                Doubt("photo_left_out", f"photo left out: {reason}", severity=Severity.NOTE)
+                for reason in left_out.values()
+            ),
+            check_network([photo.cam_from_board for photo in result.photos], result.coverage),
+            check_photos(solved.network.points, result.camera),
+            _check_orientations(solved),
+        )
         comparison = None if other is None else compare(result.camera, other)
     return replace(
         result,
         left_out=left_out,
         comparison=comparison,
         compared_with=other,
-        doubts=tuple(said),
+        doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
@@ -167,10 +174,10 @@ def _held_out(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tu
 
 def _started(
     found: FoundBoards, board: Board | UnknownField, free: tuple[str, ...], left_out: dict[str, str]
-) -> tuple[BoardNetwork, str]:
+) -> tuple[BoardNetwork, Doubt | None]:
     if isinstance(board, UnknownField | TargetField):
         _require_photos(len(found.points), left_out)
-        return started_from_targets(found, board, free, left_out), ""
+        return started_from_targets(found, board, free, left_out), None
     good, homographies = [], []
     for one in found.points:
         try:
@@ -248,11 +255,11 @@ def _checks(solved: _Solved, held: tuple[BoardPoints, ...], left_out: dict[str, 
     return tuple(checks)
 
 
-def _orientation_warnings(solved: _Solved) -> list[str]:
-    """Say that the print looks the same turned, and what that came to."""
+def _check_orientations(solved: _Solved) -> Doubt | None:
+    """Return a doubt where the print looks the same turned, and what that came to."""
     found, network = solved.orientations, solved.network
     if found is None:
-        return []
+        return None
     names = [one.photo for one in network.points]
     said = f"{network.board.describe()}: it looks the same turned, so only its own shape tells how photos are turned; "
     if found.open:
@@ -263,7 +270,12 @@ def _orientation_warnings(solved: _Solved) -> list[str]:
         )
     else:
         said += f"it does so surely in all of them ({len(found.turned)} were turned); "
-    return [said + "better use one even and one odd number of corners, or an asymmetric grid with odd rows"]
+    return Doubt(
+        "board_looks_the_same_turned",
+        said + "better use one even and one odd number of corners, or an asymmetric grid with odd rows",
+        {"open_count": len(found.open), "turned_count": len(found.turned), "photos_count": len(names)},
+        Severity.DOUBT if found.open else Severity.NOTE,
+    )
 
 
 # --- result ---------------------------------------------------------------------------------------------------------
@@ -310,7 +322,6 @@ def _result(model: CameraCalibrationModel, solved: _Solved) -> Result:
         for one in examine_intrinsics(bundle)
     )
     return Result(
-        model.name,
         model.camera.name,
         camera,
         tests,
@@ -321,18 +332,5 @@ def _result(model: CameraCalibrationModel, solved: _Solved) -> Result:
         sigma_map(camera, distance),
         radial_profile(camera, pixels),
         coverage(camera, pixels),
+        name=model.name,
     )
-
-
-def write(result: Result, folder: Path) -> None:
-    """Write cameras.json, points.csv, summary.json and figures into an existing folder.
-
-    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-    """
-    from calibration.camera.files.result_folder import write_tables
-    from calibration.camera.report.figures import all_figures
-    from heliogauge.reporting.canvas import png_of
-
-    write_tables(result, folder)
-    for name, figure in all_figures(result).items():
-        (folder / f"{name}.png").write_bytes(png_of(figure))

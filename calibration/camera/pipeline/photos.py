@@ -1,6 +1,6 @@
 """Photos to points of the board: read, find, measure, several photos at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,13 +35,13 @@ class FoundBoards:
     """What all photos show.
 
     points: The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
-    failures: Why the others do not.
+    failures: Why the others do not, by the photo's name.
     size_px: Width and height of all photos [px].
     names: Names of an `UnknownField`'s targets; empty otherwise.
     """
 
     points: tuple[BoardPoints, ...]
-    failures: tuple[EstimationError, ...]
+    failures: Mapping[str, str]
     size_px: tuple[int, int]
     names: tuple[str, ...] = ()
 
@@ -64,7 +64,7 @@ def search_photos(
     InputError: A photo cannot be read, or its size is not that of the others or the one asked for.
     """
     found: list[BoardPoints] = []
-    failures: list[EstimationError] = []
+    failures: dict[str, str] = {}
     names: dict[str, int] = {}
     size: tuple[int, int] | None = None
 
@@ -85,7 +85,7 @@ def search_photos(
                 size = size or own
                 _check_size(file, own, (files[0], size), asked)
                 if isinstance(points, EstimationError):
-                    failures.append(points)
+                    failures[file.name] = str(points)
                 elif codes:
                     index = np.array([names.setdefault(code, len(names)) for code in codes], dtype=np.intp)
                     found.append(replace(points, index=index))
@@ -95,7 +95,7 @@ def search_photos(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return FoundBoards(tuple(found), tuple(failures), size or (0, 0), tuple(names))
+    return FoundBoards(tuple(found), failures, size or (0, 0), tuple(names))
 
 
 def _check_size(

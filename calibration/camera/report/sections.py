@@ -261,5 +261,5 @@ def unused_section(report: CalibrationReport) -> Html:
 
 def text_table(report: CalibrationReport) -> Html:
     """Return what must be said beside the numbers: board, datum, units, meaning of sigma."""
-    rows = [(name.replace("_", " "), text) for name, text in report.summary.texts.items() if "left out" not in name]
+    rows = [(name.replace("_", " "), text) for name, text in report.summary.texts.items()]
     return table(("", ""), rows)

@@ -8,6 +8,7 @@ import numpy as np
 from calibration.camera.boards import LEAST_POINTS
 from calibration.camera.corners.detection import BoardPoints
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import FloatArray
@@ -93,18 +94,22 @@ def start_focal_px(homographies: Sequence[FloatArray], width_px: int, height_px:
     return longer * float(np.array(found)[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
-def start_camera(homographies: Sequence[FloatArray], width_px: int, height_px: int) -> tuple[Camera, str]:
+def start_camera(homographies: Sequence[FloatArray], width_px: int, height_px: int) -> tuple[Camera, Doubt | None]:
     """Build a camera to start from.
 
     Shapes: homographies (3, 3).
     width_px, height_px: Size of the image [px].
     camera: Square pixels, principal point in the middle, no distortion.
-    doubt: Why the focal length is a guess; empty where it is not.
+    doubt: Why the focal length is a guess; None where it is not.
     """
-    focal, doubt = start_focal_px(homographies, width_px, height_px), ""
+    focal, doubt = start_focal_px(homographies, width_px, height_px), None
     if not np.isfinite(focal):
         focal = 1.2 * max(width_px, height_px)
-        doubt = "no photo shows the board tilted: the focal length cannot be told from the distance"
+        doubt = Doubt(
+            "board_never_tilted",
+            "no photo shows the board tilted: the focal length cannot be told from the distance",
+            severity=Severity.SERIOUS,
+        )
     center = (0.5 * (width_px - 1), 0.5 * (height_px - 1))
     return Camera(width_px, height_px, focal, focal, *center), doubt
 

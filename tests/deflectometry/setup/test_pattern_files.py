@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calibration.screen.pipeline import run as calibrate
-from calibration.screen.pipeline import write as write_response
 from deflectometry.setup.pattern_files import DisplayOptions, PatternOptions, display_levels, write_patterns
 from deflectometry.setup.patterns import Axis, render_frames, response_table
 from heliogauge.errors import InputError
@@ -150,7 +149,7 @@ def test_from_grey_frames_to_compensated_fringes(tmp_path: Path) -> None:
         photo = np.rint(signal + rng.standard_normal(signal.shape))
         write_image(photographs / path.name, np.clip(photo, 0, 255).astype(np.uint8))
     (tmp_path / "response").mkdir()
-    write_response(calibrate(load_response(photographs)), tmp_path / "response")
+    calibrate(load_response(photographs)).write(tmp_path / "response")
     display = DisplayOptions(512, 512, bits=16, response_file=tmp_path / "response" / "response.csv")
     write_patterns(tmp_path / "again", display, PatternOptions((1.0,), 4, Axis.Y, 3))
     seen = camera_dn(read_image(tmp_path / "again" / "fringe_000.png")[:, 0] / 65535)

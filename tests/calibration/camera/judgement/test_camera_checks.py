@@ -9,7 +9,7 @@ import pytest
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.result_folder import opencv_yaml
 from calibration.camera.judgement.comparison import compare
-from calibration.camera.judgement.network import photo_warnings, same_views
+from calibration.camera.judgement.network import check_photos, same_views
 from calibration.camera.judgement.projection_sigma import covariance_root
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.formats import from_opencv
@@ -104,13 +104,13 @@ def board_at(photo: str, shift_px: float, saturated_share: float = 0.0) -> Board
 def test_photos_from_one_place_are_named() -> None:
     photos = [board_at("a.png", 0.0), board_at("b.png", 60.0), board_at("c.png", 1.0)]
     assert [(one, other) for one, other, _ in same_views(photos, 800.0)] == [("c.png", "a.png")]
-    said = photo_warnings(photos, known_camera())
+    said = list(check_photos(photos, known_camera()))
     assert len(said) == 1
-    assert "c.png and a.png (1.4 px apart)" in said[0]
-    assert photo_warnings(photos[:2], known_camera()) == ()
+    assert "c.png and a.png (1.4 px apart)" in said[0].text
+    assert list(check_photos(photos[:2], known_camera())) == []
 
 
 def test_saturated_photos_are_named() -> None:
-    said = photo_warnings([board_at("a.png", 0.0), board_at("b.png", 60.0, 0.3)], known_camera())
-    assert len(said) == 1
-    assert "b.png (30%)" in said[0]
+    (doubt,) = check_photos([board_at("a.png", 0.0), board_at("b.png", 60.0, 0.3)], known_camera())
+    assert doubt.code == "photos_saturated"
+    assert "b.png (30%)" in doubt.text
