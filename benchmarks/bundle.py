@@ -19,10 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
-from photogrammetry.bundle.state import camera_with_intrinsics, intrinsics_of
-from photogrammetry.bundle.statistics import examine_image_points
-from photogrammetry.image_points import ImagePoints
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, statistics
 
 # The eight intrinsics of COLMAP's model OPENCV.
 FREE = ("focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2")
@@ -53,7 +51,7 @@ def network(n_photos: int, n_targets: int) -> tuple[BundleState, BundleState, Im
         )
         for i, a in enumerate(angles)
     ]
-    truth = bundle_state([camera], poses, targets)
+    truth = BundleState.from_poses([camera], poses, targets)
     rows = []
     for i, pose in enumerate(poses):
         seen = camera.project(pose.apply(targets))
@@ -62,11 +60,14 @@ def network(n_photos: int, n_targets: int) -> tuple[BundleState, BundleState, Im
     photo, target, pixels = (np.concatenate(part) for part in zip(*rows, strict=True))
     names = tuple(str(i) for i in range(n_photos)), tuple(str(i) for i in range(n_targets))
     covariance = np.broadcast_to(np.eye(2) * SIGMA_PX**2, (len(pixels), 2, 2))
-    values = intrinsics_of(camera)
-    values[:4] += [20.0, 1e-3, 5.0, -5.0]
-    values[5:] = 0
+    aspect = camera.focal_y_px / camera.focal_x_px + 1e-3
+    values = np.zeros(10)
+    values[:4] = camera.parameters[:4] + [0.0, 20.0, 5.0, -5.0]
+    values[0] = values[1] / aspect
     moved = [pose.moved(rng.normal(0, 1, 6) * [2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]) for pose in poses]
-    start = bundle_state([camera_with_intrinsics(camera, values)], moved, targets + rng.normal(0, 0.01, targets.shape))
+    start = BundleState.from_poses(
+        [camera.with_parameters(values)], moved, targets + rng.normal(0, 0.01, targets.shape)
+    )
     return truth, start, ImagePoints(*names, photo, target, pixels, covariance)
 
 
@@ -78,7 +79,7 @@ def own(start: BundleState, points: ImagePoints, *, redundancy: bool = True) -> 
     _ = result.covariance.points, result.covariance.poses, result.covariance.intrinsics
     clock.append(time.process_time())
     if redundancy and points.n < 500_000:
-        examine_image_points(result)
+        statistics.examine_image_points(result)
     clock.append(time.process_time())
     return result, np.diff(clock).tolist()
 

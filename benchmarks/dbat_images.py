@@ -18,13 +18,11 @@ from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.images.photos import read_image
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, ResidualSpace, adjust
-from photogrammetry.bundle.alignment import aligned_to_control
-from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
-from photogrammetry.centers.centroid import CENTER_OPERATORS
-from photogrammetry.detection.detect import SearchLimits, find_candidates, measure_center
-from photogrammetry.image_points import image_points
-from photogrammetry.start_values.network import build_network
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import BundleProblem, CameraModel, ResidualSpace, adjust, alignment, eccentricity
+from photogrammetry.centers import CENTER_OPERATORS
+from photogrammetry.detection import SearchLimits, find_candidates, measure_center
+from photogrammetry.start_values import build_network
 
 FOLDER = ROOT.parent / "shared" / "data" / "photogrammetry" / "dbat_camcal"
 SIGMA_PX = 0.1
@@ -74,12 +72,12 @@ def adjusted(table, model, *, held=True, shapes=None):
     guess = Camera(*SIZE_PX, FOCAL_PX, FOCAL_PX, 1135.5, 851.5, distortion=BrownDistortion(direction=direction))
     network = build_network(table, [guess], models=[camera])
     problem = BundleProblem(table, (camera,), fixed=tuple(CONTROL) if held else ())
-    result = adjust(problem, aligned_to_control(network.state, table.targets, CONTROL), options=BundleOptions())
+    result = adjust(problem, alignment.aligned_to_control(network.state, table.targets, CONTROL))
     if shapes is not None:
-        discs = estimate_discs(table, shapes, result.state, problem.camera_index)
-        shift = eccentricities_px(table, discs, result.state, problem.camera_index)
+        discs = eccentricity.estimate_discs(table, shapes, result.state, problem.camera_index)
+        shift = eccentricity.eccentricities_px(table, discs, result.state, problem.camera_index)
         corrected = replace(problem, observations=replace(table, pixels_px=table.pixels_px - shift))
-        result = adjust(corrected, result.state, options=BundleOptions())
+        result = adjust(corrected, result.state)
     return result.sigma0 * SIGMA_PX
 
 
@@ -96,7 +94,9 @@ def main():
     photos = [str(number) for number in photo]
 
     def table(pixels):
-        return image_points(photos, names, pixels, np.broadcast_to(np.eye(2) * SIGMA_PX**2, (len(names), 2, 2)))
+        return ImagePoints.from_names(
+            photos, names, pixels, np.broadcast_to(np.eye(2) * SIGMA_PX**2, (len(names), 2, 2))
+        )
 
     title("sigma0 [px] of all 2074 image points", tuple(found))
     row("asked, best seen elsewhere", "", "0.150, 0.148", "", "")

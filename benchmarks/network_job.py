@@ -21,10 +21,9 @@ from bundle import HEIGHT, SIGMA_PX, WIDTH, look_at
 
 from heliogauge.camera.millimetres import LensForm, Sensor, SensorParameters
 from heliogauge.measurement.writer import dump_toml
-from heliogauge.results.tables import read_table_csv
+from heliogauge.results.tables import read_table_csv, write_table_csv
 from heliogauge.running.cli import main as command
-from photogrammetry.exchange.image_point_files import write_image_points_csv
-from photogrammetry.image_points import ImagePoints
+from photogrammetry import ImagePoints
 
 SENSOR = Sensor(WIDTH, HEIGHT, 0.006, LensForm.AICON, zero_radius_mm=14.0)
 VALUES = np.array([33.7, 0.06, -0.05, -4e-5, 5e-8, -1e-11, 4e-6, -7e-6, 1e-4, -5e-5])
@@ -48,7 +47,15 @@ def write_folder(folder: Path, n_photos: int, n_targets: int) -> np.ndarray:
     names = tuple(f"photo{i}" for i in range(n_photos)), tuple(str(i) for i in range(n_targets))
     covariance = np.broadcast_to(np.eye(2) * SIGMA_PX**2, (sum(map(len, target)), 2, 2))
     table = ImagePoints(*names, np.concatenate(photo), np.concatenate(target), np.concatenate(pixels), covariance)
-    write_image_points_csv(folder / "image_points.csv", table)
+    columns = {
+        "image": [table.photos[i] for i in table.photo_index],
+        "target": [table.targets[i] for i in table.target_index],
+        "x_px": table.pixels_px[:, 0],
+        "y_px": table.pixels_px[:, 1],
+        "sigma_x_px": np.full(table.n, SIGMA_PX),
+        "sigma_y_px": np.full(table.n, SIGMA_PX),
+    }
+    write_table_csv(folder / "image_points.csv", columns)
     length_m = float(np.linalg.norm(targets[0] - targets[1]))
     content = {
         "kind": "photogrammetry",

@@ -7,8 +7,7 @@ from _measure import row, title
 
 from data_synth.targets import IsolatedTarget, draw_isolated
 from heliogauge.errors import EstimationError
-from photogrammetry.centers.centroid import CENTER_OPERATORS
-from photogrammetry.centers.ellipse import Ellipse
+from photogrammetry.centers import CENTER_OPERATORS, Ellipse
 
 ASKED_PX = {6: 0.0047, 12: 0.0034, 30: 0.0022}
 TRIALS = 100

@@ -7,9 +7,8 @@ import numpy as np
 from _measure import row, title
 
 from data_synth.targets import image_truth, render_photo, target_scene
-from photogrammetry.detection.detect import SearchLimits, find_candidates
-from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import Polarity, ring_dictionary
+from photogrammetry.detection import SearchLimits, TargetSearch, find_candidates, measure_targets
+from photogrammetry.targets import Polarity, ring_dictionary
 
 
 def cpu_s(work, repeats=3):

@@ -11,9 +11,14 @@ from pydantic import Field, field_validator, model_validator
 from heliogauge.doubts import Doubt
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.models import ImageFiles, Number, Positive, Section, Sigma, Text
-from photogrammetry.keys.cameras import CameraSections, NetworkCameraSection
-from photogrammetry.keys.measurement import CoordinateSection, DistanceSection, ScaleBarSection
-from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.keys import (
+    CameraSections,
+    CoordinateSection,
+    DistanceSection,
+    NetworkCameraSection,
+    ScaleBarSection,
+    TargetsSection,
+)
 
 #: Largest distance of the nodes of a map [mm]; 20 mm is usual.
 _LARGEST_STEP_MM = 500.0

@@ -109,23 +109,23 @@ class ImagePoints:
             self.covariance_px2,
         )
 
+    @classmethod
+    def from_names(
+        cls, photos: Sequence[str], targets: Sequence[str], pixels_px: npt.ArrayLike, covariance_px2: npt.ArrayLike
+    ) -> "ImagePoints":
+        """Build image points from the names of photo and target of each row, in the order of first appearance.
 
-def image_points(
-    photos: Sequence[str], targets: Sequence[str], pixels_px: npt.ArrayLike, covariance_px2: npt.ArrayLike
-) -> ImagePoints:
-    """Build image points from one name of photo and target per row; names keep the order of first appearance.
-
-    Shapes: photos, targets length m, pixels_px (m, 2), covariance_px2 (m, 2, 2).
-    InputError: See `ImagePoints`.
-    """
-    photo_names, target_names = tuple(dict.fromkeys(photos)), tuple(dict.fromkeys(targets))
-    photo_of = {name: i for i, name in enumerate(photo_names)}
-    target_of = {name: i for i, name in enumerate(target_names)}
-    return ImagePoints(
-        photo_names,
-        target_names,
-        np.array([photo_of[name] for name in photos], dtype=np.intp),
-        np.array([target_of[name] for name in targets], dtype=np.intp),
-        np.asarray(pixels_px, dtype=np.float64),
-        np.asarray(covariance_px2, dtype=np.float64),
-    )
+        Shapes: photos, targets length m, pixels_px (m, 2), covariance_px2 (m, 2, 2).
+        InputError: See `ImagePoints`.
+        """
+        photo_names, target_names = tuple(dict.fromkeys(photos)), tuple(dict.fromkeys(targets))
+        photo_of = {name: i for i, name in enumerate(photo_names)}
+        target_of = {name: i for i, name in enumerate(target_names)}
+        return cls(
+            photo_names,
+            target_names,
+            np.array([photo_of[name] for name in photos], dtype=np.intp),
+            np.array([target_of[name] for name in targets], dtype=np.intp),
+            np.asarray(pixels_px, dtype=np.float64),
+            np.asarray(covariance_px2, dtype=np.float64),
+        )

@@ -8,7 +8,7 @@ import numpy as np
 from data_synth.optics.coverage import Footprint, disc_coverage, strip_coverage
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array, freeze, positive
-from photogrammetry.targets.coded_targets import RingCode
+from photogrammetry.targets import RingCode
 
 
 class Print(Protocol):

@@ -13,7 +13,7 @@ from data_synth.targets.scene import Conditions, TargetScene
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
-from photogrammetry.targets.coded_targets import ring_dictionary
+from photogrammetry.targets import ring_dictionary
 
 #: A laser print: 0.1 % longer than drawn along the paper's way, 0.3 mrad out of square.
 PRINTER = np.array([[1.0, 3e-4], [0.0, 1.001]])

@@ -10,7 +10,7 @@ from data_synth.optics.prints import DotPrint, RingPrint
 from data_synth.optics.sheets import Sheet
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import Float32Array, FloatArray, freeze, positive
-from photogrammetry.targets.coded_targets import RingCode
+from photogrammetry.targets import RingCode
 
 #: The lens of all isolated targets: 12 px of dot are 20 mm at 5 m.
 _FOCAL_PX = 3000.0

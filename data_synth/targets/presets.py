@@ -16,7 +16,7 @@ from data_synth.targets.scene import Conditions, Cover, Glare, KnownLength, Targ
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
-from photogrammetry.targets.coded_targets import RingCode, ring_dictionary
+from photogrammetry.targets import RingCode, ring_dictionary
 
 SMALL_CAMERA = PinholeCamera(1600, 1200, 1510.0, 1508.0, 806.0, 593.0, -0.08, 0.06, 0.0, 2e-4, -3e-4)
 #: 24 megapixel, full frame, 24 mm.

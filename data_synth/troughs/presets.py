@@ -29,7 +29,7 @@ from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
 from observer.trough.collector import Collector, ls2
-from photogrammetry.targets.coded_targets import ring_dictionary
+from photogrammetry.targets import ring_dictionary
 
 #: GE1910C: 1920 x 1080, pixel pitch over focal length 4.2e-4 (Owkes 2012, Table 7.2).
 VIDEO_CAMERA = PinholeCamera(1920, 1080, 1 / 4.2e-4, 1 / 4.2e-4, 959.5, 539.5)

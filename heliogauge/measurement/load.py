@@ -27,8 +27,8 @@ from heliogauge.measurement.models import (
 )
 from observer.keys import ObserverMeasurement, ObserverModel
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
+from photogrammetry.keys import PhotogrammetryModel
 from photogrammetry.keys.known_files import with_known_files
-from photogrammetry.keys.measurement import PhotogrammetryModel
 from photogrammetry.planning.keys import PhotogrammetryPlanMeasurement, PhotogrammetryPlanModel
 
 MEASUREMENT_FILE = "measurement.toml"

@@ -44,6 +44,7 @@ __all__ = [
     "ResultFolder",
     "Summary",
     "facet_names",
+    "find_copies",
     "hash_files",
     "read_camera_json",
     "read_cameras_json",
@@ -54,6 +55,7 @@ __all__ = [
     "read_slope_map_attributes",
     "read_summary",
     "read_table_csv",
+    "refuse_copies",
     "unit_of",
     "write_camera_json",
     "write_cameras_json",
@@ -222,6 +224,30 @@ def hash_files(paths: Iterable[Path], relative_to: Path | None = None) -> dict[s
     root = relative_to.resolve() if relative_to is not None else None
     names = [_relative_name(path, root) for path in files]
     return dict(zip(names, digests, strict=True))
+
+
+def find_copies(files: Iterable[Path], hashes: Mapping[str, str], relative_to: Path | None = None) -> dict[Path, Path]:
+    """Find files with the content of an earlier one: counted as measurements of their own, they make sigmas too small.
+
+    hashes: From `hash_files` with the same folder.
+    Returns: Each copy with the first file of that content.
+    """
+    root = relative_to.resolve() if relative_to is not None else None
+    first: dict[str, Path] = {}
+    same = {file: first.setdefault(hashes.get(_relative_name(file, root), str(file)), file) for file in files}
+    return {file: original for file, original in same.items() if file != original}
+
+
+def refuse_copies(photos: Iterable[Path], hashes: Mapping[str, str], relative_to: Path | None = None) -> None:
+    """Refuse a photo that is there twice.
+
+    hashes: From `hash_files` with the same folder.
+    InputError: Two photos have the same content.
+    """
+    for copy, first in find_copies(photos, hashes, relative_to).items():
+        raise InputError(
+            f"images.photos: {copy.name} is a copy of {first.name}; remove one (counted twice, sigmas are too small)"
+        )
 
 
 def _relative_name(path: Path, root: Path | None) -> str:

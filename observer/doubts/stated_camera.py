@@ -13,9 +13,9 @@ from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
 from observer.doubts.design_checks import camera_doubt
-from photogrammetry.pipeline import measure as photogrammetry_pipeline
-from photogrammetry.pipeline.photos import OnePhoto, gathered
-from photogrammetry.start_values.network import StartValues
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.pipeline import OnePhoto, collect_photos
+from photogrammetry.start_values import StartValues
 
 #: Image points that fit so much worse than they were measured make one ask; cameras that are right leave 0.8 to 1.0.
 _ASK_FACTOR = 1.3
@@ -112,7 +112,7 @@ def _with_free(
     freed = replace(survey, model=survey.model.model_copy(update={"camera": (section,)}), photo_files=files)
     try:
         return photogrammetry_pipeline.run(
-            freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=gathered(some),
+            freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=collect_photos(some),
             start=StartValues(own) if len(own) > 1 else None,
         )  # fmt: skip
     except MetrologyError:

@@ -27,7 +27,7 @@ from observer.pipeline.headline import absorber_numbers
 from observer.pipeline.inputs import absorber_start, as_photogrammetry, build_collector
 from observer.slopes.pose_modes import Photos
 from observer.trough.collector import Collector
-from photogrammetry.pipeline import measure as photogrammetry_pipeline
+from photogrammetry import pipeline as photogrammetry_pipeline
 
 #: Kind of the summary, which names its report.
 KIND = "observer-absorber"

@@ -13,12 +13,7 @@ from observer.files import number_in_cell
 from observer.keys import ObserverMeasurement, TroughSection
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
-from photogrammetry.keys.measurement import (
-    CoordinateSection,
-    DatumSection,
-    PhotogrammetryModel,
-)
-from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.keys import CoordinateSection, DatumSection, PhotogrammetryModel, TargetsSection
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1

@@ -14,6 +14,7 @@ from heliogauge.results.folder import (
     PhotoPose,
     Summary,
     hash_files,
+    refuse_copies,
     write_cameras_json,
     write_points_csv,
     write_summary,
@@ -82,8 +83,8 @@ from observer.slopes.shape_share import shape_doubt
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, coverage_warning, shares, visibility
-from photogrammetry.pipeline import measure as photogrammetry_pipeline
-from photogrammetry.pipeline.photos import gathered
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.pipeline import collect_photos
 
 #: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.
 NETWORK_FOLDER = "network"
@@ -172,7 +173,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     prepared = prepare(measurement)
-    photogrammetry_pipeline.refuse_copies(prepared.survey, hashes)
+    refuse_copies(prepared.survey.photo_files, hashes, measurement.folder)
     first = look_first(prepared.survey.photo_files, prepared.finder, jobs=options.jobs, progress=progress)
     return replace(evaluate(measurement, prepared, first, options, progress), input_sha256=hashes)
 
@@ -219,7 +220,7 @@ def evaluate(
     with explained():
         network = photogrammetry_pipeline.run(
             survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress,
-            measured=gathered(first.targets) if first.targets else None, start=first.start,
+            measured=collect_photos(first.targets) if first.targets else None, start=first.start,
         )  # fmt: skip
     photos, views, files = _photos(measurement, network)
     refuse_loose_list(network, survey, collector)
@@ -345,7 +346,7 @@ def refined_poses(result: Result) -> dict[str, PhotoPose]:
 
     Returns: By the photo's name; residuals are those of the targets.
     """
-    before = photogrammetry_pipeline.photo_poses(result.network)
+    before = result.network.photo_poses
     both = zip(before.items(), result.poses, result.pose_covariances, strict=True)
     return {name: replace(one, cam_from_world=pose, covariance=covariance) for (name, one), pose, covariance in both}
 

@@ -20,8 +20,8 @@ from observer.pipeline.target_list import photos_with_poses
 from observer.studies import overview as pipeline_overview
 from observer.targets.module_targets import ListedPlaces, beside, in_frame
 from observer.trough.collector import Collector
-from photogrammetry.keys.measurement import CoordinateSection
-from photogrammetry.start_values.resection import LEAST_TARGETS
+from photogrammetry.keys import CoordinateSection
+from photogrammetry.start_values import LEAST_TARGETS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,22 +27,12 @@ from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
 from observer.product.pictures import Slices, empty_slices
-from photogrammetry.detection.photo_targets import TargetSearch, measure_at
-from photogrammetry.keys.targets import TargetsSection
-from photogrammetry.matching.target_following import (
-    KnownTargets,
-    Track,
-    agrees_with_list,
-    follow,
-    provisional_pose,
-    start_following,
-)
-from photogrammetry.pipeline.cameras import build_cameras
-from photogrammetry.pipeline.inputs import build_search
-from photogrammetry.pipeline.photos import OnePhoto, measure_photo
-from photogrammetry.start_values.network import StartValues
-from photogrammetry.start_values.resection import LEAST_TARGETS
-from photogrammetry.targets.mirrored_codes import refuse_mirrored_codes
+from photogrammetry.detection import TargetSearch, measure_at
+from photogrammetry.keys import TargetsSection
+from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following
+from photogrammetry.pipeline import OnePhoto, build_cameras, build_search, measure_photo
+from photogrammetry.start_values import LEAST_TARGETS, StartValues
+from photogrammetry.targets import refuse_mirrored_codes
 
 _Part = TypeVar("_Part", ReflectionEdges, Bearings)
 

@@ -10,10 +10,10 @@ from observer.pipeline.photos import Finder, FirstLook
 from observer.targets.list_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
 from observer.targets.module_targets import spans_an_area
 from observer.trough.collector import Collector
-from photogrammetry.keys.measurement import CoordinateSection
-from photogrammetry.matching.target_following import KnownTargets
-from photogrammetry.pipeline import measure as photogrammetry_pipeline
-from photogrammetry.start_values.resection import LEAST_TARGETS
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.keys import CoordinateSection
+from photogrammetry.matching import KnownTargets
+from photogrammetry.start_values import LEAST_TARGETS
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1

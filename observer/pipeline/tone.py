@@ -12,10 +12,10 @@ from heliogauge.validate import FloatArray
 from observer.photo_edges.reflection_edges import Expectation, edge_profiles
 from observer.photo_edges.tone import Tone, find_tone, linear_light
 from observer.photo_edges.views import Shot, View
-from photogrammetry.centers.ellipse import NamedEllipses
-from photogrammetry.detection.photo_targets import TargetSearch, measure_at
-from photogrammetry.matching.target_following import KnownTargets
-from photogrammetry.pipeline.photos import OnePhoto
+from photogrammetry.centers import NamedEllipses
+from photogrammetry.detection import TargetSearch, measure_at
+from photogrammetry.matching import KnownTargets
+from photogrammetry.pipeline import OnePhoto
 
 #: Photos that tell how all are encoded, in the inner part of a pass, where the reflection is on the mirror.
 _PHOTOS = 3

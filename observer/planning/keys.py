@@ -9,8 +9,7 @@ from pydantic import Field, model_validator
 
 from heliogauge.measurement.models import Number, Positive, Section, Sigma, Text
 from observer.keys import ObserverEvaluationSection, TroughSection
-from photogrammetry.keys.cameras import NetworkCameraSection
-from photogrammetry.keys.measurement import DistanceSection, ScaleBarSection
+from photogrammetry.keys import DistanceSection, NetworkCameraSection, ScaleBarSection
 
 
 class PlannedTargetsSection(Section):

@@ -17,13 +17,10 @@ from observer.pipeline.inputs import AXES, target_constraints
 from observer.planning.keys import ObserverPlanModel
 from observer.planning.simulated_edges import in_image
 from observer.planning.simulated_flight import Believed
-from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
-from photogrammetry.bundle.constraints import Constraint, Coordinate, Distance
-from photogrammetry.image_points import ImagePoints
-from photogrammetry.keys.measurement import CoordinateSection, DatumSection, PhotogrammetryModel
-from photogrammetry.keys.targets import TargetsSection
-from photogrammetry.pipeline.cameras import build_cameras
-from photogrammetry.pipeline.inputs import build_constraints
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, constraints
+from photogrammetry.keys import CoordinateSection, DatumSection, PhotogrammetryModel, TargetsSection
+from photogrammetry.pipeline import build_cameras, build_constraints
 
 #: A photo with fewer targets has no pose of its own.
 _LEAST_IN_PHOTO = 4
@@ -47,7 +44,7 @@ class PlannedNetwork:
     poses: tuple[RigidTransform, ...]
     names: tuple[str, ...]
     points_m: FloatArray
-    constraints: tuple[Constraint, ...]
+    constraints: tuple[constraints.Constraint, ...]
     sigma_px: float
 
     @property
@@ -79,9 +76,14 @@ def planned_network(
         datum=DatumSection(kind="inner"),
     )
     found = build_cameras(PhotogrammetryMeasurement(folder, photogrammetry, ()), ["planned"], None)
-    constraints = build_constraints(photogrammetry)
     network = PlannedNetwork(
-        found.cameras[0], found.models[0], poses, names, points, constraints, model.targets.sigma_px
+        found.cameras[0],
+        found.models[0],
+        poses,
+        names,
+        points,
+        build_constraints(photogrammetry),
+        model.targets.sigma_px,
     )
     seen = np.array([in_image(view, points).sum() for view in network.views])
     keep = seen >= _LEAST_IN_PHOTO
@@ -143,12 +145,12 @@ def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> B
     """
     points = _image_points(network, rng)
     present = {points.targets[i] for i in np.unique(points.target_index)}
-    constraints = [one for one in network.constraints if present.issuperset(one.targets)]
+    held = [one for one in network.constraints if present.issuperset(one.targets)]
     known = dict(zip(network.names, network.points_m, strict=True))
-    drawn = tuple(_true_to(one, known, rng) for one in constraints)
+    drawn = tuple(_true_to(one, known, rng) for one in held)
     table = points.compacted()
     model, camera = _drawn_camera(network, rng)
-    start = bundle_state([camera], network.poses, np.array([known[name] for name in table.targets]))
+    start = BundleState.from_poses([camera], network.poses, np.array([known[name] for name in table.targets]))
     return adjust(BundleProblem(table, (model,), None, drawn), start)
 
 
@@ -169,12 +171,14 @@ def _image_points(network: PlannedNetwork, rng: np.random.Generator | None) -> I
     return ImagePoints(names, network.names, np.concatenate(photo), np.concatenate(target), places, covariance)
 
 
-def _true_to(one: Constraint, known: dict[str, FloatArray], rng: np.random.Generator | None) -> Constraint:
+def _true_to(
+    one: constraints.Constraint, known: dict[str, FloatArray], rng: np.random.Generator | None
+) -> constraints.Constraint:
     """Return what is known with the value that fits the planned places, plus its error."""
     error = 0.0 if rng is None else float(rng.standard_normal())
-    if isinstance(one, Coordinate):
+    if isinstance(one, constraints.Coordinate):
         return replace(one, value_m=one.value_m + error * one.sigma_m)
-    if isinstance(one, Distance):
+    if isinstance(one, constraints.Distance):
         true = float(np.linalg.norm(known[one.target_a] - known[one.target_b]))
         return replace(one, distance_m=true + error * one.sigma_m)
     return one

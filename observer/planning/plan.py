@@ -26,7 +26,7 @@ from observer.product.figures_of_merit import FlightFigures, flight_figures
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.typical_mirror import MeasuredMirror, Mirror, TypicalMirror
-from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.bundle import BundleResult
 
 #: Longitudinal incidence from which slope errors along the trough are felt (Owkes 2012, sec. 5.2) [rad].
 _LARGEST_INCIDENCE_RAD = np.radians(15.0)

@@ -15,25 +15,12 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, float_array
 from photogrammetry.bundle.covariance import BundleCovariance, CovarianceFactors
-from photogrammetry.bundle.datum import Datum, DatumKind
+from photogrammetry.bundle.diagnosis import Defect, diagnose
 from photogrammetry.bundle.evaluation import BundleRows, evaluate
-from photogrammetry.bundle.problem import BundleProblem, CameraModel, ResidualSpace
+from photogrammetry.bundle.problem import BundleProblem
 from photogrammetry.bundle.rows import BundleModel
-from photogrammetry.bundle.state import BundleState, bundle_state, d_parameters_d_intrinsics
+from photogrammetry.bundle.state import BundleState, d_parameters_d_intrinsics
 from photogrammetry.bundle.system import SchurSystem
-
-__all__ = [
-    "BundleOptions",
-    "BundleProblem",
-    "BundleResult",
-    "BundleState",
-    "CameraModel",
-    "Datum",
-    "DatumKind",
-    "ResidualSpace",
-    "adjust",
-    "bundle_state",
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +127,23 @@ class BundleResult(VarianceFactorTests):
         """Pose of each photo."""
         return tuple(self.state.cam_from_world(i) for i in range(len(self.state.rotations)))
 
+    @cached_property
+    def defects(self) -> tuple[Defect, ...]:
+        """What is not determined, by name: first targets that fail on their own; empty when all is determined."""
+        return diagnose(self.problem, self.system, self.covariance)
+
+    def require(self, what: str = "bundle adjustment") -> "BundleResult":
+        """Return the result if it is usable, refuse it otherwise.
+
+        what: What was adjusted, for the message.
+        EstimationError: Not converged, or something is not determined; the message names it.
+        """
+        if self.defects:
+            raise EstimationError(f"{what}: " + "; ".join(one.text for one in self.defects))
+        if not self.converged:
+            raise EstimationError(f"{what}: {self.reason}")
+        return self
+
 
 def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions | None = None) -> BundleResult:
     """Adjust a photo network.
@@ -147,7 +151,7 @@ def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions
     problem: What is observed and what is sought.
     start: Start values of everything; `photogrammetry.start_values.network` finds them.
     Returns: ``converged`` is False with the reason where the iteration did not end in a minimum. Whatever is not
-        determined has covariance NaN; `photogrammetry.bundle.statistics.require` names it in an error.
+        determined has covariance NaN; `BundleResult.require` names it in an error.
     InputError: The start does not fit the problem.
     EstimationError: A target is behind its camera at the start, or the datum's targets do not define it.
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray
-from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.bundle.covariance import BundleCovariance
+from photogrammetry.bundle.problem import BundleProblem
+from photogrammetry.bundle.system import SchurSystem
 
 # Entries of a unit direction below this are not worth a name.
 _NAMED = 0.05
@@ -28,44 +29,22 @@ class Defect:
     text: str
 
 
-def diagnose(result: BundleResult) -> tuple[Defect, ...]:
-    """Name everything that the adjustment does not determine.
+def diagnose(problem: BundleProblem, system: SchurSystem, covariance: BundleCovariance) -> tuple[Defect, ...]:
+    """Name everything that an adjustment does not determine.
 
-    result: An adjusted network.
     Returns: First targets that fail on their own (one ray, no angle between the rays), then what photos and
         intrinsics share; empty when all is determined.
     """
-    found = []
-    own = _lonely_targets(result)
-    if own is not None:
-        found.append(own)
-    shared = _shared(result)
-    if shared is not None:
-        found.append(shared)
-    return tuple(found)
+    found = (_lonely_targets(problem, system), _shared(problem, system, covariance))
+    return tuple(one for one in found if one is not None)
 
 
-def require(result: BundleResult, what: str = "bundle adjustment") -> BundleResult:
-    """Return the result if it is usable, refuse it otherwise.
-
-    result: An adjusted network.
-    what: What was adjusted, for the message.
-    EstimationError: Not converged, or something is not determined; the message names it.
-    """
-    defects = diagnose(result)
-    if defects:
-        raise EstimationError(f"{what}: " + "; ".join(one.text for one in defects))
-    if not result.converged:
-        raise EstimationError(f"{what}: {result.reason}")
-    return result
-
-
-def _lonely_targets(result: BundleResult) -> Defect | None:
-    lost = result.system.undamped.lost_targets
+def _lonely_targets(problem: BundleProblem, system: SchurSystem) -> Defect | None:
+    lost = system.undamped.lost_targets
     which = np.nonzero(lost > 0)[0]
     if not which.size:
         return None
-    table, places = result.problem.observations, result.system.layout.eliminated[which]
+    table, places = problem.observations, system.layout.eliminated[which]
     rays = table.n_rays[places]
     names = tuple(table.targets[i] for i in places)
     described = [f"{name} ({count} ray{'' if count == 1 else 's'})" for name, count in zip(names, rays, strict=True)]
@@ -77,17 +56,17 @@ def _lonely_targets(result: BundleResult) -> Defect | None:
     return Defect(count, names, (), (), text)
 
 
-def _shared(result: BundleResult) -> Defect | None:
-    dense, inner = result.covariance.lost_movements
+def _shared(problem: BundleProblem, system: SchurSystem, covariance: BundleCovariance) -> Defect | None:
+    dense, inner = covariance.lost_movements
     count = dense.shape[1]
     if not count:
         return None
-    layout, table = result.system.layout, result.problem.observations
-    dense, moved_targets = _localised(result, dense, inner * result.system.target_scale[:, :, None])
+    layout, table = system.layout, problem.observations
+    dense, moved_targets = _localised(system, dense, inner * system.target_scale[:, :, None])
     of_photo = _share(dense[: 6 * layout.n_photos].reshape(layout.n_photos, 6 * count))
     photos = _named(of_photo, table.photos)
     intrinsics: list[str] = []
-    for model, columns in zip(result.problem.cameras, layout.intrinsic_columns, strict=True):
+    for model, columns in zip(problem.cameras, layout.intrinsic_columns, strict=True):
         intrinsics += _named(_share(dense[columns]), tuple(f"{name} of {model.name}" for name in model.free))
     moved = _share(moved_targets.reshape(layout.eliminated.size, 3 * count))
     names = tuple(table.targets[i] for i in layout.eliminated)
@@ -108,13 +87,13 @@ def _shared(result: BundleResult) -> Defect | None:
     return Defect(count, targets, photos, tuple(intrinsics), text)
 
 
-def _localised(result: BundleResult, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _localised(system: SchurSystem, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Take the movement of the whole network out of lost directions, so that few photos and targets move.
 
     A loose photo against a network at rest, and the network against the photo at rest, are the same freedom. The
     version in which least moves (sum of lengths, by iterated weights) names the photo.
     """
-    system, layout = result.system, result.system.layout
+    layout = system.layout
     count = system.movements.count
     if not count:
         return dense, targets

@@ -61,18 +61,19 @@ class BundleState:
         """Projection centres in the world frame, shape (p, 3) [m]."""
         return np.asarray(-np.einsum("pji,pj->pi", self.rotations, self.translations_m))
 
+    @classmethod
+    def from_poses(
+        cls, cameras: Sequence[Camera], poses: Sequence[RigidTransform], points_m: FloatArray
+    ) -> "BundleState":
+        """Build a state from poses ``cam_from_world`` of p photos and points (n, 3).
 
-def bundle_state(cameras: Sequence[Camera], poses: Sequence[RigidTransform], points_m: FloatArray) -> BundleState:
-    """Build a state from poses ``cam_from_world`` and points.
-
-    Shapes: poses length p, points_m (n, 3).
-    InputError: A point is not finite.
-    """
-    if not poses or not cameras:
-        raise InputError("bundle: at least one camera and one photo are needed")
-    rotations = np.stack([pose.rotation for pose in poses])
-    translations = np.stack([pose.translation_m for pose in poses])
-    return BundleState(tuple(cameras), rotations, translations, float_array("points_m", points_m, (None, 3)))
+        InputError: A point is not finite, or there is no camera or photo.
+        """
+        if not poses or not cameras:
+            raise InputError("bundle: at least one camera and one photo are needed")
+        rotations = np.stack([pose.rotation for pose in poses])
+        translations = np.stack([pose.translation_m for pose in poses])
+        return cls(tuple(cameras), rotations, translations, float_array("points_m", points_m, (None, 3)))
 
 
 def rotations_from_vectors(vectors_rad: FloatArray) -> FloatArray:

@@ -7,9 +7,10 @@ import numpy as np
 
 from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, BundleResult, BundleState, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
+from photogrammetry.bundle.problem import BundleProblem
 from photogrammetry.bundle.rows import BundleModel, CameraRows, runs
-from photogrammetry.bundle.state import INTRINSIC_NAMES, intrinsics_of
+from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 
 # Below this share nothing of an error shows in the residual, and its test says nothing.
 _UNCONTROLLED = 1e-6

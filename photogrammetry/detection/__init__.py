@@ -1,1 +1,33 @@
-"""Targets, markers and features found in photos and identified; false codes refused with a reason."""
+"""Targets and markers found in photos and identified; false codes refused with a reason.
+
+`measure_targets` finds, reads and centres all circular targets of a photo as a `TargetSearch` says, `measure_at` those
+whose places are known, `find_markers` square markers. All give `Detections`.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from photogrammetry.detection.detect import SearchLimits as SearchLimits
+    from photogrammetry.detection.detect import find_candidates as find_candidates
+    from photogrammetry.detection.detect import measure_center as measure_center
+    from photogrammetry.detection.detections import Detections as Detections
+    from photogrammetry.detection.markers import find_markers as find_markers
+    from photogrammetry.detection.photo_targets import TargetSearch as TargetSearch
+    from photogrammetry.detection.photo_targets import measure_at as measure_at
+    from photogrammetry.detection.photo_targets import measure_targets as measure_targets
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "Detections": "photogrammetry.detection.detections",
+        "SearchLimits": "photogrammetry.detection.detect",
+        "TargetSearch": "photogrammetry.detection.photo_targets",
+        "find_candidates": "photogrammetry.detection.detect",
+        "find_markers": "photogrammetry.detection.markers",
+        "measure_at": "photogrammetry.detection.photo_targets",
+        "measure_center": "photogrammetry.detection.detect",
+        "measure_targets": "photogrammetry.detection.photo_targets",
+    },
+)

@@ -10,7 +10,7 @@ import numpy as np
 from heliogauge.errors import InputError
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.image_points import ImagePoints, image_points
+from photogrammetry.image_points import ImagePoints
 
 COLUMNS = ("image", "target", "x_px", "y_px")
 SIGMA_COLUMNS = ("sigma_x_px", "sigma_y_px")
@@ -83,7 +83,9 @@ def read_image_points_csv(
         _check_inside(path, photos, pixels, known)
     covariance = np.zeros((len(photos), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigmas.T**2
-    return ImagePointFile(image_points(photos, targets, pixels, covariance), bool(missing.any()), tuple(warnings))
+    return ImagePointFile(
+        ImagePoints.from_names(photos, targets, pixels, covariance), bool(missing.any()), tuple(warnings)
+    )
 
 
 def write_image_points_csv(path: Path, points: ImagePoints) -> None:

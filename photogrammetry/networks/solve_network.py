@@ -9,20 +9,13 @@ from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.bundle.adjustment import (
-    BundleOptions,
-    BundleProblem,
-    BundleResult,
-    BundleState,
-    CameraModel,
-    Datum,
-    DatumKind,
-    adjust,
-)
+from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
 from photogrammetry.bundle.alignment import aligned_to_constraints, aligned_to_control, best_fit, transformed
 from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance
-from photogrammetry.bundle.diagnosis import require
+from photogrammetry.bundle.datum import Datum, DatumKind
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
@@ -194,7 +187,7 @@ def solve_from(
     problem, unused = _problem(table, cameras, knowledge)
     placed = _placed(state, table, problem, knowledge)
     _refuse_gross_lengths(problem, placed)
-    bundle = require(adjust(problem, placed, options=chosen))
+    bundle = adjust(problem, placed, options=chosen).require()
     factor = 1.0
     if options.rescale:
         bundle, factor = _rescaled(bundle)
@@ -301,7 +294,7 @@ def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:
         table = bundle.problem.observations
         scaled = replace(table, covariance_px2=table.covariance_px2 * change)
         options = replace(bundle.options, covariance_scale=CovarianceScale.PRIOR)
-        bundle = require(adjust(replace(bundle.problem, observations=scaled), bundle.state, options=options))
+        bundle = adjust(replace(bundle.problem, observations=scaled), bundle.state, options=options).require()
         if abs(change - 1) < 1e-3:
             break
     return bundle, float(np.sqrt(factor))

@@ -1,1 +1,37 @@
-"""The stages of a photogrammetric measurement, in a row in `measure`."""
+"""The stages of a photogrammetric measurement, in a row in `run`; and those that other instruments start with.
+
+`build_cameras`, `build_search` and `build_constraints` turn what measurement.toml says into values, `measure_photo` and
+`collect_photos` turn photos into image points.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from photogrammetry.pipeline.cameras import build_cameras as build_cameras
+    from photogrammetry.pipeline.inputs import build_constraints as build_constraints
+    from photogrammetry.pipeline.inputs import build_search as build_search
+    from photogrammetry.pipeline.measure import Options as Options
+    from photogrammetry.pipeline.measure import Result as Result
+    from photogrammetry.pipeline.measure import run as run
+    from photogrammetry.pipeline.measure import write as write
+    from photogrammetry.pipeline.photos import OnePhoto as OnePhoto
+    from photogrammetry.pipeline.photos import collect_photos as collect_photos
+    from photogrammetry.pipeline.photos import measure_photo as measure_photo
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "OnePhoto": "photogrammetry.pipeline.photos",
+        "Options": "photogrammetry.pipeline.measure",
+        "Result": "photogrammetry.pipeline.measure",
+        "build_cameras": "photogrammetry.pipeline.cameras",
+        "build_constraints": "photogrammetry.pipeline.inputs",
+        "build_search": "photogrammetry.pipeline.inputs",
+        "collect_photos": "photogrammetry.pipeline.photos",
+        "measure_photo": "photogrammetry.pipeline.photos",
+        "run": "photogrammetry.pipeline.measure",
+        "write": "photogrammetry.pipeline.measure",
+    },
+)

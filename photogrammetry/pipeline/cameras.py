@@ -15,7 +15,7 @@ from heliogauge.images.exif import EXIF_BYTES, focal_length_35mm
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import read_camera_json
 from heliogauge.validate import FloatArray
-from photogrammetry.bundle.adjustment import CameraModel, ResidualSpace
+from photogrammetry.bundle.problem import CameraModel, ResidualSpace
 from photogrammetry.bundle.state import INTRINSIC_NAMES, camera_with_intrinsics, intrinsics_of
 from photogrammetry.keys.cameras import MillimetreSection, NetworkCameraSection, camera_of_photos
 from photogrammetry.networks.solve_network import NetworkCameras

@@ -20,7 +20,7 @@ from photogrammetry.matching.tracking import Track, TrackedPhoto, TrackLimits, f
 from photogrammetry.matching.uncoded_names import ListedTargets
 from photogrammetry.pipeline.cameras import build_cameras
 from photogrammetry.pipeline.inputs import build_search
-from photogrammetry.pipeline.photos import MeasuredPhotos, OnePhoto, Refused, gathered, measure_each
+from photogrammetry.pipeline.photos import MeasuredPhotos, OnePhoto, Refused, collect_photos, measure_each
 from photogrammetry.pipeline.uncoded import listed_targets
 
 _COLUMNS = ("image", "target", "x_px", "y_px")
@@ -47,7 +47,7 @@ def measure_targets_of(
     listed = listed_targets(section, measurement.folder)
     if section.dictionary is None and section.tracked_from is None and listed is not None:
         found = _told_by_list(measurement, section, found, listed)
-    return gathered(found)
+    return collect_photos(found)
 
 
 # --- marks followed from photo to photo -----------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import read_cameras_json, read_table_csv
 from heliogauge.validate import FloatArray
-from photogrammetry.bundle.adjustment import Datum, DatumKind
 from photogrammetry.bundle.constraints import CommonPlane, Constraint, ControlPoint, Coordinate, Distance, KnownPlane
+from photogrammetry.bundle.datum import Datum, DatumKind
 from photogrammetry.detection.detect import SearchLimits
 from photogrammetry.detection.photo_targets import TargetSearch
 from photogrammetry.keys.measurement import (

@@ -8,7 +8,6 @@ import numpy as np
 
 from heliogauge.camera.millimetres import SENSOR_NAMES, Sensor, sensor_parameters
 from heliogauge.camera.model import Camera
-from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import (
@@ -16,6 +15,7 @@ from heliogauge.results.folder import (
     PointTable,
     Summary,
     hash_files,
+    refuse_copies,
     write_cameras_json,
     write_points_csv,
     write_summary,
@@ -109,6 +109,20 @@ class Result:
         )
 
     @property
+    def photo_poses(self) -> dict[str, PhotoPose]:
+        """Camera, pose with covariance and size of the residuals of each photo in the network, by its name."""
+        bundle = self.solved.bundle
+        table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
+        counts = np.maximum(table.n_targets_in_photo, 1)
+        rms = np.sqrt(np.bincount(table.photo_index, weights=squares, minlength=len(table.photos)) / counts)
+        covariances = bundle.covariance.poses
+        owners = [bundle.problem.cameras[place].name for place in bundle.problem.camera_index]
+        return {
+            name: PhotoPose(owners[i], pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
+            for i, (name, pose) in enumerate(zip(table.photos, bundle.cam_from_world, strict=True))
+        }
+
+    @property
     def refused(self) -> tuple[Refused, ...]:
         """Everything that was not used, by name with the reason."""
         solved = self.solved
@@ -140,7 +154,7 @@ def run(
     if measured is None:
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
-        refuse_copies(measurement, hashes)
+        refuse_copies(measurement.photo_files, hashes, measurement.folder)
         measured, kinds = _read_kinds(measurement, options, progress)
     else:
         kinds = np.zeros(measured.points.n, dtype=np.intp)
@@ -176,24 +190,6 @@ def run(
             said = (*said, *surface.doubts)
     times = dict(progress.durations_s)
     return Result(model.name, measured, solved, checks, lengths, said, times, hashes, sensors, surface)
-
-
-def refuse_copies(measurement: PhotogrammetryMeasurement, hashes: dict[str, str]) -> None:
-    """Refuse a photo that is there twice: counted as two measurements, its image points make sigmas too small.
-
-    hashes: Name and SHA-256 of each of its files.
-    InputError: Two photos have the same content.
-    """
-    photos = {file.name for file in measurement.photo_files}
-    first: dict[str, str] = {}
-    for name, digest in hashes.items():
-        if name.rsplit("/", 1)[-1] not in photos:
-            continue
-        if digest in first:
-            raise InputError(
-                f"images.photos: {name} is a copy of {first[digest]}; remove one (counted twice, sigmas are too small)"
-            )
-        first[digest] = name
 
 
 def _read_kinds(
@@ -236,7 +232,7 @@ def write(result: Result, folder: Path) -> None:
     folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
     """
     write_points_csv(folder / "points.csv", result.points)
-    write_cameras_json(folder / "cameras.json", result.cameras, photo_poses(result))
+    write_cameras_json(folder / "cameras.json", result.cameras, result.photo_poses)
     write_table_csv(folder / "points_covariance.csv", _covariance_columns(result))
     write_table_csv(folder / "residuals.csv", _residual_columns(result))
     refused = result.refused
@@ -251,23 +247,6 @@ def write(result: Result, folder: Path) -> None:
     if result.surface is not None:
         write_surface(result.surface, folder, {"name": result.name, "input_sha256": result.input_sha256})
     write_summary(folder / "summary.json", summarise(result))
-
-
-def photo_poses(result: Result) -> dict[str, PhotoPose]:
-    """Collect the poses of all photos in the network.
-
-    Returns: Camera, pose with covariance and size of the residuals, by the photo's name.
-    """
-    bundle = result.solved.bundle
-    table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
-    counts = np.maximum(table.n_targets_in_photo, 1)
-    rms = np.sqrt(np.bincount(table.photo_index, weights=squares, minlength=len(table.photos)) / counts)
-    covariances = bundle.covariance.poses
-    owners = [bundle.problem.cameras[place].name for place in bundle.problem.camera_index]
-    return {
-        name: PhotoPose(owners[i], pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
-        for i, (name, pose) in enumerate(zip(table.photos, bundle.cam_from_world, strict=True))
-    }
 
 
 def _covariance_columns(result: Result) -> dict[str, Any]:

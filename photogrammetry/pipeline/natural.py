@@ -13,7 +13,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.detection.feature_tracks import TrackChoice, Tracks, follow_tracks
 from photogrammetry.detection.natural import Features, all_pairs, find_features, match_features, require_pycolmap
-from photogrammetry.image_points import ImagePoints, image_points
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.pipeline.cameras import build_cameras
 from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
@@ -106,7 +106,7 @@ def _joined(
 
 def _both(first: ImagePoints, second: ImagePoints) -> ImagePoints:
     tables = (first, second)
-    return image_points(
+    return ImagePoints.from_names(
         [table.photos[i] for table in tables for i in table.photo_index],
         [table.targets[i] for table in tables for i in table.target_index],
         np.concatenate([table.pixels_px for table in tables]),

@@ -16,7 +16,7 @@ from heliogauge.validate import FloatArray
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.markers import find_markers
 from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
-from photogrammetry.image_points import ImagePoints, image_points
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.solve_uncoded import LooseDots
@@ -207,7 +207,7 @@ def _loose(found: Sequence[OnePhoto]) -> LooseDots:
     return LooseDots(tuple(one.detections.photo for one in found), dots)
 
 
-def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
+def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """Put the targets of all photos together; those that are twice in a photo are not used there.
 
     Returns: Image points with covariances, and what was refused.
@@ -254,7 +254,7 @@ def gathered(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     # Estimators leave the two halves different in the last bit.
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     sizes = {one.detections.photo: one.size_px for one in found}
-    points = image_points(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
+    points = ImagePoints.from_names(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
     return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True, _loose(found))
 
 

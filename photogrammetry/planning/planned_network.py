@@ -8,9 +8,10 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, IntArray, positive
-from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.adjustment import BundleResult, adjust
 from photogrammetry.bundle.constraints import Distance
-from photogrammetry.bundle.diagnosis import diagnose
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.planning.stations import PlannedObject, Reach, Station, seen_targets
 
@@ -109,7 +110,7 @@ def predict(
     problem = BundleProblem(
         table, (CameraModel("camera", planned.free),), None, tuple(bar for bar in bars if names.issuperset(bar.targets))
     )
-    state = bundle_state([planned.camera], [one.cam_from_world for one in used], target_object.points_m[kept])
+    state = BundleState.from_poses([planned.camera], [one.cam_from_world for one in used], target_object.points_m[kept])
     try:
         bundle = adjust(problem, state)
     except EstimationError as error:
@@ -117,7 +118,7 @@ def predict(
     sigma, covariance = nothing.copy(), cubes.copy()
     covariance[kept] = bundle.covariance.points
     sigma[kept] = np.where(np.isfinite(bundle.points_m), bundle.sigma_points_m, np.nan)
-    reason = "; ".join(one.text for one in diagnose(bundle))
+    reason = "; ".join(one.text for one in bundle.defects)
     unseen = [name for name, n in zip(target_object.names, rays, strict=True) if n == 0]
     if unseen and not reason:
         reason = f"{len(unseen)} targets are in no photo: {', '.join(unseen[:5])}"

@@ -9,7 +9,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.bundle.adjustment import CameraModel
+from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network_growth import (

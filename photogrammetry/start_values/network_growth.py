@@ -11,7 +11,8 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, BundleResult, CameraModel, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.resection import LEAST_TARGETS, Resection, resect

@@ -10,7 +10,9 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.adjustment import BundleOptions, adjust
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.triangulation import Triangulation, intersect_lines, ray_sigma_rad
 
@@ -139,7 +141,7 @@ def _refined(shared: SharedTargets, pose: RigidTransform, tolerance: float) -> R
         return None
     table = _table(shared, which)
     problem = BundleProblem(table, (CameraModel("first"), CameraModel("second")), np.array([0, 1]))
-    start = bundle_state(shared.cameras, [RigidTransform.identity(), pose], first.points_m[which])
+    start = BundleState.from_poses(shared.cameras, [RigidTransform.identity(), pose], first.points_m[which])
     try:
         result = adjust(problem, start, options=BundleOptions(loss=Cauchy()))
     except (EstimationError, np.linalg.LinAlgError):

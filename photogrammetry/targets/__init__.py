@@ -1,1 +1,29 @@
-"""Description of coded targets and the sheets to print."""
+"""Coded targets: their description, dictionaries of ring codes, the sheets to print.
+
+A `RingDictionary` holds the codes that may occur; those that come with the program are made by `ring_dictionary`, all
+others are read by `load_dictionary`.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from photogrammetry.targets.coded_targets import Polarity as Polarity
+    from photogrammetry.targets.coded_targets import RingCode as RingCode
+    from photogrammetry.targets.coded_targets import RingDictionary as RingDictionary
+    from photogrammetry.targets.coded_targets import ring_dictionary as ring_dictionary
+    from photogrammetry.targets.mirrored_codes import refuse_mirrored_codes as refuse_mirrored_codes
+    from photogrammetry.targets.store_ring_codes import load_dictionary as load_dictionary
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "Polarity": "photogrammetry.targets.coded_targets",
+        "RingCode": "photogrammetry.targets.coded_targets",
+        "RingDictionary": "photogrammetry.targets.coded_targets",
+        "load_dictionary": "photogrammetry.targets.store_ring_codes",
+        "refuse_mirrored_codes": "photogrammetry.targets.mirrored_codes",
+        "ring_dictionary": "photogrammetry.targets.coded_targets",
+    },
+)

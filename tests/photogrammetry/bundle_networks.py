@@ -5,7 +5,7 @@ import numpy as np
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from photogrammetry.bundle.adjustment import bundle_state
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
 
 
@@ -37,7 +37,7 @@ def network(
         angle, height = 2 * np.pi * i / n_photos * 3, (1.2 + 0.5 * (i % 3)) * size_m
         center = np.array([1.7 * size_m * np.cos(angle), 1.7 * size_m * np.sin(angle), height])
         poses.append(look_at(center, rng.uniform(-0.2, 0.2, 3) * size_m, (i % 4) * np.pi / 2))
-    truth = bundle_state([camera], poses, points)
+    truth = BundleState.from_poses([camera], poses, points)
     return truth, observe(truth, rng, sigma_px)
 
 
@@ -70,4 +70,4 @@ def disturbed(truth, rng, share=1.0):
         for i in range(len(truth.rotations))
     ]
     points = truth.points_m + rng.normal(0, 0.02 * share, truth.points_m.shape)
-    return bundle_state(truth.cameras, poses, points)
+    return BundleState.from_poses(truth.cameras, poses, points)

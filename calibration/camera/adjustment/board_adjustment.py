@@ -13,13 +13,18 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleProblem, BundleResult, BundleState, CameraModel, adjust, bundle_state
-from photogrammetry.bundle.constraints import ControlPoint
-from photogrammetry.bundle.diagnosis import require
-from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
-from photogrammetry.bundle.statistics import examine_image_points
-from photogrammetry.centers.ellipse import eccentricity_px
-from photogrammetry.image_points import ImagePoints
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import (
+    BundleProblem,
+    BundleResult,
+    BundleState,
+    CameraModel,
+    adjust,
+    constraints,
+    eccentricity,
+    statistics,
+)
+from photogrammetry.centers import eccentricity_px
 
 #: Two tilted photos determine a camera with square pixels and nothing to spare; three have something to spare.
 LEAST_PHOTOS = 3
@@ -78,7 +83,7 @@ class BoardNetwork:
 
     def start(self) -> BundleState:
         """Return the state to start from: the board as drawn."""
-        return bundle_state([self.camera], self.poses, self.board.points_m[self.seen])
+        return BundleState.from_poses([self.camera], self.poses, self.board.points_m[self.seen])
 
     def without(self, photo: int) -> "BoardNetwork":
         """Return the network without one photo."""
@@ -196,8 +201,8 @@ def _with_true_targets(network: BoardNetwork, measured: Sequence[BoardPoints], s
     if len(ellipses) != table.n:
         return network
     camera_of_photo = np.zeros(len(table.photos), dtype=np.intp)
-    discs = estimate_discs(table, ellipses, state, camera_of_photo)
-    shifts = eccentricities_px(table, discs, state, camera_of_photo)
+    discs = eccentricity.estimate_discs(table, ellipses, state, camera_of_photo)
+    shifts = eccentricity.eccentricities_px(table, discs, state, camera_of_photo)
     points = [replace(one, pixels_px=one.pixels_px - shifts[table.photo_index == i]) for i, one in enumerate(measured)]
     return replace(network, points=tuple(points))
 
@@ -216,7 +221,9 @@ def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_
     if np.isinf(sigma_m).all():
         return BundleProblem(table, model)
     covariance = np.diag(sigma_m**2)
-    known = tuple(ControlPoint(name, place, covariance) for name, place in zip(table.targets, drawn_m, strict=True))
+    known = tuple(
+        constraints.ControlPoint(name, place, covariance) for name, place in zip(table.targets, drawn_m, strict=True)
+    )
     return BundleProblem(table, model, constraints=known)
 
 
@@ -233,7 +240,7 @@ def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_b
     if not network.places_known:
         prior = np.full(3, np.inf)
     bundle = adjust(posed(network.free, table, drawn, prior), network.start())
-    tests = examine_image_points(bundle)
+    tests = statistics.examine_image_points(bundle)
     usual = float(np.median(tests.length_squared)) / (2 * np.log(2.0))
     kept = np.asarray(tests.length_squared <= _REJECTED_SIGMAS**2 * usual)
     rejected = tuple(
@@ -250,11 +257,11 @@ def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_b
             prior = np.maximum(_PRIOR_FACTOR * np.array([in_plane, in_plane, seen[2]]), _LEAST_PRIOR * pitch)
         scaled = replace(table, covariance_px2=table.covariance_px2 * factor).subset(kept)
         bundle = adjust(posed(network.free, scaled, drawn, prior), bundle.state)
-    require(bundle, "calibration")
+    bundle.require("calibration")
     return Adjusted(bundle, kept, float(np.sqrt(factor)), prior, rms_as_drawn_px, rejected)
 
 
 def _variance_share(bundle: BundleResult, kept: BoolArray) -> float:
     """Squared residuals of image points over their own redundancy (the drawing's knowledge left aside)."""
-    redundancy = np.einsum("mii->m", examine_image_points(bundle).redundancy)[kept].sum()
+    redundancy = np.einsum("mii->m", statistics.examine_image_points(bundle).redundancy)[kept].sum()
     return float((bundle.whitened_residuals[kept] ** 2).sum() / max(redundancy, 1.0))

@@ -12,9 +12,9 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust, bundle_state
-from photogrammetry.image_points import ImagePoints
-from photogrammetry.start_values.resection import resect
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import BundleProblem, BundleState, CameraModel, adjust
+from photogrammetry.start_values import resect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> 
     poses = [state.cam_from_world(i) for i in range(len(network.points)) if i != photo]
     problem = posed(network.free, others, drawn, adjusted.prior_sigma_m)
     start = state.points_m[rows] if np.isinf(adjusted.prior_sigma_m).any() else drawn
-    bundle = adjust(problem, bundle_state(state.cameras, poses, start))
+    bundle = adjust(problem, BundleState.from_poses(state.cameras, poses, start))
     return Known(bundle.state.cameras[0], network.seen[rows], bundle.state.points_m)
 
 
@@ -67,7 +67,7 @@ def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = No
     names = tuple(str(i) for i in range(own.size))
     photo = np.zeros(own.size, dtype=np.intp)
     table = ImagePoints((points.photo,), names, photo, np.arange(own.size), pixels, covariance)
-    start = bundle_state([known.camera], [pose], places)
+    start = BundleState.from_poses([known.camera], [pose], places)
     fitted = adjust(BundleProblem(table, (CameraModel("camera"),), fixed=names), start)
     return rms_length(fitted.residuals_px), fitted.state.cam_from_world(0)
 

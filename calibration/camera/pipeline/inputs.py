@@ -1,6 +1,5 @@
 """What the folder of a calibration says: the board, and which photos are different ones."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.load import CameraCalibrationMeasurement
 from heliogauge.measurement.models import CharucoSection, ChessboardSection, CircleGridSection, TargetFieldSection
 from heliogauge.results.folder import read_table_csv
-from photogrammetry.targets.coded_targets import RingDictionary
-from photogrammetry.targets.store_ring_codes import load_dictionary
+from photogrammetry.targets import RingDictionary, load_dictionary
 
 
 def described_board(measurement: CameraCalibrationMeasurement) -> Board | UnknownField:
@@ -57,24 +55,3 @@ def _target_field(section: TargetFieldSection, path: Path) -> TargetField:
     except ValueError as error:
         raise InputError(f"{path}: x_m, y_m and z_m must hold numbers ({error})") from error
     return TargetField(section.dictionary, tuple(columns["id"]), places)
-
-
-def different_photos(
-    files: Sequence[Path], folder: Path, hashes: dict[str, str], left_out: dict[str, str]
-) -> list[Path]:
-    """Leave out files that are copies of earlier ones: they would count twice.
-
-    hashes: From `heliogauge.results.folder.hash_files` with that folder.
-    left_out: Takes the copies with the reason.
-    """
-    first: dict[str, Path] = {}
-    for file in files:
-        name = file.resolve()
-        digest = hashes.get(
-            name.relative_to(folder.resolve()).as_posix() if name.is_relative_to(folder.resolve()) else file.name, ""
-        )
-        if digest in first:
-            left_out[file.name] = f"{file.name} is a copy of {first[digest].name}"
-        else:
-            first[digest or str(file)] = file
-    return list(first.values())

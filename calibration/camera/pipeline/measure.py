@@ -37,7 +37,7 @@ from calibration.camera.files.result import (
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import check_network, check_photos, coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
-from calibration.camera.pipeline.inputs import described_board, different_photos, known_codes
+from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.photos import FoundBoards, UnknownField, search_photos
 from calibration.camera.start_values.intrinsics import homography, start_camera, start_pose
 from calibration.camera.start_values.orientation import Orientations
@@ -46,10 +46,10 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.load import CameraCalibrationMeasurement
 from heliogauge.measurement.models import CameraCalibrationModel
-from heliogauge.results.folder import hash_files, read_camera_json
+from heliogauge.results.folder import find_copies, hash_files, read_camera_json
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FloatArray
-from photogrammetry.bundle.statistics import examine_intrinsics
+from photogrammetry.bundle import statistics
 
 #: A photo that fits this many times better as a mirror image, and was this many times worse than others, is one.
 _MIRROR_GAIN = 3.0
@@ -126,7 +126,9 @@ def run(
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     left_out: dict[str, str] = {}
-    files = different_photos(measurement.photo_files, measurement.folder, hashes, left_out)
+    copies = find_copies(measurement.photo_files, hashes, measurement.folder)
+    left_out |= {copy.name: f"{copy.name} is a copy of {one.name}" for copy, one in copies.items()}
+    files = [file for file in measurement.photo_files if file not in copies]
     found = search_photos(
         files, board, model.camera, known=known_codes(measurement), jobs=options.jobs, progress=progress
     )
@@ -319,7 +321,7 @@ def _result(model: CameraCalibrationModel, solved: _Solved) -> Result:
     distance = float(np.median([np.linalg.norm(photo.cam_from_board.translation_m) for photo in photos]))
     tests = tuple(
         Intrinsic(one.name, one.value, one.sigma, one.significance, one.rival, one.correlation)
-        for one in examine_intrinsics(bundle)
+        for one in statistics.examine_intrinsics(bundle)
     )
     return Result(
         model.camera.name,

@@ -16,11 +16,9 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
 from heliogauge.measurement.models import CalibratedCameraSection
 from heliogauge.running.progress import Progress
-from photogrammetry.centers.ellipse import Ellipse
-from photogrammetry.centers.template import template_center
-from photogrammetry.detection.detect import measure_center
-from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import RingDictionary
+from photogrammetry.centers import Ellipse, template_center
+from photogrammetry.detection import TargetSearch, measure_center, measure_targets
+from photogrammetry.targets import RingDictionary
 
 
 @dataclass(frozen=True, slots=True, eq=False)

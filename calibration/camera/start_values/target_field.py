@@ -11,10 +11,9 @@ from calibration.camera.pipeline.photos import FoundBoards, UnknownField
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
-from photogrammetry.bundle.adjustment import CameraModel
-from photogrammetry.bundle.alignment import aligned_to_control
-from photogrammetry.image_points import ImagePoints
-from photogrammetry.start_values.network import build_network, guessed_camera
+from photogrammetry import ImagePoints
+from photogrammetry.bundle import CameraModel, alignment
+from photogrammetry.start_values import build_network, guessed_camera
 
 
 def started_from_targets(
@@ -54,7 +53,7 @@ def started_from_targets(
     if isinstance(board, TargetField):
         number = {name: i for i, name in enumerate(board.names)}
         control = {name: board.points_m[number[name]] for name in names}
-        state = aligned_to_control(state, names, control)
+        state = alignment.aligned_to_control(state, names, control)
         plate, poses = board, [state.cam_from_world(i) for i in range(len(poses))]
     else:
         field_from_world, unit = _own_frame(state.points_m, poses)

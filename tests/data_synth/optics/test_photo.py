@@ -12,7 +12,8 @@ from data_synth.optics.sheets import Sheet, SheetShape
 from data_synth.targets.isolated_target import IsolatedTarget, draw_isolated
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from photogrammetry.targets.coded_targets import RingCode, aicon_dictionary, ink_at
+from photogrammetry.targets import RingCode
+from photogrammetry.targets.coded_targets import aicon_dictionary, ink_at
 
 #: A camera 1 m in front of the world's origin; its x is the world's, its y points down.
 FRONT = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))

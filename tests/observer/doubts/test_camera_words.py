@@ -14,13 +14,17 @@ from observer.doubts.stated_camera import explained, stated_camera_doubt
 from observer.pipeline.photos import FirstLook
 from observer.product.pictures import empty_slices
 from observer.trough.collector import ls2
-from photogrammetry.detection.detections import Detections
-from photogrammetry.keys.cameras import NetworkCameraSection
-from photogrammetry.keys.measurement import CoordinateSection, DatumSection, PhotogrammetryModel
-from photogrammetry.keys.targets import TargetsSection
-from photogrammetry.pipeline import measure as photogrammetry_pipeline
-from photogrammetry.pipeline.photos import OnePhoto, gathered
-from photogrammetry.start_values.network import StartValues
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.detection import Detections
+from photogrammetry.keys import (
+    CoordinateSection,
+    DatumSection,
+    NetworkCameraSection,
+    PhotogrammetryModel,
+    TargetsSection,
+)
+from photogrammetry.pipeline import OnePhoto, collect_photos
+from photogrammetry.start_values import StartValues
 
 #: Twelve targets in one plane, beside both rims of a short trough, and 24 photos across it from 12 m.
 TARGETS = np.array([[side * 2.7, y, 1.05] for side in (-1, 1) for y in (-1.4, -0.84, -0.28, 0.28, 0.84, 1.4)])
@@ -75,7 +79,7 @@ def doubt(stated_px: float, sigma_px: float, seed: int) -> tuple[str | None, flo
     network = photogrammetry_pipeline.run(
         survey,
         photogrammetry_pipeline.Options(jobs=1),
-        measured=gathered(first.targets),
+        measured=collect_photos(first.targets),
         start=StartValues(first.poses),
     )
     return stated_camera_doubt(network, survey, first.targets, first.poses), network.solved.image_sigma_factor

@@ -12,8 +12,8 @@ from heliogauge.results.tables import read_table_csv, write_table_csv
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
 from observer.pipeline.photos import FirstLook
-from photogrammetry.detection.detections import Detections
-from photogrammetry.pipeline.photos import OnePhoto
+from photogrammetry.detection import Detections
+from photogrammetry.pipeline import OnePhoto
 
 TOML = """
 kind = "observer"

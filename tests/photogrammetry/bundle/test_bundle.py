@@ -7,20 +7,12 @@ from heliogauge.adjust.least_squares import CovarianceScale, Huber, Prior
 from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.distortion import DistortionDirection
 from heliogauge.errors import EstimationError, InputError
-from photogrammetry.bundle.adjustment import (
-    BundleOptions,
-    BundleProblem,
-    CameraModel,
-    Datum,
-    DatumKind,
-    ResidualSpace,
-    adjust,
-    bundle_state,
-)
+from photogrammetry.bundle.adjustment import BundleOptions, adjust
 from photogrammetry.bundle.constraints import CommonPlane, ControlPoint, Coordinate, Distance, KnownPlane
-from photogrammetry.bundle.datum import similarity_movements
+from photogrammetry.bundle.datum import Datum, DatumKind, similarity_movements
+from photogrammetry.bundle.problem import BundleProblem, CameraModel, ResidualSpace
 from photogrammetry.bundle.rows import BundleModel
-from photogrammetry.bundle.state import INTRINSIC_NAMES, camera_with_intrinsics, intrinsics_of
+from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, camera_with_intrinsics, intrinsics_of
 from tests.derivatives import central_differences, check_jacobian
 from tests.photogrammetry.bundle_networks import disturbed, network, observe
 
@@ -108,7 +100,7 @@ def test_exact_image_points_give_the_truth(direction, space):
     start = disturbed(truth, rng)
     camera = camera_with_intrinsics(truth.cameras[0], values)
     near = np.concatenate([truth.points_m[:4], start.points_m[4:]])
-    start = bundle_state([camera], truth_poses(start), near)
+    start = BundleState.from_poses([camera], truth_poses(start), near)
     free = tuple(name for name in FREE if name != "skew")
     problem = BundleProblem(points, (CameraModel("c", free, residual=space),), fixed=("t0", "t1", "t2", "t3"))
     result = adjust(problem, start)
@@ -258,7 +250,7 @@ def test_two_cameras_each_with_its_own_lens():
     values[[0, 5]] = [5000.0, 0.05]
     other = camera_with_intrinsics(truth.cameras[0], values)
     first = observe(truth, rng, 0.01)
-    second = observe(bundle_state([other], truth_poses(truth), truth.points_m), rng, 0.01)
+    second = observe(BundleState.from_poses([other], truth_poses(truth), truth.points_m), rng, 0.01)
     odd_first, odd_second = first.photo_index % 2 == 1, second.photo_index % 2 == 1
     points = type(first)(
         first.photos,
@@ -269,7 +261,7 @@ def test_two_cameras_each_with_its_own_lens():
         np.concatenate([first.covariance_px2[~odd_first], second.covariance_px2[odd_second]]),
     )
     models = (CameraModel("a", ("focal_px", "k1")), CameraModel("b", ("k1", "focal_px")))
-    start = bundle_state([truth.cameras[0], truth.cameras[0]], truth_poses(truth), truth.points_m)
+    start = BundleState.from_poses([truth.cameras[0], truth.cameras[0]], truth_poses(truth), truth.points_m)
     result = adjust(BundleProblem(points, models, np.arange(8) % 2), start)
     assert result.converged
     for camera, wanted in zip(result.cameras, (truth.cameras[0], other), strict=True):
@@ -313,13 +305,13 @@ def test_loose_start_is_refused_by_name_and_missing_convergence_is_told():
     _, truth, points = small()
     moved = truth.points_m.copy()
     moved[3] = truth.centers_m[2] + [0, 0, 5.0]
-    behind = bundle_state(truth.cameras, truth_poses(truth), moved)
+    behind = BundleState.from_poses(truth.cameras, truth_poses(truth), moved)
     with pytest.raises(EstimationError, match="target t3 in photo photo"):
         adjust(BundleProblem(points, (CameraModel("c"),)), behind)
     with pytest.raises(InputError, match="not of 1, 9 and 30"):
         adjust(
             BundleProblem(points, (CameraModel("c"),)),
-            bundle_state(truth.cameras, [*truth_poses(truth)] + truth_poses(truth)[:1], truth.points_m),
+            BundleState.from_poses(truth.cameras, [*truth_poses(truth)] + truth_poses(truth)[:1], truth.points_m),
         )
 
 

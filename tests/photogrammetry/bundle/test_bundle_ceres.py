@@ -7,7 +7,9 @@ import pytest
 
 from benchmarks.bundle import FREE, SIGMA_PX, ceres_adjuster, ceres_scene, network
 from heliogauge.adjust.gauss_newton import Options
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, Datum, DatumKind, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, adjust
+from photogrammetry.bundle.datum import Datum, DatumKind
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
 
 pycolmap = pytest.importorskip("pycolmap", reason="pip install heliogauge[natural]")
 #: fx, fy, cx, cy, k1, k2, p1, p2 among the ten parameters of a camera.

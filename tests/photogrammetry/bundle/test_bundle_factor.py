@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust
+from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.constraints import Coordinate, Distance
 from photogrammetry.bundle.factor import BlockFactor, BorderedBlocks, DenseFactor
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.statistics import examine_image_points
 from tests.photogrammetry.bundle.test_bundle import CASES, problem_of, small
 from tests.photogrammetry.bundle_networks import disturbed, network

@@ -10,10 +10,11 @@ from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.millimetres import CAM_FROM_PHOTOGRAMMETRIC, SENSOR_NAMES, LensForm, Sensor, sensor_parameters
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import omega_phi_kappa_from_rotation
-from photogrammetry.bundle.adjustment import BundleOptions, BundleProblem, CameraModel, ResidualSpace, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, adjust
 from photogrammetry.bundle.alignment import aligned_to_control
+from photogrammetry.bundle.problem import BundleProblem, CameraModel, ResidualSpace
 from photogrammetry.bundle.statistics import examine_image_points, examine_intrinsics
-from photogrammetry.image_points import image_points
+from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import build_network
 
 PIXEL_MM = 5.43764 / 1704
@@ -31,7 +32,7 @@ def marks(shared_data):
         rows = [row for row in csv.reader(file, skipinitialspace=True) if row and not row[0].startswith("#")]
     pixels = np.array([[float(row[2]), float(row[3])] for row in rows]) - 0.5
     names = [row[0].strip() for row in rows], [row[1].strip() for row in rows]
-    return image_points(*names, pixels, np.broadcast_to(np.eye(2) * 0.01, (len(rows), 2, 2)))
+    return ImagePoints.from_names(*names, pixels, np.broadcast_to(np.eye(2) * 0.01, (len(rows), 2, 2)))
 
 
 def calibrated(marks, model, direction):

@@ -6,17 +6,11 @@ import pytest
 from heliogauge.adjust.least_squares import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from photogrammetry.bundle.adjustment import (
-    BundleOptions,
-    BundleProblem,
-    CameraModel,
-    Datum,
-    DatumKind,
-    adjust,
-    bundle_state,
-)
+from photogrammetry.bundle.adjustment import BundleOptions, adjust
 from photogrammetry.bundle.constraints import Distance
-from photogrammetry.bundle.diagnosis import diagnose, require
+from photogrammetry.bundle.datum import Datum, DatumKind
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.bundle.statistics import (
     adjust_and_reject,
     examine_image_points,
@@ -97,13 +91,13 @@ def test_single_ray_is_named():
     result = adjust(
         BundleProblem(points.subset(np.setdiff1d(np.arange(points.n), one[1:])), (CameraModel("c"),)), truth
     )
-    (defect,) = diagnose(result)
+    (defect,) = result.defects
     assert defect.targets == ("t5",)
     assert defect.count == 1
     assert np.isnan(result.points_m[5]).all()
     assert np.isfinite(np.delete(result.sigma_points_m, 5, axis=0)).all()
     with pytest.raises(EstimationError, match=r"t5 \(1 ray\)"):
-        require(result)
+        result.require()
 
 
 def test_photo_with_two_targets_is_named():
@@ -112,13 +106,13 @@ def test_photo_with_two_targets_is_named():
     result = adjust(
         BundleProblem(points.subset(np.setdiff1d(np.arange(points.n), own[2:])), (CameraModel("c"),)), truth
     )
-    (defect,) = diagnose(result)
+    (defect,) = result.defects
     assert defect.photos == ("photo3",)
     assert defect.count == 2
     assert np.isnan(result.covariance.poses[3]).all()
     assert np.isfinite(result.sigma_points_m).all()
     with pytest.raises(EstimationError, match=r"photo3 \(2 targets\)"):
-        require(result)
+        result.require()
 
 
 def test_parts_that_hang_by_two_targets_are_named():
@@ -126,7 +120,7 @@ def test_parts_that_hang_by_two_targets_are_named():
     # Even photos see the first half, odd ones the second; two targets are common.
     half = np.where(points.photo_index % 2 == 0, points.target_index < 21, points.target_index >= 19)
     result = adjust(BundleProblem(points.subset(np.nonzero(half)[0]), (CameraModel("c"),)), truth)
-    (defect,) = diagnose(result)
+    (defect,) = result.defects
     # Seven movements of the second part, six of them taken by two common points less one turn about their line.
     assert defect.count == 1
     assert len(defect.photos) >= 4
@@ -137,12 +131,12 @@ def test_intrinsics_that_a_network_does_not_hold_are_named():
     # A flat field seen straight on from one height: focal length and height are the same thing.
     points = np.column_stack([rng.uniform(-1, 1, (40, 2)), np.zeros(40)])
     poses = [look_at(np.array([x, y, 5.0]), [x, y, 0.0], 0.0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
-    truth = bundle_state([Camera(6000, 4000, 6100.0, 6103.0, 3010.0, 1990.0)], poses, points)
+    truth = BundleState.from_poses([Camera(6000, 4000, 6100.0, 6103.0, 3010.0, 1990.0)], poses, points)
     result = adjust(BundleProblem(observe(truth, rng, 1e-6), (CameraModel("c", ("focal_px",)),)), truth)
-    (defect,) = diagnose(result)
+    (defect,) = result.defects
     assert defect.intrinsics == ("focal_px of c",)
     with pytest.raises(EstimationError, match="focal_px of c"):
-        require(result)
+        result.require()
 
 
 def test_significance_and_correlations():

@@ -17,7 +17,7 @@ from photogrammetry.bundle.datum import (
     moved_as_a_whole,
     similarity_movements,
 )
-from photogrammetry.bundle.state import bundle_state
+from photogrammetry.bundle.state import BundleState
 from tests.photogrammetry.bundle_networks import network
 
 ALL = np.arange(12)
@@ -124,7 +124,7 @@ def test_a_trough_that_fits_its_rims_both_ways_is_seen_from_above(seed):
     rims += rng.normal(0, 5e-4, rims.shape)
     ground = np.array([[1.0, 3.0, -2.0], [-2.0, 9.0, -2.0]])
     above = [RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, y, 9.0])) for y in (2.0, 9.0)]
-    truth = bundle_state(small().cameras, above, np.concatenate([rims, ground]))
+    truth = BundleState.from_poses(small().cameras, above, np.concatenate([rims, ground]))
     known = [
         Coordinate(str(i), axis, round(rims[i, k], 1), 5e-4) for i in range(12) for k, axis in ((0, "x"), (2, "z"))
     ]

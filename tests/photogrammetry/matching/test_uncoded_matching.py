@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import InputError
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust
+from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.datum import Datum
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.matching.uncertain_rays import Dots, KnownViews, known_views
 from photogrammetry.matching.uncoded_matching import MatchLimits, match_dots
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, SolveOptions, solve_network

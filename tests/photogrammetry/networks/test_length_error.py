@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import InputError
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.constraints import Distance
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.networks.length_error import LengthRole, PermissibleError, Verdict, state_length_errors
 from tests.photogrammetry.bundle_networks import camera_of, look_at, observe
 
@@ -18,7 +20,7 @@ def grid_network(rng, sigma_px=0.05):
     points = np.column_stack([x, y, 0.1 * np.sin(5 * x)])
     angles = np.linspace(0, 2 * np.pi, 6, endpoint=False)
     poses = [look_at(np.array([1.6 * np.cos(a), 1.6 * np.sin(a), 2.0]), np.zeros(3), a) for a in angles]
-    truth = bundle_state([camera_of()], poses, points)
+    truth = BundleState.from_poses([camera_of()], poses, points)
     return truth, observe(truth, rng, sigma_px)
 
 
@@ -84,7 +86,9 @@ def test_lengths_without_scale_have_no_error() -> None:
 def test_measuring_lines_are_counted() -> None:
     rng = np.random.default_rng(7)
     truth, points = grid_network(rng)
-    flat = bundle_state(truth.cameras, [truth.cam_from_world(i) for i in range(6)], truth.points_m * [1, 1, 0])
+    flat = BundleState.from_poses(
+        truth.cameras, [truth.cam_from_world(i) for i in range(6)], truth.points_m * [1, 1, 0]
+    )
     points = observe(flat, rng)
     bars = bars_with_noise(flat, BARS, rng, 5e-5)
     # A row of five targets holds ten lengths, which are one line; two across are two more.

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust
+from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.networks.target_size import measured_diameters_m, size_doubts
 from tests.photogrammetry.bundle_networks import network
 

@@ -16,14 +16,15 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, vector_from_rotation
 from heliogauge.measurement.load import load_photogrammetry, parse_measurement
 from heliogauge.measurement.writer import dump_toml
-from photogrammetry.bundle.adjustment import BundleResult, CameraModel
-from photogrammetry.bundle.datum import similarity_movements
+from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.bundle.datum import Datum, similarity_movements
+from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.detection import natural
 from photogrammetry.detection.feature_tracks import Keypoints, TrackChoice, follow_tracks
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.group_sigmas import Weighed, solve_weighed
-from photogrammetry.networks.solve_network import Datum, Knowledge, NetworkCameras, SolveOptions
+from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, SolveOptions
 from photogrammetry.networks.solve_uncoded import LooseDots
 from photogrammetry.pipeline import measure as pipeline
 from photogrammetry.pipeline.measure import Result, run

@@ -13,7 +13,7 @@ from heliogauge.running.progress import SilentProgress
 from heliogauge.validate import FloatArray
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.pipeline.inputs import build_search
-from photogrammetry.pipeline.photos import MeasuredPhotos, gathered, measure_each
+from photogrammetry.pipeline.photos import MeasuredPhotos, collect_photos, measure_each
 from photogrammetry.targets.coded_targets import RingRadii, Sense, aicon_dictionary, mirrored_word
 
 #: Words that are not their own mirror image and whose mirror image is not among them.
@@ -36,7 +36,7 @@ def photo(folder: Path, sense: Sense, radii: RingRadii) -> Path:
 def measured(path: Path, **keys: object) -> MeasuredPhotos:
     section = TargetsSection.model_validate(keys)
     search = build_search(section, path.parent)
-    return gathered(measure_each([path], section, search, jobs=1, progress=SilentProgress()))
+    return collect_photos(measure_each([path], section, search, jobs=1, progress=SilentProgress()))
 
 
 def own_list(folder: Path, *lines: str) -> None:
@@ -115,5 +115,5 @@ def test_a_photo_without_targets_is_named(tmp_path: Path) -> None:
     write_image(blank, np.full((300, 400), 128, dtype=np.uint8))
     section = TargetsSection.model_validate({"dictionary": "aicon-12"})
     search = build_search(section, tmp_path)
-    found = gathered(measure_each([first, blank], section, search, jobs=1, progress=SilentProgress()))
+    found = collect_photos(measure_each([first, blank], section, search, jobs=1, progress=SilentProgress()))
     assert "1 of 2 photos show no target that can be used: blank.png" in found.doubts

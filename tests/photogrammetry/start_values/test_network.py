@@ -5,9 +5,10 @@ import pytest
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
-from photogrammetry.bundle.adjustment import BundleProblem, CameraModel, adjust, bundle_state
+from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.alignment import aligned_to_control
-from photogrammetry.bundle.diagnosis import require
+from photogrammetry.bundle.problem import BundleProblem, CameraModel
+from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import StartValues, build_network, guessed_camera
 from tests.photogrammetry.bundle_networks import camera_of, look_at, network, observe
@@ -27,7 +28,9 @@ def agrees(found, truth, tolerance_m):
 def test_known_camera(height):
     rng = np.random.default_rng(4)
     truth, _ = network(rng, 12, 40)
-    truth = bundle_state(truth.cameras, [truth.cam_from_world(i) for i in range(12)], truth.points_m * [1, 1, height])
+    truth = BundleState.from_poses(
+        truth.cameras, [truth.cam_from_world(i) for i in range(12)], truth.points_m * [1, 1, height]
+    )
     found = build_network(observe(truth, rng, 0.1), truth.cameras)
     assert len(found.observations.photos) == 12
     assert len(found.observations.targets) == 40
@@ -68,7 +71,7 @@ def test_guessed_camera_calibrates_itself():
     assert abs(guess.focal_x_px / truth.cameras[0].focal_x_px - 1) > 0.03
     found = build_network(points, [guess], models=[CameraModel("c", free)])
     assert len(found.observations.photos) == 20
-    result = require(adjust(BundleProblem(found.observations, (CameraModel("c", free),)), found.state))
+    result = adjust(BundleProblem(found.observations, (CameraModel("c", free),)), found.state).require()
     sigma = result.cameras[0].sigma_parameters[0]
     assert abs(result.cameras[0].focal_y_px - 6103.0) < max(5 * sigma, 3.0)
 
@@ -105,7 +108,7 @@ def test_all_photos_from_one_spot():
     truth, _ = network(rng, 3, 40)
     center = np.array([0.0, 6.0, 6.0])
     poses = [look_at(center, [x, 0.0, 0.0], roll) for x, roll in ((-1, 0.0), (0, 1.0), (1, 2.0), (0.5, 0.5))]
-    spot = bundle_state(truth.cameras, poses, truth.points_m)
+    spot = BundleState.from_poses(truth.cameras, poses, truth.points_m)
     with pytest.raises(EstimationError, match="one place"):
         build_network(observe(spot, rng, 0.1), truth.cameras)
 
@@ -170,7 +173,7 @@ def test_real_photos_of_square_markers(shared_data):
     found = build_network(points, [camera])
     assert len(found.observations.photos) == 54
     assert {one.name.split(".")[0] for one in found.targets_left_out} == {"501", "733", "850", "999"}
-    result = require(adjust(BundleProblem(found.observations, (CameraModel("room"),)), found.state))
+    result = adjust(BundleProblem(found.observations, (CameraModel("room"),)), found.state).require()
     assert np.sqrt((result.residuals_px**2).mean()) < 0.16
     assert np.isfinite(result.sigma_points_m).all()
 

@@ -22,7 +22,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Image, read_channel
 from heliogauge.validate import FloatArray, float_array, freeze
-from photogrammetry.detection.markers import find_markers
+from photogrammetry.detection import find_markers
 
 __all__ = [
     "ArucoMarkers",
