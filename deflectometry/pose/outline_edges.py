@@ -8,6 +8,8 @@ import numpy as np
 from deflectometry.pose.mirror_outline import OutlinePoints, beside_another, project_outline, sample_outlines
 from deflectometry.pose.pose_observations import KnownPoints
 from deflectometry.setup.facet import measure_edges
+from heliogauge.adjust.robust_loss import Cauchy, Tukey
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
@@ -16,8 +18,6 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 
 #: Search ranges of the passes, as a share of a facet's size: a polygon around pixels is off by a few per cent at most.
 _REACHES = (0.06, 0.03, 0.02)
-#: Tukey's constant: 95 % efficiency for normal errors, no weight beyond.
-_TUKEY = 4.685
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,29 +225,21 @@ def robust_step(
     scale[scale == 0] = 1.0
     matrix, known_matrix = derivatives / scale, known[1] / scale
     left = residuals
-    sigma = _spread(left, floor_px)
+    sigma = max(robust_scale(left, upper=True), floor_px)
     step = np.zeros(6)
     weights = np.ones(residuals.size)
     for iteration in range(30):
-        share = left / sigma
-        tukey = np.clip(1 - (share / _TUKEY) ** 2, 0, None) ** 2
-        weights = 1 / (1 + (share / 2.385) ** 2) if iteration < 6 else tukey
+        weights = (Cauchy() if iteration < 6 else Tukey()).weight(left / sigma)
         weighted = matrix * (weights / sigma**2)[:, None]
         normal = weighted.T @ matrix + known_matrix.T @ known_matrix
         right = weighted.T @ residuals + known_matrix.T @ known[0]
         # A direction that nothing holds stays where it is; the final adjustment names it.
         step = -np.linalg.lstsq(normal, right, rcond=1e-13)[0]
         before, left = left, residuals + matrix @ step
-        sigma = _spread(left, floor_px)
+        sigma = max(robust_scale(left, upper=True), floor_px)
         if iteration >= 8 and np.abs(left - before).max() < 1e-3 * sigma:
             break
     return step / scale, weights, sigma
-
-
-def _spread(residuals: FloatArray, floor_px: float) -> float:
-    # The upper of the two middle values will do, at a fifth of numpy's time for a median.
-    middle = residuals.size // 2
-    return max(1.4826 * float(np.partition(np.abs(residuals), middle)[middle]), floor_px)
 
 
 def correlation_points(series: FloatArray) -> float:

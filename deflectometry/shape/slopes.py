@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.adjust.robust_loss import Tukey
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between
 from heliogauge.geometry.surfaces import Facet, Quadric
@@ -19,6 +20,8 @@ SHAPE_DEGREE = 4
 SLOPE_TOLERANCE_RAD = 1e-9
 #: A fit is settled when reweighting changes its coefficients by less than this share of the largest.
 SETTLED = 1e-7
+#: Where the biweight ends, in median absolute residuals: 95 % efficient for normal errors.
+_BIWEIGHT_MEDIANS = 4.685 / 0.6745
 #: Newton rounds along a line of sight.
 MAX_ITERATIONS = 30
 
@@ -294,9 +297,8 @@ def _fit_potential(
         if np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
             break
         residual = target - (coefficients @ matrix).reshape(2, -1)
-        limit = 4.685 / 0.6745 * np.median(np.abs(residual), axis=1, keepdims=True)
-        ratio = residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)
-        weight = (np.maximum(1.0 - ratio * ratio, 0.0) ** 2).ravel()
+        limit = _BIWEIGHT_MEDIANS * np.median(np.abs(residual), axis=1, keepdims=True)
+        weight = Tukey(1.0).weight(residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)).ravel()
     return np.asarray(coefficients)
 
 

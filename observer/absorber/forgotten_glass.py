@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from observer.photo_edges.tube_bearings import PRISM_RAD, Bearings
 from observer.trough.collector import Collector
 
@@ -50,7 +51,7 @@ def widening(bearings: Bearings) -> Widening | None:
     if near.size < _FEWEST_NEAR or far.size < _FEWEST_FAR:
         return None
     # Near the reflection the width follows the angle: the scatter of the others stands for both.
-    scatter = 1.4826 * float(np.median(np.abs(far - np.median(far))))
+    scatter = robust_scale(far, centred=False)
     sigma = scatter * float(np.sqrt(np.pi / 2 * (1 / near.size + 1 / far.size)))
     return Widening(float(np.median(near) - np.median(far)), sigma, float(np.median(bearings.pixel_m)))
 

@@ -9,6 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale, robust_scale_of_rows
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -152,7 +153,7 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Direct
 
     deviations = table(deviation)
     middle = np.nanmedian(deviations, axis=1)
-    spread = 1.4826 * np.nanmedian(np.abs(deviations - middle[:, None]), axis=1)
+    spread = robust_scale_of_rows(deviations - middle[:, None])
     single = np.maximum(spread, np.nanmedian(table(bearings.sigma_rad), axis=1))
     inside = np.abs(deviations - middle[:, None]) <= 3 * single[:, None]
     mean = np.nanmean(np.where(inside, deviations, np.nan), axis=1)
@@ -204,7 +205,7 @@ def _adjusted(
         stations = inverse @ (wanted - smooth @ bent)
         step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
         residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
-        scatter = max(1.4826 * float(np.median(np.abs(residuals[used] / directions.sigma_rad[used]))), 1.0)
+        scatter = max(robust_scale(residuals[used] / directions.sigma_rad[used]), 1.0)
         kept = np.abs(residuals) < _REJECT_TIMES * scatter * directions.sigma_rad
         kept &= ~_out_of_place(np.asarray(step[2 * start.n : -1]), directions.photo, used)
         if (kept == used).all():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import Float32Array, FloatArray, IntArray
 from observer.photo_edges.rectify import Strip
 
@@ -168,5 +169,4 @@ def _noise(strip: Strip, stride: int, is_whole: bool) -> float:
     if third.size < 100:
         return 1.0
     # Weights 1, 3, 3, 1; resampling makes neighbours alike, which the factor 1.2 allows for.
-    size = np.abs(third.ravel())
-    return max(1.2 * 1.4826 * float(np.partition(size, size.size // 2)[size.size // 2]) / float(np.sqrt(20.0)), 0.05)
+    return max(1.2 * robust_scale(third, upper=True) / float(np.sqrt(20.0)), 0.05)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from observer.photo_edges.rectify import rectified_strip
 from observer.photo_edges.views import AnyImage, View
@@ -158,7 +159,7 @@ def spans_of(rims_m: FloatArray) -> tuple[Span, Span]:
             sigmas.append(np.inf)
             continue
         middle = float(np.median(seen))
-        scatter = 1.4826 * float(np.median(np.abs(seen - middle)))
+        scatter = robust_scale(seen - middle)
         places.append(middle)
         sigmas.append(float(np.hypot(1.25 * scatter / np.sqrt(len(seen)), _SYSTEMATIC_M)))
     return (

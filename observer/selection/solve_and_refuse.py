@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
@@ -411,7 +412,7 @@ def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:
     informative = leverage < _MOST_INFORMATIVE_LEVERAGE
     if np.count_nonzero(informative) < 100:
         return 1.0
-    return float(1.4826 * np.median(np.abs(normalised[informative] / freedom[informative])))
+    return robust_scale(normalised[informative] / freedom[informative])
 
 
 def _near_edges(used: TouchingLines, grid: RowGrid) -> BoolArray:

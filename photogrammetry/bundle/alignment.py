@@ -113,7 +113,7 @@ def _size(state: BundleState) -> float:
 def _attitude_of_coordinates(
     state: BundleState, place: Mapping[str, int], known: Sequence[Constraint]
 ) -> FloatArray | None:
-    """Return the best attitude for the targets of which all coordinates are known; None where they leave a turn open."""
+    """Return the best attitude for the targets with three known coordinates; None where they leave a turn open."""
     listed: dict[str, dict[str, float]] = {}
     for one in known:
         if isinstance(one, Coordinate):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.model import Camera
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 
@@ -79,7 +80,7 @@ def intersect_lines(
             # Poses may be rough: judge lines against the median of all, at least against their own sigma.
             finite = misses[np.isfinite(misses)]
             typical = max(1.0, 1.5 * float(np.median(finite))) if finite.size else 1.0
-            robust = 1 / (1 + np.minimum(misses / (3 * typical), 1e6) ** 2)
+            robust = Cauchy(3.0).weight(np.minimum(misses / typical, 3e6))
     angle = _spread(directions, point, count)
     good = (np.bincount(point, minlength=count) >= 2) & (angle > LEAST_ANGLE_RAD)
     behind = np.bincount(point, weights=~np.isfinite(misses), minlength=count)

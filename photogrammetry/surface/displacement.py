@@ -71,8 +71,8 @@ def rigid_fit(points_a: SurfacePoints, points_b: SurfacePoints, fitted: BoolArra
     Returns: The fit and the differences with their joint covariance.
     EstimationError: Fewer than three fitted points, or all on one line.
 
-    The start has equal weights; then generalised least squares with ``R C_a R^T + C_b``. What a rigid motion does to the
-    points may have no variance under an inner datum: it is given some, which does not change the estimate.
+    The start has equal weights; then generalised least squares with ``R C_a R^T + C_b``. What a rigid motion does to
+    the points may have no variance under an inner datum: it is given some, which does not change the estimate.
     """
     names = [name for name, one in zip(points_b.ids, fitted, strict=True) if one]
     pose = align_points(points_a.points_m[fitted], points_b.points_m[fitted], names=names).b_from_a

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.heliostat.fitting.fit_result import HeliostatFit
+from heliogauge.adjust.robust_loss import Huber
 from heliogauge.validate import BoolArray, FloatArray
 
 # Length of a row's residual (two components) from which on its pull no longer grows [sigma].
-_HUBER = 2.0
+_HUBER = Huber(2.0)
 # Median length of two normal components.
 _MEDIAN_LENGTH = 1.17741
 # A row's share in what is unexplained is cut here: other outliers neither make nor hide a fault [sigma].
@@ -117,7 +118,7 @@ class LinearFit:
         weight = np.ones(self.owner.size)
         own = self.observed
         lengths = self.lengths() / self.scale
-        weight[own] = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-300))[self.owner[own]]
+        weight[own] = _HUBER.weight(lengths)[self.owner[own]]
         return np.asarray(weight * self.residual / np.where(own, self.scale, 1.0))
 
 
@@ -182,7 +183,7 @@ def _settled(model: LinearFit) -> tuple[LinearFit, FloatArray, FloatArray]:
         # The median alone would take the parameters' share for scatter that is not there.
         spare = max(1 - int(kept.sum()) / max(int(own.sum()), 1), 0.1)
         scale = max(float(np.median(lengths)) / _MEDIAN_LENGTH / np.sqrt(spare), 1e-9)
-        weight[own] = np.minimum(1.0, _HUBER * scale / np.maximum(lengths, 1e-300))[model.owner[own]]
+        weight[own] = _HUBER.weight(lengths / scale)[model.owner[own]]
         weight[~own] = scale**2
         if abs(scale / before - 1) < 1e-3:
             break

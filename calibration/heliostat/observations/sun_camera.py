@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, float_array, freeze
@@ -52,7 +53,7 @@ def sun_disc(image_dn: npt.NDArray[np.generic]) -> SunDisc:
     dark = float(np.median(values))
     bright = float(np.quantile(values, 1 - _LEAST_PIXELS / values.size))
     beside = values[values < dark + 0.1 * (bright - dark)]
-    noise = 1.4826 * float(np.median(np.abs(beside - np.median(beside)))) if beside.size else 0.0
+    noise = robust_scale(beside, centred=False) if beside.size else 0.0
     if bright - dark < max(10 * noise, 1e-9):
         raise EstimationError(f"no sun: the brightest pixels are {bright - dark:.1f} DN above the rest")
     # The level of the disc itself, not of its brightest pixels.

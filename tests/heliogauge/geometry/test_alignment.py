@@ -63,7 +63,7 @@ def test_a_turn_of_a_third_of_a_radian_is_open() -> None:
     misfit = 1e-3
     limit = 3 / np.sqrt(6) * misfit
     assert align_points(*_narrow(1.4 * limit, misfit)).sigma_turn_rad == pytest.approx(1 / 4.2, rel=1e-4)
-    with pytest.raises(EstimationError, match="on one line.* uncertain by 0.48 rad"):
+    with pytest.raises(EstimationError, match=r"on one line.* uncertain by 0\.48 rad"):
         align_points(*_narrow(0.7 * limit, misfit))
 
 

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.beam_photos.light.shadow_edge import strongest_edge
+from heliogauge.adjust.robust_loss import Tukey
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
@@ -202,7 +204,7 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[Flo
     weights: FloatArray = np.ones(values.size)
     coefficients: FloatArray = np.zeros(rows.shape[1])
     normal: FloatArray = np.eye(rows.shape[1])
-    scatter, middle = floor, values.size // 2
+    scatter = floor
     for _ in range(_MOST_ITERATIONS):
         weighted = rows * weights[:, None]
         normal = np.asarray(weighted.T @ rows)
@@ -211,8 +213,8 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[Flo
         previous, coefficients = coefficients, np.asarray(np.linalg.solve(normal, weighted.T @ values))
         residuals: FloatArray = values - rows @ coefficients
         # The fit is robust: the median of the residuals is near zero, and need not be taken off first.
-        scatter = float(np.hypot(1.4826 * np.partition(np.abs(residuals), middle)[middle], floor))
-        weights = np.maximum(1 - (residuals / (_TUKEY_SIGMAS * scatter)) ** 2, 0.0) ** 2
+        scatter = float(np.hypot(robust_scale(residuals, upper=True), floor))
+        weights = Tukey(_TUKEY_SIGMAS).weight(residuals / scatter)
         if np.abs(coefficients - previous).max() < 0.02 * floor:
             break
     return coefficients, scatter, np.asarray(np.linalg.inv(normal))

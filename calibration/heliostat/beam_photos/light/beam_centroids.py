@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from calibration.heliostat.beam_photos.light.background import area_resized
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
 
@@ -311,7 +312,7 @@ def pixel_noise(
 def _robust_variance(differences: FloatArray) -> float:
     if differences.size < 10:
         return 0.0
-    scale = 1.4826 * float(np.median(np.abs(differences)))
+    scale = robust_scale(differences)
     near = differences[np.abs(differences) < 4 * scale]
     # Grey values are whole numbers: a median of few distinct values is coarse, so the mean square of what is near it.
     return float(np.mean(near**2)) if near.size else scale**2

@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.adjust.robust_loss import Tukey
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, float_array, freeze
 
@@ -207,8 +209,8 @@ def _line(y: FloatArray, x: FloatArray) -> tuple[float, float, float]:
         normal = (rows * weights[:, None]).T @ rows
         line = np.linalg.solve(normal + 1e-9 * np.eye(2), (rows * weights[:, None]).T @ x)
         residuals = x - rows @ line
-        scatter = max(0.02, 1.4826 * float(np.median(np.abs(residuals))))
-        weights = np.clip(1 - (residuals / (4.7 * scatter)) ** 2, 0, None) ** 2
+        scatter = max(0.02, robust_scale(residuals))
+        weights = Tukey(4.7).weight(residuals / scatter)
     # Neighbouring rows share the blur of some two pixels.
     sigma = scatter * np.sqrt(2 / max(float(weights.sum()), 1.0)) * 2
     return float(line[0] - line[1] * middle), float(line[1]), float(sigma)
