@@ -22,11 +22,12 @@ from data_synth.fringes import (
 from data_synth.optics import Design, SyntheticFacet, Wall
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from deflectometry.fringes.screen_map import ScreenMapLimits
+from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.evaluate import MirrorInput, Observation
 from deflectometry.pipeline.inputs import build_setup
 from deflectometry.pipeline.measure import describe_mirror
 from deflectometry.setup.bench import Setup
-from heliogauge.measurement.load import DeflectometryMeasurement, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.running.progress import RunningStage, SilentProgress
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -31,7 +31,7 @@ from data_synth.targets import (
 )
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import load_camera_calibration
+from heliogauge.measurement.load import load
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL = {
@@ -85,7 +85,7 @@ def real(folder: Path) -> None:
             f'[images]\nphotos = "{pattern}"\n'
         )
         begin = time.process_time()
-        result = run(load_camera_calibration(own), Options(jobs=1))
+        result = run(load(own), Options(jobs=1))
         own_s = time.process_time() - begin
         rms, focal, cv_s = opencv(files, columns, rows)
         board = Chessboard(columns, rows)
@@ -123,7 +123,7 @@ def drawn(folder: Path, seeds: int) -> None:
             own = folder / f"{kind}{seed}"
             scene = board_scene(kind, seed, n_photos=10)
             write_target_dataset(own, scene, camera_content(scene, board_table(kind)), PhotoOptions(seed))
-            result = run(load_camera_calibration(own), Options(leave_one_out=False))
+            result = run(load(own), Options(leave_one_out=False))
             truth = json.loads((own / "truth.json").read_text())["camera"]
             error = (result.camera.parameters - [truth.get(name, 0.0) for name in PARAMETER_NAMES])[FREE]
             covariance = result.camera.covariance[np.ix_(FREE, FREE)]

@@ -19,7 +19,7 @@ from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, Observat
 from deflectometry.pipeline.measure import Options, run
 from deflectometry.setup.patterns import Axis, make_pattern
 from heliogauge.flags import SampleFlag
-from heliogauge.measurement.load import load_measurement
+from heliogauge.measurement.load import load
 from heliogauge.results.slope_map_file import read_pixels, read_slope_map
 from heliogauge.running.progress import SilentProgress
 from heliogauge.slopes.statistics import fit_quadratic
@@ -109,7 +109,7 @@ def real_facet():
         folder = Path(scratch)
         import_real_facet(folder / "in", with_pose=True)
         # Their slopes are in the frame that was turned to the design's normal, as with Align.NORMAL here.
-        run(load_measurement(folder / "in"), Options(align=Align.NORMAL)).write(folder)
+        run(load(folder / "in"), Options(align=Align.NORMAL)).write(folder)
         pixels, slope_map = read_pixels(folder / "pixels.nc"), read_slope_map(folder / "slope_map.nc")
     own = np.stack([pixels["slope_x"][mask], pixels["slope_y"][mask]])
     read = np.stack([bilinear(slope_map, one, x_m, y_m) for one in (slope_map.slope_x, slope_map.slope_y)])

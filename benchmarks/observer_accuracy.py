@@ -13,7 +13,7 @@ import numpy as np
 from _measure import row, title
 
 from data_synth.troughs import read_trough_truth
-from heliogauge.measurement.load import load_observer
+from heliogauge.measurement.load import load
 from observer.pipeline.measure import Options, Result, run
 from observer.trough.visibility import shares
 
@@ -66,7 +66,7 @@ def report(folder: Path, case: str) -> None:
     preset, _, rest = case.partition("=")
     photos, _, scale = rest.partition("@")
     place = drawn(folder, preset, photos, scale or "1")
-    result = run(load_observer(place), Options(jobs=1))
+    result = run(load(place), Options(jobs=1))
     error, sigma, x = errors(result, place)
     untilted = error - error.mean()
     terms = np.stack([np.ones_like(x), x], axis=1)

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import cv2
 from _measure import StageClock, row, title
 
-from heliogauge.measurement.load import load_observer
+from heliogauge.measurement.load import load
 from observer.pipeline.measure import Options, run
 
 ASKED_RATIO, ASKED_MIB = 1.5, 1536
@@ -72,7 +72,7 @@ def main() -> None:
             drawing = [sys.executable, "-m", "heliogauge", "synth", "trough", str(folder), "--preset", "small"]
             subprocess.run(drawing, check=True, stdout=subprocess.DEVNULL)
         repeated(folder, copy, chosen.photos, chosen.colour)
-        measurement = load_observer(copy)
+        measurement = load(copy)
         # Before and after: what else the machine does changes the clock within the run.
         first = decoding_s(list(measurement.photo_files))
         clock, profile = StageClock(), cProfile.Profile()

@@ -33,9 +33,9 @@ def response_command(
     verbose: Verbose = False,
 ) -> None:
     """Photographs of uniform grey levels -> response.csv, response.png, summary.json in the folder OUT."""
+    from calibration.screen.keys import load_response
     from calibration.screen.pipeline import Options, run
     from heliogauge.errors import InputError
-    from heliogauge.measurement.load import load_response
     from heliogauge.running.terminal import terminal_progress
 
     if out.suffix == ".csv":
@@ -77,8 +77,8 @@ def camera_command(
     verbose: Verbose = False,
 ) -> None:
     """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
+    from calibration.camera.keys import load_camera_calibration
     from calibration.camera.pipeline.measure import Options, run
-    from heliogauge.measurement.load import load_camera_calibration
     from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
@@ -131,9 +131,9 @@ def heliostat_command(
 
     An interrupted field is continued by the same command; --force begins anew.
     """
+    from calibration.heliostat.keys import load_heliostat
     from calibration.heliostat.pipeline.field import headline_text, run_into
     from calibration.heliostat.pipeline.measure import Options
-    from heliogauge.measurement.load import load_heliostat
     from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)

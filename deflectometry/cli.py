@@ -43,9 +43,9 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
+    from deflectometry.keys import load_deflectometry
     from deflectometry.pipeline.evaluate import Align
     from deflectometry.pipeline.measure import Options, run
-    from heliogauge.measurement.load import load_measurement
     from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
@@ -58,7 +58,7 @@ def run_command(
     )
     deliver(
         out,
-        lambda: run(load_measurement(folder), options, progress),
+        lambda: run(load_deflectometry(folder), options, progress),
         progress,
         force=force,
         quiet=quiet,

@@ -36,30 +36,19 @@ def run_command(
 
     A folder that names several modules gives a folder of results for each, and an overview.
     """
-    from heliogauge.measurement.load import load_observer
-    from heliogauge.reporting.build import build_report
-    from heliogauge.results.folder import ResultFolder
     from heliogauge.running.terminal import terminal_progress
-    from observer.pipeline import modules as pipeline_modules
+    from observer.keys import load_observer
     from observer.pipeline.headline import headline_text
-    from observer.pipeline.measure import Options, run, summarise, write
-    from observer.studies import overview as pipeline_overview
+    from observer.pipeline.measure import Options, summarise
+    from observer.pipeline.measure_folder import run_into
+    from observer.studies import overview
 
     progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
-    with ResultFolder(out, force=force) as working:
-        measurement = load_observer(folder)
-        if measurement.model.module:
-            flight = pipeline_modules.run(measurement, working, options, progress, report=not no_report)
-            warnings, said = flight.all_warnings, pipeline_overview.headline_text(flight)
-        else:
-            result = run(measurement, options, progress)
-            with progress.stage("write results"):
-                write(result, working)
-            if not no_report:
-                with progress.stage("report"):
-                    build_report(working)
-            warnings, said = result.doubts, headline_text(summarise(result))
-    tell(warnings, lambda: said, f"results: {out}", quiet=quiet)
+    result = run_into(load_observer(folder), out, options, progress, force=force, report=not no_report)
+    if isinstance(result, overview.Result):
+        tell(result.all_warnings, lambda: overview.headline_text(result), f"results: {out}", quiet=quiet)
+    else:
+        tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("align")
@@ -110,8 +99,8 @@ def absorber_command(
     verbose: Verbose = False,
 ) -> None:
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
-    from heliogauge.measurement.load import load_observer
     from heliogauge.running.terminal import terminal_progress
+    from observer.keys import load_observer
     from observer.pipeline.absorber_alone import Options, headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
@@ -136,8 +125,8 @@ def plan_command(
     verbose: Verbose = False,
 ) -> None:
     """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
-    from heliogauge.measurement.load import load_observer_plan
     from heliogauge.running.terminal import terminal_progress
+    from observer.planning.keys import load_observer_plan
     from observer.planning.plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)

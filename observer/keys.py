@@ -1,6 +1,5 @@
 """What measurement.toml of ``kind = "observer"`` may say."""
 
-import datetime
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,9 @@ from pydantic import Field, field_validator, model_validator
 
 from heliogauge.doubts import Doubt
 from heliogauge.images.video_names import video_of
-from heliogauge.measurement.models import ImageFiles, Number, Positive, Section, Sigma, Text
+from heliogauge.measurement.files import image_files
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import ImageFiles, MeasurementModel, Number, Positive, Section, Sigma, Text
 from photogrammetry.keys import (
     CameraSections,
     CoordinateSection,
@@ -164,13 +165,10 @@ class ObserverEvaluationSection(Section):
         return step
 
 
-class ObserverModel(Section):
+class ObserverModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "observer"``."""
 
     kind: Literal["observer"]
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
     collector: TroughSection
     camera: CameraSections = (NetworkCameraSection(),)
     images: PassSection
@@ -223,5 +221,30 @@ class ObserverMeasurement:
         named += [one.targets_file for one in model.module]
         if model.module and all(one.targets_file for one in model.module):
             named.remove(model.targets.file)
-        own = (self.folder / "measurement.toml", *(self.folder / name for name in named if name))
+        own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
         return (*own, *dict.fromkeys(video_of(file) for file in (*self.photo_files, *self.absorber_files)))
+
+
+def load_observer(folder: Path) -> ObserverMeasurement:
+    """Read and check a folder with photos of a trough.
+
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    file, model = read_measurement(folder, ObserverModel)
+    images = model.images
+    doubts: tuple[Doubt, ...] = ()
+    if images.video is not None:
+        # OpenCV costs 0.1 s, which only a video is worth.
+        from heliogauge.images.video import list_frames
+
+        frames = list_frames(folder / images.video, every_nth=images.every_nth)
+        photos, doubts = frames.files, frames.doubts
+    else:
+        photos = image_files(folder, "images.photos", images.photos or ())
+    own = model.absorber.photos
+    absorber = () if own is None else image_files(folder, "absorber.photos", own)
+    found = ObserverMeasurement(folder, model, photos, absorber, doubts)
+    refuse_missing(file, found.input_files)
+    return found

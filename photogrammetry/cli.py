@@ -32,8 +32,8 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
-    from heliogauge.measurement.load import load_photogrammetry
     from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.keys.load import load_photogrammetry
     from photogrammetry.pipeline.headline import headline_text
     from photogrammetry.pipeline.measure import Options, run, summarise, write
 
@@ -91,8 +91,8 @@ def plan_command(
     verbose: Verbose = False,
 ) -> None:
     """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
-    from heliogauge.measurement.load import load_photogrammetry_plan
     from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.planning.keys import load_photogrammetry_plan
     from photogrammetry.planning.plan import headline_text, run, summarise, write
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)

@@ -1,6 +1,5 @@
 """What measurement.toml of ``kind = "heliostat"`` may say, and folders of the PAINT database that need none."""
 
-import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,18 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from heliogauge.measurement.models import ImageFiles, Index, Number, Positive, Section, Text, Vector2, Vector3
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import (
+    ImageFiles,
+    Index,
+    MeasurementModel,
+    Number,
+    Positive,
+    Section,
+    Text,
+    Vector2,
+    Vector3,
+)
 
 Preset = Literal["azimuth-elevation", "drone", "six-error", "two-axes", "linear-actuators"]
 Split = Literal["random", "chronological", "azimuth", "azimuth-reversed", "high-variance", "column"]
@@ -175,13 +185,10 @@ class HeliostatEvaluationSection(Section):
     random_seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
 
-class HeliostatModel(Section):
+class HeliostatModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "heliostat"``."""
 
     kind: Literal["heliostat"]
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
     site: SiteSection | None = None
     target: tuple[HeliostatTargetSection, ...] = ()
     camera: tuple[HeliostatCameraSection, ...] = ()
@@ -228,7 +235,7 @@ class HeliostatMeasurement:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """Files that all heliostats share, measurement.toml first; those of PAINT belong to each heliostat."""
-        own = (self.folder / "measurement.toml",) if self.has_file else ()
+        own = (self.folder / MEASUREMENT_FILE,) if self.has_file else ()
         if self.model.paint is not None:
             return own
         return (*own, self.path(self.model.heliostats.file), self.path(self.model.observations.file))
@@ -247,7 +254,22 @@ def properties_files(folder: Path) -> Iterator[Path]:
 
 def paint_measurement(folder: Path) -> HeliostatMeasurement | None:
     """Describe a folder of the PAINT database that has no measurement.toml."""
-    if (folder / "measurement.toml").exists() or next(properties_files(folder), None) is None:
+    if (folder / MEASUREMENT_FILE).exists() or next(properties_files(folder), None) is None:
         return None
     model = HeliostatModel(kind="heliostat", name=folder.resolve().name or "field", paint=PaintSection())
     return HeliostatMeasurement(folder, model, has_file=False)
+
+
+def load_heliostat(folder: Path) -> HeliostatMeasurement:
+    """Read and check a folder with observations of heliostats.
+
+    folder: Folder with measurement.toml, or one as of the PAINT database, which needs none.
+    Returns: The measurement; every file it names exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    found = paint_measurement(folder)
+    if found is None:
+        file, model = read_measurement(folder, HeliostatModel)
+        found = HeliostatMeasurement(folder, model)
+        refuse_missing(file, found.input_files)
+    return found

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from calibration.screen.keys import ResponseMeasurement
 from calibration.screen.response import GreyStep, ScreenResponse, fit_response
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Frames, read_frames
-from heliogauge.measurement.load import ResponseMeasurement
 from heliogauge.results.folder import Summary, hash_files, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress

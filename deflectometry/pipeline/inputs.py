@@ -5,6 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from deflectometry.keys import (
+    CameraParameters,
+    DeflectometryMeasurement,
+    FacetSection,
+    MirrorSection,
+    PoseSection,
+    RectangularScreenSection,
+    TabulatedScreenSection,
+)
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from deflectometry.setup.bench import RectangularScreen, Screen, Setup, TabulatedScreen
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
@@ -15,15 +24,7 @@ from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
 from heliogauge.measurement.designs import build_design
-from heliogauge.measurement.load import MEASUREMENT_FILE, DeflectometryMeasurement
-from heliogauge.measurement.models import (
-    CameraParameters,
-    FacetSection,
-    MirrorSection,
-    PoseSection,
-    RectangularScreenSection,
-    TabulatedScreenSection,
-)
+from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.results.tables import read_camera_json, read_table_csv
 from heliogauge.validate import FloatArray, float_array
 

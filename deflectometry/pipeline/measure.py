@@ -12,6 +12,7 @@ from deflectometry.frames.checks import check_frames
 from deflectometry.frames.image_checks import check_compression, check_noise, check_size, saturation_level
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits
+from deflectometry.keys import DeflectometryMeasurement, TabulatedScreenSection
 from deflectometry.pipeline.evaluate import Align, Choices, Evaluation, MirrorInput, Observation, evaluate_frames
 from deflectometry.pipeline.headline import (
     Numbers,
@@ -41,8 +42,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import skew
 from heliogauge.images.photos import Frames, read_frames
 from heliogauge.measurement.designs import build_design
-from heliogauge.measurement.load import DeflectometryMeasurement
-from heliogauge.measurement.models import Section, TabulatedScreenSection
+from heliogauge.measurement.models import Section
 from heliogauge.results.folder import (
     PhotoPose,
     Summary,

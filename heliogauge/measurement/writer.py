@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import MEASUREMENT_FILE, Model, parse_measurement
+from heliogauge.measurement.load import MEASUREMENT_FILE, parse_measurement
+from heliogauge.measurement.models import MeasurementModel
 
 
-def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comment: str = "") -> Path:
-    """Write a measurement.toml that `heliogauge.measurement.load.load_measurement` accepts.
+def write_measurement(folder: Path, content: MeasurementModel | Mapping[str, Any], *, comment: str = "") -> Path:
+    """Write a measurement.toml that `heliogauge.measurement.load` accepts.
 
     folder: The measurement's folder; made if absent. An existing measurement.toml is replaced.
     content: What the file shall say; arrays and numbers of numpy are taken, None leaves a key out.
@@ -23,8 +24,9 @@ def write_measurement(folder: Path, content: Model | Mapping[str, Any], *, comme
     The file is written beside and moved into place: it is whole or not there.
     """
     file = folder / MEASUREMENT_FILE
-    given = content.model_dump(exclude_none=True, exclude_defaults=True) if isinstance(content, Model) else content
-    tables = _plain(given)
+    if isinstance(content, MeasurementModel):
+        content = content.model_dump(exclude_none=True, exclude_defaults=True)
+    tables = _plain(content)
     parse_measurement(tables, file)
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """Run a package's report notebook on a folder of results and write one self-contained HTML file.
 
-The notebook is package data of the package that measured (``deflectometry/report.ipynb``); it runs in a kernel of this
+The notebook is package data of the instrument that measured (`heliogauge.instruments`); it runs in a kernel of this
 very Python, so no kernel needs to be installed for it, and only the numbers in the folder enter it.
 """
 
@@ -16,7 +16,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -27,37 +26,12 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
 from heliogauge.errors import InputError
+from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting.style import STYLE
 from heliogauge.results.folder import Summary, read_summary
 
 REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
-
-#: Package that holds the report notebook of each kind of measurement.
-NOTEBOOK_PACKAGES: dict[str, str] = {
-    "deflectometry": "deflectometry",
-    "photogrammetry": "photogrammetry.report",
-    "camera": "calibration.camera.report",
-    "photogrammetry-plan": "photogrammetry.report",
-    "observer": "observer.report",
-    "heliostat": "calibration.heliostat.report",
-    "heliostat-field": "calibration.heliostat.report",
-    "observer-overview": "observer.report",
-    "observer-plan": "observer.report",
-    "observer-compare": "observer.report",
-    "observer-alignment": "observer.report",
-    "observer-absorber": "observer.report",
-}
-#: Notebooks that are called otherwise, where a package has several.
-OTHER_NOTEBOOKS: dict[str, str] = {
-    "photogrammetry-plan": "report_plan.ipynb",
-    "heliostat-field": "report_field.ipynb",
-    "observer-overview": "report_overview.ipynb",
-    "observer-plan": "report_plan.ipynb",
-    "observer-compare": "report_compare.ipynb",
-    "observer-alignment": "report_alignment.ipynb",
-    "observer-absorber": "report_absorber.ipynb",
-}
 
 # A loaded machine needs seconds to start a kernel; a cell of the report takes less than a second.
 _START_S = 120
@@ -83,13 +57,11 @@ def build_report(folder: Path) -> Path:
 
 
 def _notebook_of(summary: Summary, folder: Path) -> Any:
-    package = NOTEBOOK_PACKAGES.get(summary.kind)
-    if package is None:
-        kinds = ", ".join(NOTEBOOK_PACKAGES)
+    reports = {kind: file for one in instruments() for kind, file in one.reports.items()}
+    if summary.kind not in reports:
+        kinds = ", ".join(reports)
         raise InputError(f"{folder / 'summary.json'}: no report for the kind {summary.kind!r} (there are: {kinds})")
-    name = OTHER_NOTEBOOKS.get(summary.kind, REPORT_NOTEBOOK)
-    text = resources.files(package).joinpath(name).read_text(encoding="utf-8")
-    return nbformat.reads(text, as_version=4)
+    return nbformat.reads(read_resource(reports[summary.kind]), as_version=4)
 
 
 class _OwnPython(AsyncKernelManager):

@@ -1,7 +1,7 @@
 """The front door: ``heliogauge COMMAND ...``.
 
-Commands of other packages are mounted lazily, by name: the table `MOUNTED` says where each ``typer.Typer`` lives, and
-the module is imported only when its command is called. ``--version`` and ``--help`` import nothing but typer.
+Commands of the instruments are mounted lazily, by name: `heliogauge.instruments` says where each ``typer.Typer`` lives,
+and the module is imported only when its command is called. ``--version`` and ``--help`` import nothing but typer.
 
 A user's mistake and a measurement that does not determine its answer are `MetrologyError`: one message on standard
 error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends with 130 and a termination signal with
@@ -12,37 +12,26 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, NamedTuple, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
 from heliogauge.errors import MetrologyError
+from heliogauge.instruments import Commands, every_kind, instruments, resolve
 from heliogauge.running.commands import Force, NoReport, Quiet, Verbose
 
-
-class Mounted(NamedTuple):
-    """Where a package's commands live, and what they do in one line (so that ``--help`` need not import them)."""
-
-    module: str
-    summary: str
+#: Commands before those of the instruments, and after them.
+FIRST, LAST = ("demo", "init", "synth"), ("report",)
+SYNTH = Commands("synth", "data_synth.cli:app", "Make a measurement folder with known truth.")
 
 
-MOUNTED: dict[str, Mounted] = {
-    "synth": Mounted("data_synth.cli", "Make a measurement folder with known truth."),
-    "calibrate": Mounted("calibration.cli", "Calibrate: heliostats; camera; response of camera and display."),
-    "photogrammetry": Mounted("photogrammetry.cli", "Photos of coded targets -> coordinates (and sheets to print)."),
-    "observer": Mounted("observer.cli", "Photos of a trough's absorber reflection -> slope errors, absorber."),
-    "deflectometry": Mounted(
-        "deflectometry.cli", "Fringe images of a mirror -> slope map (and patterns, import-opencsp)."
-    ),
-}
-
-ORDER = ("demo", "init", "synth", "calibrate", "photogrammetry", "deflectometry", "observer", "report")
+def mounted() -> dict[str, Commands]:
+    """Return the commands that are imported only when they are called, by the word that calls them."""
+    return {one.name: one for one in (SYNTH, *(instrument.commands for instrument in instruments()))}
 
 
 class LazyGroup(TyperGroup):
@@ -53,19 +42,24 @@ class LazyGroup(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        for name, mounted in MOUNTED.items():
+        self._mounted = mounted()
+        for name, one in self._mounted.items():
             # A stand-in with the name and the summary: enough for the list and for "did you mean".
-            self.commands[name] = TyperCommand(name, help=mounted.summary)
+            self.commands[name] = TyperCommand(name, help=one.summary)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """List all names in the order of `ORDER`."""
-        return sorted(self.commands, key=ORDER.index)
+        """List all names, those of the instruments in the middle."""
+        between = sorted(self.commands.keys() - {*FIRST, *LAST})
+        return [*FIRST, *between, *LAST]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command, importing its package if it is a mounted one."""
-        if cmd_name not in MOUNTED:
-            return super().get_command(ctx, cmd_name)
-        command = typer.main.get_command(import_module(MOUNTED[cmd_name].module).app)
+        if cmd_name not in self._mounted:
+            command: Any = super().get_command(ctx, cmd_name)
+            if cmd_name == "init":
+                command.params[0].help = f"{', '.join(every_kind())}."
+            return command
+        command = typer.main.get_command(resolve(self._mounted[cmd_name].app))
         command.name = cmd_name
         return command
 
@@ -130,11 +124,7 @@ def demo(
 def init(
     kind: Annotated[
         str,
-        typer.Argument(
-            metavar="KIND",
-            help="deflectometry, photogrammetry, photogrammetry-plan, observer, observer-plan, heliostat, camera, "
-            "response.",
-        ),
+        typer.Argument(metavar="KIND", help="Kind of measurement."),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,

@@ -9,7 +9,7 @@ from calibration.heliostat.planning import commanded_offsets
 from data_synth.fringes import DatasetOptions, preset_scene, read_truth, write_dataset
 from data_synth.heliostats import HeliostatTruth, heliostat_scene, read_heliostat_truth, write_heliostat_dataset
 from deflectometry.pipeline.measure import Result, run
-from heliogauge.measurement.load import load_heliostat, load_measurement
+from heliogauge.measurement.load import load
 from heliogauge.results.folder import ResultFolder
 from heliogauge.running.progress import SilentProgress
 from heliogauge.slopes.map import monomials
@@ -29,7 +29,7 @@ def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report
     with ResultFolder(out, force=force) as working:
         folder = working / MEASUREMENT
         write_dataset(folder, preset_scene("small"), DatasetOptions(seed=0), progress)
-        result = run(load_measurement(folder), progress=progress)
+        result = run(load(folder), progress=progress)
         with progress.stage("write results"):
             result.write(working)
         if report:
@@ -90,7 +90,7 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
         # Its own progress: the report of the heliostats would list the stages of the facet. Four heliostats are not
         # worth processes of their own, nor every split.
         options = heliostats.Options(thorough=False, jobs=1)
-        result = heliostats.run(load_heliostat(place), options, SilentProgress())
+        result = heliostats.run(load(place), options, SilentProgress())
     with progress.stage("write results"):
         heliostats.write(result, folder)
     if report:

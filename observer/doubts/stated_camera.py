@@ -9,11 +9,11 @@ import numpy as np
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import EstimationError, MetrologyError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
 from observer.doubts.design_checks import camera_doubt
 from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.keys import PhotogrammetryMeasurement
 from photogrammetry.pipeline import OnePhoto, collect_photos
 from photogrammetry.start_values import StartValues
 

@@ -6,14 +6,19 @@ from typing import Literal
 import numpy as np
 
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.tables import read_table_csv
 from observer.files import number_in_cell
 from observer.keys import ObserverMeasurement, TroughSection
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
-from photogrammetry.keys import CoordinateSection, DatumSection, PhotogrammetryModel, TargetsSection
+from photogrammetry.keys import (
+    CoordinateSection,
+    DatumSection,
+    PhotogrammetryMeasurement,
+    PhotogrammetryModel,
+    TargetsSection,
+)
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1

@@ -9,7 +9,6 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_luma
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import (
     PhotoPose,
     Summary,
@@ -84,6 +83,7 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, coverage_warning, shares, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.keys import PhotogrammetryMeasurement
 from photogrammetry.pipeline import collect_photos
 
 #: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.

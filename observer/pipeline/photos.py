@@ -17,7 +17,6 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import Image, read_luma
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from observer.photo_edges.moved_edges import carried_bearings, carried_edges
@@ -28,7 +27,7 @@ from observer.photo_edges.views import Shot, View
 from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
 from observer.product.pictures import Slices, empty_slices
 from photogrammetry.detection import TargetSearch, measure_at
-from photogrammetry.keys import TargetsSection
+from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection
 from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following
 from photogrammetry.pipeline import OnePhoto, build_cameras, build_search, measure_photo
 from photogrammetry.start_values import LEAST_TARGETS, StartValues

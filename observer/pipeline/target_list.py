@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from observer.pipeline.inputs import AXES
 from observer.pipeline.photos import Finder, FirstLook
 from observer.targets.list_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
 from observer.targets.module_targets import spans_an_area
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
-from photogrammetry.keys import CoordinateSection
+from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
 from photogrammetry.start_values import LEAST_TARGETS
 

@@ -1,13 +1,13 @@
 """What measurement.toml of ``kind = "observer-plan"`` may say."""
 
-import datetime
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from heliogauge.measurement.models import Number, Positive, Section, Sigma, Text
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import MeasurementModel, Number, Positive, Section, Sigma, Text
 from observer.keys import ObserverEvaluationSection, TroughSection
 from photogrammetry.keys import DistanceSection, NetworkCameraSection, ScaleBarSection
 
@@ -80,13 +80,10 @@ class MonteCarloSection(Section):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
 
-class ObserverPlanModel(Section):
+class ObserverPlanModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "observer-plan"``."""
 
     kind: Literal["observer-plan"]
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
     collector: TroughSection
     camera: NetworkCameraSection
     targets: PlannedTargetsSection = PlannedTargetsSection()
@@ -127,7 +124,20 @@ class ObserverPlanMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the plan consists of, measurement.toml first."""
         own = (self.model.camera.file, self.model.targets.list_file)
-        found = (self.folder / "measurement.toml", *(self.folder / name for name in own if name))
+        found = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in own if name))
         if self.earlier is None:
             return found
         return (*found, self.earlier / "slope_map.nc", self.earlier / "absorber.csv")
+
+
+def load_observer_plan(folder: Path) -> ObserverPlanMeasurement:
+    """Read and check a folder with the plan of a pass over a trough.
+
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The plan; every file it names exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    file, model = read_measurement(folder, ObserverPlanModel)
+    found = ObserverPlanMeasurement(folder, model)
+    refuse_missing(file, found.input_files)
+    return found

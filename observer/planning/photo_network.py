@@ -8,7 +8,6 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray, IntArray
@@ -19,7 +18,13 @@ from observer.planning.simulated_edges import in_image
 from observer.planning.simulated_flight import Believed
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, constraints
-from photogrammetry.keys import CoordinateSection, DatumSection, PhotogrammetryModel, TargetsSection
+from photogrammetry.keys import (
+    CoordinateSection,
+    DatumSection,
+    PhotogrammetryMeasurement,
+    PhotogrammetryModel,
+    TargetsSection,
+)
 from photogrammetry.pipeline import build_cameras, build_constraints
 
 #: A photo with fewer targets has no pose of its own.

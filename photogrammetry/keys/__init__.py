@@ -10,6 +10,7 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from photogrammetry.keys.cameras import CameraSections as CameraSections
     from photogrammetry.keys.cameras import NetworkCameraSection as NetworkCameraSection
+    from photogrammetry.keys.load import PhotogrammetryMeasurement as PhotogrammetryMeasurement
     from photogrammetry.keys.measurement import CoordinateSection as CoordinateSection
     from photogrammetry.keys.measurement import DatumSection as DatumSection
     from photogrammetry.keys.measurement import DistanceSection as DistanceSection
@@ -25,6 +26,7 @@ __getattr__, __dir__, __all__ = lazy_face(
         "DatumSection": "photogrammetry.keys.measurement",
         "DistanceSection": "photogrammetry.keys.measurement",
         "NetworkCameraSection": "photogrammetry.keys.cameras",
+        "PhotogrammetryMeasurement": "photogrammetry.keys.load",
         "PhotogrammetryModel": "photogrammetry.keys.measurement",
         "ScaleBarSection": "photogrammetry.keys.measurement",
         "TargetsSection": "photogrammetry.keys.targets",

@@ -1,11 +1,19 @@
 """What measurement.toml of ``kind = "photogrammetry"`` may say."""
 
-import datetime
 from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, model_validator
 
-from heliogauge.measurement.models import Number, PhotosSection, Positive, Section, Sigma3, Text, Vector3
+from heliogauge.measurement.models import (
+    MeasurementModel,
+    Number,
+    PhotosSection,
+    Positive,
+    Section,
+    Sigma3,
+    Text,
+    Vector3,
+)
 from photogrammetry.keys.cameras import CameraSections, NetworkCameraSection
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.keys.surface import SurfaceSection
@@ -168,13 +176,10 @@ class AdjustmentSection(Section):
 KnowledgeSection = Annotated[CoordinateSection | DistanceSection | PlaneSection, Discriminator("kind")]
 
 
-class PhotogrammetryModel(Section):
+class PhotogrammetryModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "photogrammetry"``."""
 
     kind: Literal["photogrammetry"]
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
     camera: CameraSections = (NetworkCameraSection(),)
     images: PhotosSection | None = None
     image_points: ImagePointsSection | None = None

@@ -12,12 +12,12 @@ from heliogauge.camera.millimetres import LensForm, PrincipalOrigin, Sensor, Sen
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.images.exif import EXIF_BYTES, focal_length_35mm
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import read_camera_json
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.problem import CameraModel, ResidualSpace
 from photogrammetry.bundle.state import INTRINSIC_NAMES, camera_with_intrinsics, intrinsics_of
 from photogrammetry.keys.cameras import MillimetreSection, NetworkCameraSection, camera_of_photos
+from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.networks.solve_network import NetworkCameras
 from photogrammetry.start_values.network import guessed_camera
 

@@ -9,11 +9,11 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import read_table_csv
 from heliogauge.running.progress import Progress
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.detection.detections import Detections
+from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.assignment import Sense, assign_targets
 from photogrammetry.matching.tracking import Track, TrackedPhoto, TrackLimits, follow, start_track

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import read_cameras_json, read_table_csv
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.constraints import CommonPlane, Constraint, ControlPoint, Coordinate, Distance, KnownPlane
 from photogrammetry.bundle.datum import Datum, DatumKind
 from photogrammetry.detection.detect import SearchLimits
 from photogrammetry.detection.photo_targets import TargetSearch
+from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.measurement import (
     CollectorSection,
     ControlPointSection,

@@ -9,7 +9,6 @@ import numpy as np
 from heliogauge.camera.millimetres import SENSOR_NAMES, Sensor, sensor_parameters
 from heliogauge.camera.model import Camera
 from heliogauge.flags import SampleFlag
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.results.folder import (
     PhotoPose,
     PointTable,
@@ -26,6 +25,7 @@ from heliogauge.validate import IntArray
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.statistics import examine_image_points, examine_intrinsics
 from photogrammetry.exchange.image_point_files import PixelOrigin, read_image_points_csv
+from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.measurement import ImagePointsSection
 from photogrammetry.networks.group_sigmas import solve_weighed
 from photogrammetry.networks.length_error import LengthStatement, PermissibleError, state_length_errors

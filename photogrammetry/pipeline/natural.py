@@ -8,12 +8,12 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.running.progress import Progress
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.detection.feature_tracks import TrackChoice, Tracks, follow_tracks
 from photogrammetry.detection.natural import Features, all_pairs, find_features, match_features, require_pycolmap
 from photogrammetry.image_points import ImagePoints
+from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.pipeline.cameras import build_cameras
 from photogrammetry.pipeline.photos import MeasuredPhotos, Refused

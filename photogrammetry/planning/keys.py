@@ -1,13 +1,23 @@
 """What measurement.toml of ``kind = "photogrammetry-plan"`` may say."""
 
-import datetime
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from heliogauge.measurement.models import Count, Intrinsic, Number, Positive, Section, Sigma, Text, Vector3
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import (
+    Count,
+    Intrinsic,
+    MeasurementModel,
+    Number,
+    Positive,
+    Section,
+    Sigma,
+    Text,
+    Vector3,
+)
 from photogrammetry.keys.cameras import SELF_CALIBRATED
 
 Angle = Annotated[float, Field(strict=True, ge=0, le=85)]
@@ -92,13 +102,10 @@ class GoalSection(Section):
     most_photos: Annotated[int, Field(strict=True, ge=4, le=300)] = 80
 
 
-class PhotogrammetryPlanModel(Section):
+class PhotogrammetryPlanModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "photogrammetry-plan"``."""
 
     kind: Literal["photogrammetry-plan"]
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
     object: PlannedObjectSection
     camera: PlannedCameraSection
     stations: StationsSection = StationsSection()
@@ -121,4 +128,17 @@ class PhotogrammetryPlanMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the plan consists of, measurement.toml first."""
         named = (self.model.object.targets, self.model.camera.file)
-        return (self.folder / "measurement.toml", *(self.folder / name for name in named if name))
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
+
+
+def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:
+    """Read and check a folder with the plan of a photo network.
+
+    folder: Folder with measurement.toml; the files it names are relative to it.
+    Returns: The plan; every file it names exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    file, model = read_measurement(folder, PhotogrammetryPlanModel)
+    found = PhotogrammetryPlanMeasurement(folder, model)
+    refuse_missing(file, found.input_files)
+    return found

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import typer
 
+from heliogauge.instruments import resolve
 from heliogauge.running import cli, commands
 from tests.architecture.source_tree import PACKAGES, REPOSITORY
 
@@ -85,10 +86,9 @@ def test_every_pipeline_is_compared() -> None:
     assert existing == set(PIPELINES)
 
 
-@pytest.mark.parametrize("name", cli.MOUNTED)
+@pytest.mark.parametrize("name", cli.mounted())
 def test_what_is_mounted_exists(name: str) -> None:
-    module = import_module(cli.MOUNTED[name].module)
-    assert isinstance(module.app, typer.Typer)
+    assert isinstance(resolve(cli.mounted()[name].app), typer.Typer)
 
 
 class Removal(Enum):

@@ -8,8 +8,8 @@ import numpy as np
 from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.scene import FringeScene
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import Options, Result, run
-from heliogauge.measurement.load import load_measurement
 from heliogauge.slopes.map import monomials
 
 
@@ -53,7 +53,7 @@ def measure(
     options: Options | None = None,
 ) -> Result:
     write_dataset(folder, scene, DatasetOptions(seed, knowledge or Knowledge(), force=True))
-    return run(load_measurement(folder), options)
+    return run(load_deflectometry(folder), options)
 
 
 def agreement(result: Result, folder: Path, facet: int = 0) -> Agreement:

@@ -8,10 +8,10 @@ import pytest
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.evaluate import Align
 from deflectometry.pipeline.inputs import build_setup
 from deflectometry.pipeline.measure import Options, run
-from heliogauge.measurement.load import load_measurement
 from heliogauge.slopes.statistics import Removal, canting, statistics
 from tests.recovery.agreement import agreement, measure
 
@@ -144,7 +144,7 @@ def test_mirror_without_outline_needs_only_the_distance(tmp_path):
     text = (tmp_path / "m" / "measurement.toml").read_text()
     outline = next(line for line in text.splitlines() if line.startswith("outline_m"))
     edit(tmp_path / "m", (outline, ""))
-    result = run(load_measurement(tmp_path / "m"))
+    result = run(load_deflectometry(tmp_path / "m"))
     assert "no outline given" in result.evaluation.located.source
     left = statistics(result.assembled, removed=Removal.QUADRATIC)
     whole = statistics(measure(scene, tmp_path / "whole").assembled, removed=Removal.QUADRATIC)
@@ -157,7 +157,7 @@ def test_mirror_without_outline_can_be_placed_by_known_points(tmp_path):
     measure(scene, tmp_path / "m")
     text = (tmp_path / "m" / "measurement.toml").read_text()
     outline = next(line for line in text.splitlines() if line.startswith("outline_m"))
-    setup = build_setup(load_measurement(tmp_path / "m"))
+    setup = build_setup(load_deflectometry(tmp_path / "m"))
     corners = np.array([[-0.6, -0.6, 0.0018], [0.6, -0.6, 0.0018], [0.6, 0.6, 0.0018], [-0.6, 0.6, 0.0018]])
     pixels = setup.camera.project(scene.bench.cam_from_mirror.apply(corners))
     tables = "".join(
@@ -165,7 +165,7 @@ def test_mirror_without_outline_can_be_placed_by_known_points(tmp_path):
         for point, pixel in zip(corners, pixels, strict=True)
     )
     edit(tmp_path / "m", (outline, ""), ("[evaluation]", tables + "\n[evaluation]"))
-    result = run(load_measurement(tmp_path / "m"))
+    result = run(load_deflectometry(tmp_path / "m"))
     assert "4 known points" in result.evaluation.located.source
     image = next(iter(result.evaluation.images.values()))
     good = np.isfinite(image.slope_x)

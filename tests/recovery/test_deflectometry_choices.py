@@ -9,11 +9,10 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
+from deflectometry.keys import EvaluationSection, load_deflectometry
 from deflectometry.pipeline.evaluate import Align
 from deflectometry.pipeline.measure import Options, run
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_measurement
-from heliogauge.measurement.models import EvaluationSection
 from heliogauge.reporting.results import open_results
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
@@ -34,7 +33,7 @@ def test_file_and_command_line_know_every_removal(tmp_path):
     write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(3, Knowledge()))
     left = []
     for removal in Removal:
-        result = run(load_measurement(tmp_path / "m"), Options(remove=removal))
+        result = run(load_deflectometry(tmp_path / "m"), Options(remove=removal))
         (tmp_path / removal).mkdir()
         result.write(tmp_path / removal)
         left.append(statistics(result.assembled).sd_rad)
@@ -43,8 +42,8 @@ def test_file_and_command_line_know_every_removal(tmp_path):
 
 
 def test_canting_is_that_of_the_facets_whatever_is_removed_from_the_maps(pair):
-    as_measured = run(load_measurement(pair)).summarise().facets
-    result = run(load_measurement(pair), Options(remove=Removal.TILT))
+    as_measured = run(load_deflectometry(pair)).summarise().facets
+    result = run(load_deflectometry(pair), Options(remove=Removal.TILT))
     without_tilt = result.summarise().facets
     for name, numbers in as_measured.items():
         for key in ("canting_x_mrad", "sigma_canting_x_mrad", "canting_y_mrad", "sigma_canting_y_mrad"):
@@ -55,7 +54,7 @@ def test_canting_is_that_of_the_facets_whatever_is_removed_from_the_maps(pair):
 
 
 def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tmp_path):
-    whole = run(load_measurement(pair))
+    whole = run(load_deflectometry(pair))
     dark = whole.evaluation.facet_index == 1
     noise = np.random.default_rng(0).normal(5, 1, np.count_nonzero(dark)).clip(0, 255).astype(np.uint8)
     (tmp_path / "m").mkdir()
@@ -66,7 +65,7 @@ def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tm
             image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
             image[dark] = noise
             cv2.imwrite(str(path), image)
-    result = run(load_measurement(tmp_path / "m"))
+    result = run(load_deflectometry(tmp_path / "m"))
     assert any(one.code == "facet_not_measured" and "facet_0_1" in one.text for one in result.doubts)
     (tmp_path / "out").mkdir()
     result.write(tmp_path / "out")
@@ -78,7 +77,7 @@ def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tm
 
 
 def test_pose_sigma_of_a_facet_contains_the_turn_of_the_ensemble(pair, tmp_path):
-    result = run(load_measurement(pair))
+    result = run(load_deflectometry(pair))
     result.write(tmp_path)
     located, poses = result.evaluation.located, open_results(tmp_path).poses
     rng = np.random.default_rng(1)
@@ -101,7 +100,7 @@ def without_outline(tmp_path):
 
 @pytest.mark.parametrize("align", Align)
 def test_mirror_without_outline_stands_as_its_design_reflects(without_outline, align):
-    result = run(load_measurement(without_outline.parent), Options(align=align))
+    result = run(load_deflectometry(without_outline.parent), Options(align=align))
     true = read_truth(without_outline.parent)
     slope_map = result.assembled
     true_x, true_y = true.slopes(*np.meshgrid(slope_map.x_m, slope_map.y_m))
@@ -116,7 +115,7 @@ def test_roll_of_a_mirror_without_outline_is_taken_from_the_file(without_outline
     turned = []
     for roll_deg in (0.0, 10.0):
         without_outline.write_text(text.replace("[mirror]", f"[mirror]\nroll_deg = {roll_deg}"))
-        turned.append(run(load_measurement(without_outline.parent)).evaluation.located.pose.cam_from_mirror)
+        turned.append(run(load_deflectometry(without_outline.parent)).evaluation.located.pose.cam_from_mirror)
     change = np.rad2deg((turned[0].inverse() @ turned[1]).rotation_vector_rad)
     assert change @ [0.0, 0.0, 1.0] == pytest.approx(10.0, abs=0.1)
 
@@ -125,14 +124,14 @@ def test_distance_to_another_point_needs_an_outline(without_outline):
     text = without_outline.read_text()
     without_outline.write_text(text.replace("[mirror.distance]", "[mirror.distance]\npoint_m = [0.1, 0.0, 0.0]"))
     with pytest.raises(InputError, match="point_m"):
-        run(load_measurement(without_outline.parent))
+        run(load_deflectometry(without_outline.parent))
 
 
 def test_focal_length_is_that_of_the_mirror_whatever_is_removed(tmp_path):
     write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(3, Knowledge()))
     stated = []
     for removal in Removal:
-        numbers = run(load_measurement(tmp_path / "m"), Options(remove=removal)).summarise().numbers
+        numbers = run(load_deflectometry(tmp_path / "m"), Options(remove=removal)).summarise().numbers
         stated.append([numbers[key] for key in ("focal_length_x_m", "sigma_focal_length_x_m", "twist_per_m")])
     assert stated == [stated[0]] * 4
     assert abs(stated[0][0] - 100) > 5

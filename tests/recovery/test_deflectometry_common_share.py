@@ -6,8 +6,8 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import Options, run
-from heliogauge.measurement.load import load_measurement
 
 SIGMAS = Knowledge(sigma_focal_px=1e-9, sigma_center_px=1e-9, sigma_distance_mm=5.0)
 STEP_MM = Options(grid_step_mm=15.0)
@@ -27,7 +27,7 @@ def changed(folder, change):
     lines = [change(line) for line in text.splitlines()]
     path.write_text("\n".join(lines))
     try:
-        return run(load_measurement(folder), STEP_MM).assembled
+        return run(load_deflectometry(folder), STEP_MM).assembled
     finally:
         path.write_text(text)
 

@@ -5,11 +5,11 @@ import csv
 import pytest
 
 from calibration.heliostat import Options
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.field import run_into
 from data_synth.heliostats.dataset import write_heliostat_dataset
 from data_synth.heliostats.faults import FAULTS
 from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.running.progress import SilentProgress
 
 NAMES = {

@@ -5,6 +5,7 @@ import pytest
 
 from calibration.heliostat.files.sources import open_source
 from calibration.heliostat.fitting import FitOptions, fit
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.kinematic_model import PlaneTarget
 from calibration.heliostat.observations.observed import observed
 from calibration.heliostat.observations.rows import parse_rows
@@ -14,7 +15,6 @@ from calibration.heliostat.planning import beam_angles, commanded_offsets
 from data_synth.heliostats.dataset import iterate_photos, read_heliostat_truth, write_heliostat_dataset
 from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.measurement.load import load_heliostat
 
 
 def measured(folder, scene, options=None, terms=""):

@@ -9,9 +9,9 @@ from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from deflectometry.exchange.opencsp import read_opencsp_file
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import run
 from heliogauge.errors import InputError, MetrologyError
-from heliogauge.measurement.load import load_measurement
 
 GROSS, CURL, TURN, SHAPE = (
     "too far for any solar mirror",
@@ -22,14 +22,14 @@ GROSS, CURL, TURN, SHAPE = (
 
 
 def warnings_of(folder) -> str:
-    result = run(load_measurement(folder))
+    result = run(load_deflectometry(folder))
     assert result.summarise().doubts == result.doubts
     return "\n".join(one.text for one in result.doubts if one.code != "sigma_of_setup_missing")
 
 
 def refused(folder) -> str:
     with pytest.raises(MetrologyError) as caught:
-        run(load_measurement(folder))
+        run(load_deflectometry(folder))
     return str(caught.value)
 
 

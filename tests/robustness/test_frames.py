@@ -10,20 +10,20 @@ from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import run
 from heliogauge.errors import MetrologyError
-from heliogauge.measurement.load import load_measurement
 
 
 def said(folder) -> tuple[str, ...]:
     """What the evaluation warns of, without the missing sigmas of every synthetic measurement."""
-    result = run(load_measurement(folder))
+    result = run(load_deflectometry(folder))
     return tuple(one.text for one in result.doubts if one.code != "sigma_of_setup_missing")
 
 
 def refused(folder) -> str:
     with pytest.raises(MetrologyError) as caught:
-        run(load_measurement(folder))
+        run(load_deflectometry(folder))
     return str(caught.value)
 
 

@@ -6,10 +6,10 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import run
 from heliogauge.errors import MetrologyError
 from heliogauge.geometry.surfaces import Facet, plane
-from heliogauge.measurement.load import load_measurement
 from tests.recovery.agreement import agreement
 
 OUTLINE = "^outline_m = .*"
@@ -18,14 +18,14 @@ DISTANCE = "^distance_m = .*"
 
 def refused(folder) -> str:
     with pytest.raises(MetrologyError) as caught:
-        run(load_measurement(folder))
+        run(load_deflectometry(folder))
     return str(caught.value)
 
 
 def test_distance_off_by_5_cm_is_covered_by_sigma(folder, rewrite):
     """0.15 mrad off with a sigma of 0.007 mrad before: the contradiction counted for nothing."""
     rewrite(folder, (DISTANCE, "distance_m = 10.3198"))
-    result = run(load_measurement(folder))
+    result = run(load_deflectometry(folder))
     assert "distance_contradicts_image" in [one.code for one in result.doubts]
     found = agreement(result, folder)
     spread = found.rms_mrad / (1e3 * np.sqrt((found.modes_rad**2).sum(axis=0).mean(axis=-1)))
@@ -61,7 +61,7 @@ def test_outline_with_a_corner_twice_or_crossing_sides():
 def test_panel_that_leans_in_the_frame_of_its_optic(tmp_path, seed):
     """Start poses took a trough's panel for flat in z: the pose was 0.45 rad off, and the image contradicted it."""
     write_dataset(tmp_path / "m", preset_scene("trough-panel"), DatasetOptions(seed, Knowledge()))
-    result = run(load_measurement(tmp_path / "m"))
+    result = run(load_deflectometry(tmp_path / "m"))
     assert [one.code for one in result.doubts] in ([], ["sigma_of_setup_missing"])
     assert result.numbers["alignment_turn_mrad"] < 10
     assert np.all(agreement(result, tmp_path / "m").rms_mrad < 0.03)

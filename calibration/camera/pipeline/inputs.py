@@ -5,10 +5,15 @@ from pathlib import Path
 import numpy as np
 
 from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
+from calibration.camera.keys import (
+    CameraCalibrationMeasurement,
+    CharucoSection,
+    ChessboardSection,
+    CircleGridSection,
+    TargetFieldSection,
+)
 from calibration.camera.pipeline.photos import UnknownField
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import CameraCalibrationMeasurement
-from heliogauge.measurement.models import CharucoSection, ChessboardSection, CircleGridSection, TargetFieldSection
 from heliogauge.results.folder import read_table_csv
 from photogrammetry.targets import RingDictionary, load_dictionary
 

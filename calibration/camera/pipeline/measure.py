@@ -37,6 +37,7 @@ from calibration.camera.files.result import (
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import check_network, check_photos, coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
+from calibration.camera.keys import CameraCalibrationMeasurement, CameraCalibrationModel
 from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.photos import FoundBoards, UnknownField, search_photos
 from calibration.camera.start_values.intrinsics import homography, start_camera, start_pose
@@ -44,8 +45,6 @@ from calibration.camera.start_values.orientation import Orientations
 from calibration.camera.start_values.target_field import started_from_targets
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement.load import CameraCalibrationMeasurement
-from heliogauge.measurement.models import CameraCalibrationModel
 from heliogauge.results.folder import find_copies, hash_files, read_camera_json
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FloatArray

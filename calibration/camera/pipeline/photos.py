@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
 from calibration.camera.corners.detection import BoardPoints, find_charuco, find_chessboard, find_circles
+from calibration.camera.keys import CalibratedCameraSection
 from calibration.camera.start_values.intrinsics import homography
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
-from heliogauge.measurement.models import CalibratedCameraSection
 from heliogauge.running.progress import Progress
 from photogrammetry.centers import Ellipse, template_center
 from photogrammetry.detection import TargetSearch, measure_center, measure_targets

@@ -12,8 +12,6 @@ import numpy as np
 from calibration.heliostat.files.field_folder import FieldFolder
 from calibration.heliostat.files.sources import HeliostatTask
 from calibration.heliostat.files.store_heliostat import (
-    FIELD_KIND,
-    KIND,
     failed_row,
     field_row,
     heliostat_summary,
@@ -105,7 +103,7 @@ def run_into(
             with progress.stage("write results"):
                 write(result, working)
             if report:
-                _report(working, KIND, progress)
+                _report(working, progress)
         (one,) = result.heliostats
         summary = heliostat_summary(one, durations_s=result.durations_s, input_sha256=result.input_sha256)
         return FieldResult([field_row(one)], summary, splits=split_lines(one))
@@ -114,7 +112,7 @@ def run_into(
             chosen = with_field(chosen, options.workers, progress)
             filled = _fill(folder, chosen, measurement, options, progress)
             if report:
-                _report(folder.path, FIELD_KIND, progress)
+                _report(folder.path, progress)
             return filled
         except KeyboardInterrupt:
             count = len(folder.finished.keys() | folder.before.keys())
@@ -168,12 +166,11 @@ def _fill(
     return FieldResult(rows, summary, resumed)
 
 
-def _report(folder: Path, kind: str, progress: Progress) -> None:
-    from heliogauge.reporting.build import NOTEBOOK_PACKAGES, build_report
+def _report(folder: Path, progress: Progress) -> None:
+    from heliogauge.reporting.build import build_report
 
-    if kind in NOTEBOOK_PACKAGES:
-        with progress.stage("report"):
-            build_report(folder)
+    with progress.stage("report"):
+        build_report(folder)
 
 
 def _digest(shared: Shared) -> str:

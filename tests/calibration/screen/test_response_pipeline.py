@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.screen.keys import load_response
 from calibration.screen.pipeline import Options, Result, lit_pixels, run
+from deflectometry.keys import load_deflectometry
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import write_image
-from heliogauge.measurement.load import load_measurement, load_response
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.folder import read_summary
@@ -176,7 +177,7 @@ def test_too_few_levels(folder: Path) -> None:
 
 def test_folders_of_the_other_kind_name_the_command(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="evaluate this folder with `heliogauge calibrate response`"):
-        load_measurement(folder)
+        load_deflectometry(folder)
     write_template("deflectometry", tmp_path / "other")
     with pytest.raises(InputError, match="evaluate this folder with `heliogauge deflectometry`"):
         load_response(tmp_path / "other")

@@ -17,11 +17,11 @@ from data_synth.fringes.presets import PRESETS, facet_scene, preset_scene, recta
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.wall import Wall
+from deflectometry.keys import load_deflectometry
 from deflectometry.setup.patterns import make_pattern
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_frames
-from heliogauge.measurement.load import load_measurement
 from heliogauge.running.commands import parse_periods
 
 
@@ -38,7 +38,7 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 def test_the_folder_is_a_measurement_that_loads(scene, tmp_path):
     written = write_dataset(tmp_path / "set", scene)
-    measurement = load_measurement(tmp_path / "set")
+    measurement = load_deflectometry(tmp_path / "set")
     frames = read_frames(measurement.fringe_files).images_dn
     assert_array_equal(frames, written.frames)
     model = measurement.model
@@ -74,13 +74,13 @@ def test_the_seed_decides_every_byte(scene, tmp_path):
 def test_a_known_pose_is_stated_with_errors_of_its_sigma(scene, tmp_path):
     exact = Knowledge(pose_known=True)
     write_dataset(tmp_path / "exact", scene, DatasetOptions(knowledge=exact))
-    pose = load_measurement(tmp_path / "exact").model.mirror.pose
+    pose = load_deflectometry(tmp_path / "exact").model.mirror.pose
     assert_allclose(pose.translation_m, scene.bench.cam_from_mirror.translation_m, atol=1e-15)
     vague = Knowledge(pose_known=True, sigma_pose_rotation_mrad=2.0, sigma_pose_translation_mm=5.0)
     steps = []
     for seed in range(3):
         write_dataset(tmp_path / str(seed), scene, DatasetOptions(seed=seed, knowledge=vague))
-        pose = load_measurement(tmp_path / str(seed)).model.mirror.pose
+        pose = load_deflectometry(tmp_path / str(seed)).model.mirror.pose
         steps.append(np.array(pose.translation_m) - scene.bench.cam_from_mirror.translation_m)
         assert pose.sigma_rotation_mrad == (2.0, 2.0, 2.0)
     assert 1e-3 < np.std(steps) < 1e-2
@@ -90,7 +90,7 @@ def test_a_curved_screen_comes_as_a_table(scene, tmp_path):
     wall = Wall(8.727, 3.476, 0.1, 0.0, 0.02, 0.0)
     curved = replace(scene, bench=replace(scene.bench, wall=wall))
     write_dataset(tmp_path / "set", curved)
-    assert load_measurement(tmp_path / "set").model.screen.file == "screen_points.csv"
+    assert load_deflectometry(tmp_path / "set").model.screen.file == "screen_points.csv"
     table = np.genfromtxt(tmp_path / "set" / "screen_points.csv", delimiter=",", names=True)
     assert_allclose(wall.points_m(table["u"], table["v"])[:, 2], table["z_m"], atol=1e-15)
     # The table's chords follow the wall (its own promise).
@@ -114,7 +114,7 @@ def test_gamma_comes_with_a_response(scene, tmp_path):
 def test_deep_images_are_written_as_they_are(scene, tmp_path, bits):
     deep = replace(scene, sensor=replace(scene.sensor, bits=bits))
     written = write_dataset(tmp_path / "set", deep)
-    measurement = load_measurement(tmp_path / "set")
+    measurement = load_deflectometry(tmp_path / "set")
     first = read_frames(measurement.fringe_files[:1]).images_dn[0]
     assert_array_equal(first, written.frames[0])
     assert measurement.model.images.saturation_dn == 2**bits - 1
@@ -163,7 +163,7 @@ def test_the_ensemble_states_its_facets(tmp_path):
     assert len(facets) == 24
     few = facet_scene("six", facets[8:10], camera=PinholeCamera(101, 77, 343.0, 343.0, 50.0, 38.0))
     written = write_dataset(tmp_path / "set", replace(few, pattern=make_pattern([0.9], [0.9])))
-    model = load_measurement(tmp_path / "set").model
+    model = load_deflectometry(tmp_path / "set").model
     assert [facet.name for facet in model.mirror.facet] == [facet.name for facet in facets[8:10]]
     assert set(np.unique(written.truth.pixels.facet_index)) == {-1, 0, 1}
     canted = [facet.errors.evaluate(np.array(0.0), np.array(0.0))[1] for facet in facets]
@@ -178,7 +178,7 @@ def test_command_line(tmp_path):
     truth = read_truth(out).parameters
     assert truth["sensor"]["read_noise_dn"] == 0.5
     assert truth["faults"] == [{"kind": "swapped", "amount": 2.0}]
-    assert load_measurement(out).model.mirror.pose is not None
+    assert load_deflectometry(out).model.mirror.pose is not None
     again = CliRunner().invoke(app, arguments)
     assert isinstance(again.exception, InputError)
 

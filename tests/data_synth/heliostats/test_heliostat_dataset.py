@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.observations import rtk_statistics
 from data_synth.heliostats.dataset import (
     HeliostatOptions,
@@ -19,7 +20,6 @@ from data_synth.heliostats.presets import PRESETS, HeliostatChoice, heliostat_sc
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import angles_from_direction, sun_directions
 from heliogauge.images.photos import read_image
-from heliogauge.measurement.load import load_heliostat
 
 
 def rows_of(folder):

@@ -13,10 +13,10 @@ import pytest
 
 from deflectometry.exchange.opencsp import CalculationRecord, CameraRecord, FringeRecord, TableRecord, read_opencsp_file
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import Options, run
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import load_measurement
 
 CAM_FROM_SCREEN = RigidTransform.from_rotation_vector([0.1, -0.3, 0.05], [1.0, 0.2, 0.3])
 CAM_FROM_MIRROR = RigidTransform.from_rotation_vector([3.0, 0.1, -0.2], [0.1, 0.2, 9.0])
@@ -275,7 +275,7 @@ def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data
     content = _import(files, tmp_path / "in", focal_length_m=100.0, pose_from=result_file)
     assert "design" not in content["mirror"]
     assert [facet["focal_length_m"] for facet in content["mirror"]["facet"]] == [100.0, 100.0]
-    result = run(load_measurement(tmp_path / "in"), Options(grid_step_mm=20.0))
+    result = run(load_deflectometry(tmp_path / "in"), Options(grid_step_mm=20.0))
     left, right = (result.evaluation.maps[name] for name in ("facet_000", "facet_001"))
     # Each half leans against its own paraboloid by its own mean slope, which the publisher found too. (Against one
     # paraboloid over both halves, f = 100 m, the means would differ by 0.5 mrad and not by 2.7.) Within 0.25 x 0.5 m

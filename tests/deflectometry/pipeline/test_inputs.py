@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.inputs import build_knowledge
 from deflectometry.pipeline.measure import describe_mirror
 from deflectometry.setup.bench import RectangularScreen, Setup
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import DeflectometryMeasurement, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 
 SETUP = Setup(Camera(100, 80, 100.0, 100.0, 50.0, 40.0), RectangularScreen(1.0, 1.0), RigidTransform.identity())

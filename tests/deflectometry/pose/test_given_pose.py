@@ -8,9 +8,9 @@ import pytest
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
+from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.evaluate import Align
 from deflectometry.pipeline.measure import Options, run
-from heliogauge.measurement.load import load_measurement
 from tests.recovery.agreement import agreement, measure
 
 
@@ -40,7 +40,7 @@ def test_pose_that_the_image_contradicts_is_said(tmp_path):
     moved = [float(part) for part in line.split("[")[1].strip("] ").split(",")]
     moved[0] += 0.02
     path.write_text(text.replace(line, f"translation_m = {moved}"))
-    result = run(load_measurement(tmp_path / "m"))
+    result = run(load_deflectometry(tmp_path / "m"))
     # 20 mm are 1.4 px, across two of the four sides: 1 px RMS over all.
     doubt = next(one for one in result.doubts if one.code == "given_pose_off_outline")
     assert doubt.numbers["residual_rms_px"] == pytest.approx(1.0, abs=0.1)

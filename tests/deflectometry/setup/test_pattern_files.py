@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.screen.keys import load_response
 from calibration.screen.pipeline import run as calibrate
+from deflectometry.keys import load_deflectometry
 from deflectometry.setup.pattern_files import DisplayOptions, PatternOptions, display_levels, write_patterns
 from deflectometry.setup.patterns import Axis, render_frames, response_table
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_frames, read_image, write_image
-from heliogauge.measurement.load import load_measurement, load_response, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.tables import write_table_csv
@@ -86,7 +88,7 @@ def test_the_table_fits_into_a_measurement(tmp_path: Path) -> None:
     start, end = text.index("[[pattern.set]]"), text.index("# The mirror. Facet frame")
     pasted = text[:start] + (out / "pattern.toml").read_text(encoding="utf-8") + text[end:]
     write_text(out / "measurement.toml", pasted)
-    assert [file.name for file in load_measurement(out).fringe_files] == [f"fringe_{k:03d}.png" for k in range(12)]
+    assert [file.name for file in load_deflectometry(out).fringe_files] == [f"fringe_{k:03d}.png" for k in range(12)]
 
 
 @pytest.mark.parametrize("bits", [8, 16])

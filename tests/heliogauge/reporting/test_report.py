@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
 import nbformat
@@ -16,8 +15,9 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting import page
-from heliogauge.reporting.build import NOTEBOOK_PACKAGES, OTHER_NOTEBOOKS, build_report
+from heliogauge.reporting.build import build_report
 from heliogauge.reporting.sections import _seen_part
 from heliogauge.results.folder import (
     PhotoPose,
@@ -206,10 +206,9 @@ def test_folders_without_a_report_are_refused(tmp_path: Path) -> None:
         build_report(tmp_path)
 
 
-@pytest.mark.parametrize(("kind", "package"), NOTEBOOK_PACKAGES.items())
-def test_the_notebook_in_the_package_is_clean_and_short(kind: str, package: str) -> None:
-    text = resources.files(package).joinpath(OTHER_NOTEBOOKS.get(kind, "report.ipynb")).read_text(encoding="utf-8")
-    notebook = nbformat.reads(text, as_version=4)
+@pytest.mark.parametrize("file", [file for one in instruments() for file in one.reports.values()])
+def test_the_notebook_in_the_package_is_clean_and_short(file: str) -> None:
+    notebook = nbformat.reads(read_resource(file), as_version=4)
     nbformat.validate(notebook)
     for cell in notebook.cells:
         assert len(cell.source.splitlines()) <= 14

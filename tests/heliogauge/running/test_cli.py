@@ -12,6 +12,7 @@ import typer
 
 from heliogauge import __version__
 from heliogauge.errors import EstimationError
+from heliogauge.instruments import Commands, Instrument, every_kind, instruments
 from heliogauge.running import cli, commands
 
 
@@ -58,8 +59,8 @@ def instrument(monkeypatch: pytest.MonkeyPatch) -> typer.Typer:
     module = ModuleType("probe_cli")
     module.app = app  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "probe_cli", module)
-    monkeypatch.setitem(cli.MOUNTED, "probe", cli.Mounted("probe_cli", "A probe."))
-    monkeypatch.setattr(cli, "ORDER", (*cli.ORDER, "probe"))
+    probe = Instrument("probe", "A probe.", Commands("probe", "probe_cli:app", "A probe."))
+    monkeypatch.setattr(cli, "instruments", lambda: (*instruments(), probe))
     return app
 
 
@@ -67,7 +68,7 @@ def test_version_and_help() -> None:
     assert run("--version").stdout == f"heliogauge {__version__}\n"
     answer = run("--help")
     assert answer.returncode == 0
-    for name in cli.ORDER:
+    for name in (*cli.FIRST, *cli.mounted(), *cli.LAST):
         assert f"\n  {name} " in answer.stdout
 
 
@@ -94,10 +95,8 @@ def test_unknown_command_suggests_the_near_one() -> None:
 
 
 def test_init_names_every_kind() -> None:
-    from heliogauge.measurement.load import KINDS
-
     text = run("init", "--help").stdout
-    assert [kind for kind in KINDS if kind not in text] == []
+    assert [kind for kind in every_kind() if kind not in text] == []
 
 
 def test_init_writes_a_template_and_refuses_to_overwrite(tmp_path: Path) -> None:
@@ -173,7 +172,7 @@ def measure(folder: str) -> None:
 module = ModuleType("probe_cli")
 module.app = app
 sys.modules["probe_cli"] = module
-cli.MOUNTED["synth"] = cli.Mounted("probe_cli", "")
+cli.SYNTH = cli.Commands("synth", "probe_cli:app", "")
 cli.main(["synth", "x"])
 """
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=30)

@@ -8,7 +8,6 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import PhotogrammetryMeasurement
 from heliogauge.measurement.models import PhotosSection
 from observer.doubts.stated_camera import explained, stated_camera_doubt
 from observer.pipeline.photos import FirstLook
@@ -20,6 +19,7 @@ from photogrammetry.keys import (
     CoordinateSection,
     DatumSection,
     NetworkCameraSection,
+    PhotogrammetryMeasurement,
     PhotogrammetryModel,
     TargetsSection,
 )

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement.load import load_observer
 from heliogauge.results.folder import Summary, read_summary, write_summary
 from heliogauge.results.tables import read_table_csv, write_table_csv
+from observer.keys import load_observer
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
 from observer.pipeline.photos import FirstLook

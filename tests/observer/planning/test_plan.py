@@ -7,9 +7,9 @@ import pytest
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
-from heliogauge.measurement.load import load_observer_plan
 from heliogauge.results.folder import read_summary, read_table_csv
 from heliogauge.results.slope_map_file import read_slope_map
+from observer.planning.keys import load_observer_plan
 from observer.planning.photo_network import planned_targets
 from observer.planning.plan import headline_text, run, summarise, write
 from observer.planning.planned_flight import Pass, advice

@@ -8,10 +8,11 @@ import pytest
 
 from data_synth.troughs.dataset import write_trough_dataset
 from data_synth.troughs.presets import trough_scene
-from heliogauge.measurement.load import load_observer, load_observer_plan
 from heliogauge.results.slope_map_file import write_slope_map
+from observer.keys import load_observer
 from observer.pipeline import measure as pipeline
 from observer.planning import plan as pipeline_plan
+from observer.planning.keys import load_observer_plan
 
 
 @pytest.mark.slow

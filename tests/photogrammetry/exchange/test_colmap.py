@@ -13,11 +13,11 @@ from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.formats import COLMAP_MODELS, from_colmap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_photogrammetry
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_table_csv, write_cameras_json
 from heliogauge.running.cli import main
 from photogrammetry.exchange.colmap import export_colmap, import_colmap
 from photogrammetry.exchange.colmap_files import ColmapImage, ColmapModel, read_colmap, write_colmap
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.pipeline.measure import run, write
 from tests.photogrammetry.bundle_networks import look_at
 

@@ -11,8 +11,9 @@ from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, wri
 from data_synth.targets.presets import PrintChoice, target_scene
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import load_photogrammetry, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.pipeline.measure import Result, run
 from photogrammetry.pipeline.uncoded import listed_targets
 from tests.photogrammetry.pipeline.test_pipeline import chi_square_per_rank, with_true_names

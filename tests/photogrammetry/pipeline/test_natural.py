@@ -14,13 +14,14 @@ from data_synth.targets.presets import PrintChoice, target_scene
 from data_synth.targets.scene import Sheet
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, vector_from_rotation
-from heliogauge.measurement.load import load_photogrammetry, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.datum import Datum, similarity_movements
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.detection import natural
 from photogrammetry.detection.feature_tracks import Keypoints, TrackChoice, follow_tracks
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.group_sigmas import Weighed, solve_weighed

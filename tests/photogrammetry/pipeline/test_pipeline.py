@@ -12,12 +12,13 @@ import pytest
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.targets.presets import PrintChoice, target_scene
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement.load import load_photogrammetry, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_summary, read_table_csv
 from photogrammetry.bundle.statistics import Rejected
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.networks.quality import doubts
 from photogrammetry.pipeline.measure import Result, run, summarise, write
 

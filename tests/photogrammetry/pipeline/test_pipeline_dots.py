@@ -13,9 +13,9 @@ from data_synth.optics.prints import DotPrint
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.targets.presets import SMALL_CAMERA, PrintChoice, look_at, target_scene
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement.load import load_photogrammetry
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.folder import read_table_csv
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.pipeline.measure import Result, run
 
 CAMERA = {

@@ -12,11 +12,12 @@ from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, wri
 from data_synth.targets.presets import PrintChoice, target_scene
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.load import load_photogrammetry, parse_measurement
-from heliogauge.measurement.surface_template import SURFACE_TEMPLATE
+from heliogauge.instruments import read_resource
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.folder import facet_names, read_slope_map, read_summary, read_table_csv
 from heliogauge.slopes.statistics import statistics
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.surface import SurfaceSection
 from photogrammetry.pipeline.headline import headline_text
 from photogrammetry.pipeline.measure import Result, run, write
@@ -212,7 +213,8 @@ def test_section_is_checked_before_any_work(folder: Path, text: str, words: str)
 
 
 def test_keys_of_the_template_are_keys_of_the_section() -> None:
-    content = tomllib.loads(SURFACE_TEMPLATE.replace("#: ", ""))
+    template = read_resource("photogrammetry:template.toml")
+    content = tomllib.loads(template.partition("# The surface under the targets")[2].replace("#: ", ""))
     SurfaceSection.model_validate_json(json.dumps(content["surface"]))
     shown = set(content["surface"]) | {"mesh", "mesh_unit"}
     # Keys of other shapes, and where on its optic a facet sits, stand in the page.

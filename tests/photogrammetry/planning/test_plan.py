@@ -9,12 +9,14 @@ from typer.testing import CliRunner
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.measurement.load import load_photogrammetry, load_photogrammetry_plan, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_summary, read_table_csv
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.cli import app
+from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.pipeline import measure as pipeline
+from photogrammetry.planning.keys import load_photogrammetry_plan
 from photogrammetry.planning.network_design import Goal, Task, plan_network
 from photogrammetry.planning.planned_network import PlannedCamera, predict, q_factor
 from photogrammetry.planning.stations import (

@@ -11,6 +11,7 @@ import pytest
 
 from calibration.camera.files.result import Result
 from calibration.camera.judgement.comparison import compare
+from calibration.camera.keys import load_camera_calibration
 from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.measure import Options, run
 from calibration.camera.pipeline.photos import search_photos
@@ -19,7 +20,6 @@ from data_synth.targets.dataset import PhotoOptions, camera_content, write_targe
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import write_image
-from heliogauge.measurement.load import load_camera_calibration
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_summary
 from heliogauge.running.progress import SilentProgress
 

@@ -12,13 +12,14 @@ from typer.testing import CliRunner
 
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.keys import load_camera_calibration
 from calibration.camera.pipeline.measure import Options, run
 from calibration.cli import app
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.targets.presets import target_scene
 from deflectometry.pipeline import inputs
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_camera_calibration, load_photogrammetry
+from photogrammetry.keys.load import load_photogrammetry
 
 QUICK = Options(leave_one_out=False)
 

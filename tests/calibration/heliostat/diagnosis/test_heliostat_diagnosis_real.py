@@ -5,8 +5,8 @@ import pytest
 from calibration.heliostat.diagnosis.full_diagnosis import diagnose
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.robust_fit import fit
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.measure import Options, run
-from heliogauge.measurement.load import load_heliostat
 from tests.calibration.juelich import FAULTY, FOLDER, SOUND, heliostat
 
 pytestmark = pytest.mark.skipif(

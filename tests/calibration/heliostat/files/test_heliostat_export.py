@@ -11,7 +11,7 @@ import pytest
 from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.files.store_heliostat import read_heliostat
 from calibration.heliostat.files.store_paint import parse_properties
-from calibration.heliostat.keys import SiteSection
+from calibration.heliostat.keys import SiteSection, load_heliostat
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.kinematic_model.presets import (
@@ -29,7 +29,6 @@ from calibration.heliostat.pipeline.nominal_design import paint_design
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import reflect
 from heliogauge.geometry.sun import direction_from_angles
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.results.tables import read_table_csv
 from tests.calibration.heliostat_folders import ACTUATORS, SITE, TARGET, write_field, write_paint
 

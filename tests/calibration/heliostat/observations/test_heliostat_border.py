@@ -10,12 +10,12 @@ import pytest
 
 from calibration.heliostat.files.sources import open_source
 from calibration.heliostat.files.store_paint import parse_calibrations, parse_properties
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.observations.observed import Observed, observed
 from calibration.heliostat.observations.residuals import evaluate
 from calibration.heliostat.observations.rows import parse_rows
 from calibration.heliostat.pipeline.nominal_design import nominal_design
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat_folders import CONTENT, SIGMA_M, TARGET, properties, write_field, write_paint
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline import beam_pictures as pipeline_pictures
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.report import sections as report_sections
 from calibration.heliostat.report.results import open_heliostat
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat.pipeline.test_heliostat_beams import draw
 from tests.calibration.heliostat_folders import TARGET, write_field

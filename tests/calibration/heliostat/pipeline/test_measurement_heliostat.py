@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from calibration.heliostat.keys import load_heliostat
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_heliostat, parse_measurement
+from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import dump_toml
 

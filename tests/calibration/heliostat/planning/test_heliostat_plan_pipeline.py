@@ -9,11 +9,11 @@ import pytest
 import typer
 
 from calibration.cli import app
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options as CalibrationOptions
 from calibration.heliostat.planning.plan import NextOptions, run
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import SilentProgress
 from tests.calibration.heliostat_folders import write_field

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report import sections
 from calibration.heliostat.report.results import FieldReport, HeliostatReport, open_field, open_heliostat
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import load_heliostat
 from heliogauge.reporting.build import build_report
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat_folders import write_field

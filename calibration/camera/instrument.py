@@ -1,0 +1,25 @@
+"""What the calibration of cameras offers: found by `heliogauge.instruments`."""
+
+from heliogauge.instruments import Commands, Instrument, Kind
+
+INSTRUMENT = Instrument(
+    name="camera",
+    summary="Photos of a board or targets -> calibrated camera.",
+    commands=Commands(
+        "calibrate", "calibration.cli:app", "Calibrate: heliostats; camera; response of camera and display."
+    ),
+    kinds=(
+        Kind(
+            name="camera",
+            model="calibration.camera.keys:CameraCalibrationModel",
+            load="calibration.camera.keys:load_camera_calibration",
+            template="calibration.camera:template.toml",
+            command="calibrate camera",
+            run="calibration.camera.pipeline.measure:run",
+            write="calibration.camera.pipeline.measure:write",
+            options="calibration.camera.pipeline.measure:Options",
+        ),
+    ),
+    reports={"camera": "calibration.camera.report:report.ipynb"},
+    synth="data_synth.targets.dataset:synth_board",
+)

@@ -1,0 +1,28 @@
+"""What the calibration of heliostats offers: found by `heliogauge.instruments`."""
+
+from heliogauge.instruments import Commands, Instrument, Kind
+
+INSTRUMENT = Instrument(
+    name="heliostat",
+    summary="Where beams were seen and the drive readings -> tracking models.",
+    commands=Commands(
+        "calibrate", "calibration.cli:app", "Calibrate: heliostats; camera; response of camera and display."
+    ),
+    kinds=(
+        Kind(
+            name="heliostat",
+            model="calibration.heliostat.keys:HeliostatModel",
+            load="calibration.heliostat.keys:load_heliostat",
+            template="calibration.heliostat:template.toml",
+            command="calibrate heliostat",
+            run_into="calibration.heliostat.pipeline.field:run_into",
+            options="calibration.heliostat.pipeline.measure:Options",
+            recognises="calibration.heliostat.keys:paint_measurement",
+        ),
+    ),
+    reports={
+        "heliostat": "calibration.heliostat.report:report.ipynb",
+        "heliostat-field": "calibration.heliostat.report:report_field.ipynb",
+    },
+    synth="data_synth.heliostats.dataset:synth",
+)

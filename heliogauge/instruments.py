@@ -1,0 +1,181 @@
+"""The instruments: what each of them can measure, found by entry points and imported only when it is needed.
+
+The folder of an instrument holds an ``instrument.py`` with an `Instrument` value, which the entry point group
+``heliogauge.instruments`` names. It imports nothing but this module: everything else is named by text,
+``"package.module:name"`` for functions and types and ``"package:file"`` for files, and loaded when it is asked for.
+"""
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import cache
+from importlib import import_module
+from importlib.machinery import PathFinder
+from typing import Any
+
+from heliogauge.errors import InputError
+
+GROUP = "heliogauge.instruments"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of measurement.toml.
+
+    name: As measurement.toml says it: ``kind = "observer-plan"``.
+    model: Type of what the file may say, a `heliogauge.measurement.models.MeasurementModel`.
+    load: Function ``(folder) -> measurement`` that reads and checks a folder.
+    template: File with a commented measurement.toml to start from.
+    command: What follows ``heliogauge`` on the command line to evaluate a folder.
+    run: Function ``(measurement, options, progress) -> result``, without options where the kind has none.
+    write: Function ``(result, folder)`` that writes the results into an existing folder; without it the result's own
+        method ``write(folder)`` does.
+    options: Dataclass of the choices that override those of measurement.toml.
+    run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run and write, where a
+        measurement fills its folder of results itself.
+    recognises: Function ``(folder) -> bool`` that knows folders of this kind without a measurement.toml.
+    """
+
+    name: str
+    model: str
+    load: str
+    template: str
+    command: str
+    run: str = ""
+    write: str = ""
+    options: str = ""
+    run_into: str = ""
+    recognises: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """Commands that the front door shows under one name.
+
+    name: The word after ``heliogauge``.
+    app: The ``typer.Typer``.
+    summary: What they do, in one line: ``--help`` imports no commands.
+    """
+
+    name: str
+    app: str
+    summary: str
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """What an instrument offers.
+
+    name: Its name, one word.
+    summary: What it measures, in one line.
+    commands: Its commands; instruments may share them.
+    kinds: Kinds of measurement.toml that it evaluates.
+    reports: File of the report notebook of each kind of result.
+    synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
+    """
+
+    name: str
+    summary: str
+    commands: Commands
+    kinds: tuple[Kind, ...] = ()
+    reports: Mapping[str, str] = field(default_factory=dict)
+    synth: str | None = None
+
+
+@cache
+def instruments() -> tuple[Instrument, ...]:
+    """Find the instruments that are installed, in the order of their names.
+
+    InputError: A file of the user's has the name of an instrument's package.
+    """
+    refuse_hidden_packages()
+    return tuple(point.load() for point in _entry_points())
+
+
+def instrument_named(name: str) -> Instrument:
+    """Return the instrument of a name.
+
+    InputError: There is none; the message suggests the near one.
+    """
+    known = {one.name: one for one in instruments()}
+    if name not in known:
+        raise InputError(f"instrument {name!r} is not known; {near_match(name, known)}")
+    return known[name]
+
+
+def every_kind() -> dict[str, Kind]:
+    """Return all kinds of measurement by their names."""
+    return {kind.name: kind for one in instruments() for kind in one.kinds}
+
+
+def near_match(name: str, known: Iterable[str], quote: str = "") -> str:
+    """Say which known name is near a mistyped one, or which names there are.
+
+    quote: Put around each name.
+    """
+    known = list(known)
+    if near := get_close_matches(name, known, n=1):
+        return f"did you mean {quote}{near[0]}{quote}?"
+    return "available are: " + (
+        ", ".join(f"{quote}{one}{quote}" for one in known) or "none, so heliogauge is not installed whole"
+    )
+
+
+def resolve(name: str) -> Any:
+    """Import what a text names.
+
+    name: ``"package.module:name"``.
+    InputError: A file of the user's has the name of the package.
+    """
+    home, _, attribute = name.partition(":")
+    _refuse_hidden(home)
+    return getattr(import_module(home), attribute)
+
+
+def read_resource(name: str) -> str:
+    """Read a text file that belongs to a package.
+
+    name: ``"package:file"``.
+    """
+    from importlib.resources import files
+
+    refuse_hidden_packages()
+    home, _, file = name.partition(":")
+    return files(home).joinpath(file).read_text(encoding="utf-8")
+
+
+@cache
+def _entry_points() -> tuple[Any, ...]:
+    from importlib.metadata import entry_points
+
+    return tuple(sorted(entry_points(group=GROUP), key=lambda point: point.name))
+
+
+@cache
+def refuse_hidden_packages() -> None:
+    """Check that no file of the user's would be imported in the place of an instrument's package.
+
+    Instruments import each other, so the packages of all of them are looked at; nothing is imported here.
+    InputError: There is such a file; the message names it.
+    """
+    for point in _entry_points():
+        _refuse_hidden(point.module)
+
+
+def _refuse_hidden(module: str) -> None:
+    package, _, inside = module.partition(".")
+    if not inside:
+        return
+    loaded = sys.modules.get(package)
+    if loaded is not None:
+        file, places = getattr(loaded, "__file__", None), list(getattr(loaded, "__path__", ()))
+    elif spec := PathFinder.find_spec(package):
+        file, places = spec.origin, list(spec.submodule_search_locations or ())
+    else:
+        return
+    if PathFinder.find_spec(f"{package}.{inside.partition('.')[0]}", places) is None:
+        raise InputError(
+            f"{file or ', '.join(places)} has the name of a package of heliogauge and would be imported in its place; "
+            + ("rename it" if loaded is None else "rename it and start Python anew")
+        )

@@ -1,0 +1,40 @@
+"""What the Observer offers: found by `heliogauge.instruments`."""
+
+from heliogauge.instruments import Commands, Instrument, Kind
+
+INSTRUMENT = Instrument(
+    name="observer",
+    summary="Photos of a trough's absorber reflection -> slope errors, absorber.",
+    commands=Commands(
+        "observer", "observer.cli:app", "Photos of a trough's absorber reflection -> slope errors, absorber."
+    ),
+    kinds=(
+        Kind(
+            name="observer",
+            model="observer.keys:ObserverModel",
+            load="observer.keys:load_observer",
+            template="observer:template.toml",
+            command="observer",
+            run_into="observer.pipeline.measure_folder:run_into",
+            options="observer.pipeline.measure:Options",
+        ),
+        Kind(
+            name="observer-plan",
+            model="observer.planning.keys:ObserverPlanModel",
+            load="observer.planning.keys:load_observer_plan",
+            template="observer.planning:template.toml",
+            command="observer plan",
+            run="observer.planning.plan:run",
+            write="observer.planning.plan:write",
+        ),
+    ),
+    reports={
+        "observer": "observer.report:report.ipynb",
+        "observer-absorber": "observer.report:report_absorber.ipynb",
+        "observer-alignment": "observer.report:report_alignment.ipynb",
+        "observer-compare": "observer.report:report_compare.ipynb",
+        "observer-overview": "observer.report:report_overview.ipynb",
+        "observer-plan": "observer.report:report_plan.ipynb",
+    },
+    synth="data_synth.troughs.dataset:synth",
+)

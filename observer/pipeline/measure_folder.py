@@ -1,0 +1,42 @@
+"""Measure a folder with the photos of one trough, or of several modules, into a folder of results."""
+
+from pathlib import Path
+
+from heliogauge.reporting.build import build_report
+from heliogauge.results.folder import ResultFolder
+from heliogauge.running.progress import Progress, SilentProgress
+from observer.keys import ObserverMeasurement
+from observer.pipeline import modules
+from observer.pipeline.measure import Options, Result, run, write
+from observer.studies import overview
+
+
+def run_into(
+    measurement: ObserverMeasurement,
+    out: Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    *,
+    force: bool = False,
+    report: bool = False,
+) -> Result | overview.Result:
+    """Evaluate a measurement; one that names several modules gives a folder of results for each, and an overview.
+
+    out: Folder for the results; whole or not there.
+    force: Replace earlier results.
+    report: Add ``report.html``.
+    Returns: The result, or what each of several modules gave.
+    InputError: Photos, targets, camera or dimensions that cannot be used, or the folder cannot.
+    EstimationError: No module could be measured.
+    """
+    progress = progress or SilentProgress()
+    with ResultFolder(out, force=force) as working:
+        if measurement.model.module:
+            return modules.run(measurement, working, options, progress, report=report)
+        result = run(measurement, options, progress)
+        with progress.stage("write results"):
+            write(result, working)
+        if report:
+            with progress.stage("report"):
+                build_report(working)
+    return result
