@@ -22,5 +22,4 @@ INSTRUMENT = Instrument(
         ),
     ),
     reports={"deflectometry": "deflectometry:report.ipynb"},
-    synth="data_synth.fringes.dataset:synth",
 )

@@ -36,5 +36,4 @@ INSTRUMENT = Instrument(
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },
-    synth="data_synth.troughs.dataset:synth",
 )

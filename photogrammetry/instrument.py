@@ -35,5 +35,4 @@ INSTRUMENT = Instrument(
         "photogrammetry": "photogrammetry.report:report.ipynb",
         "photogrammetry-plan": "photogrammetry.report:report_plan.ipynb",
     },
-    synth="data_synth.targets.dataset:synth",
 )

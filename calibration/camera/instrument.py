@@ -16,10 +16,8 @@ INSTRUMENT = Instrument(
             template="calibration.camera:template.toml",
             command="calibrate camera",
             run="calibration.camera.pipeline.measure:run",
-            write="calibration.camera.pipeline.measure:write",
             options="calibration.camera.pipeline.measure:Options",
         ),
     ),
     reports={"camera": "calibration.camera.report:report.ipynb"},
-    synth="data_synth.targets.dataset:synth_board",
 )

@@ -24,5 +24,4 @@ INSTRUMENT = Instrument(
         "heliostat": "calibration.heliostat.report:report.ipynb",
         "heliostat-field": "calibration.heliostat.report:report_field.ipynb",
     },
-    synth="data_synth.heliostats.dataset:synth",
 )

@@ -16,7 +16,6 @@ INSTRUMENT = Instrument(
             template="calibration.screen:template.toml",
             command="calibrate response",
             run="calibration.screen.pipeline:run",
-            write="calibration.screen.pipeline:write",
             options="calibration.screen.pipeline:Options",
         ),
     ),
