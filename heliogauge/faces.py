@@ -16,7 +16,6 @@ def lazy_face(
     package: The package's ``__name__``.
     homes: Module of each name. A module is its own home where the last part of the module is the name.
     """
-
     if package.partition(".")[0] != __package__:
         refuse_hidden_packages()
 
