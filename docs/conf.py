@@ -8,9 +8,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from heliogauge import __version__
 from heliogauge.measurement.templates import write_template
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from face_pages import write_reference
+
 # The pages on measurement files show the templates that `heliogauge init` writes, not copies that could grow old.
 write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
 write_template("response", Path(__file__).resolve().parent / "_build" / "response", force=True)
+
+# The reference lists the public faces as they are.
+write_reference(Path(__file__).resolve().parent / "_build" / "faces.md")
 
 project = "heliogauge"
 copyright = "the heliogauge contributors"
