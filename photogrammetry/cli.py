@@ -134,7 +134,7 @@ def sheets(
     force: Force = False,
 ) -> None:
     """Write sheets of coded targets or a calibration board, in true scale with rulers to check the printer."""
-    from photogrammetry.targets.coded_targets import Polarity, RingCode
+    from photogrammetry.targets.ring_codes import Polarity, RingCode
     from photogrammetry.targets.sheet_layout import Paper, board_page, marker_pages, ring_pages
     from photogrammetry.targets.store_ring_codes import load_dictionary
     from photogrammetry.targets.target_sheets import write_sheets

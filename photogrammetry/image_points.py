@@ -14,12 +14,22 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 class ImagePoints:
     """Measured image points, one row each, of named targets in named photos.
 
-    photos, targets: Names; a photo or target without a row is allowed.
-    photo_index, target_index (m,): Which photo and which target each row belongs to.
-    pixels_px (m, 2): Image points (x, y); the centre of the top-left pixel is (0, 0) [px].
-    covariance_px2 (m, 2, 2): Their covariances [px^2].
-    InputError: A name is repeated, an index has no name, a target appears twice in one photo, or a covariance is
-        not positive definite.
+    Parameters
+    ----------
+    photos, targets : tuple of str
+        Names; a photo or target without a row is allowed.
+    photo_index, target_index : array_like of int, shape (m,)
+        Which photo and which target each row belongs to.
+    pixels_px : array_like, shape (m, 2)
+        Image points (x, y); the centre of the top-left pixel is (0, 0) [px].
+    covariance_px2 : array_like, shape (m, 2, 2)
+        Their covariances [px^2].
+
+    Raises
+    ------
+    InputError
+        A name is repeated, an index has no name, a target appears twice in one photo, or a covariance is not positive
+        definite.
     """
 
     photos: tuple[str, ...]

@@ -20,13 +20,18 @@ _UNCONTROLLED = 1e-6
 class ImagePointTests:
     """Tests of the image points, in the order of the observations.
 
-    redundancy (m, 2, 2): Share of an error of each whitened image point that shows in its residual.
-    baarda (m, 2): Whitened residuals over their own sigma, standard normal if the stated sigmas are right; NaN
-        where nothing controls them.
-    length_squared (m,): Both components together, ``r^T R^-1 r``, chi-square with two degrees of freedom if the
-        sigmas are right.
-    probability (m,): Probability of a larger value for a good image point: Baarda's test for stated sigmas, Pope's
-        for sigmas known up to a factor.
+    Parameters
+    ----------
+    redundancy : ndarray, shape (m, 2, 2)
+        Share of an error of each whitened image point that shows in its residual.
+    baarda : ndarray, shape (m, 2)
+        Whitened residuals over their own sigma, standard normal if the stated sigmas are right; NaN where nothing
+        controls them.
+    length_squared : ndarray, shape (m,)
+        Both components together, ``r^T R^-1 r``, chi-square with two degrees of freedom if the sigmas are right.
+    probability : ndarray, shape (m,)
+        Probability of a larger value for a good image point: Baarda's test for stated sigmas, Pope's for sigmas known
+        up to a factor.
     """
 
     redundancy: FloatArray
@@ -37,8 +42,15 @@ class ImagePointTests:
     def outliers(self, family_significance: float = 0.05) -> BoolArray:
         """Mark image points that are too far off.
 
-        Shapes: result (m,).
-        family_significance: Probability of marking any good image point of all.
+        Parameters
+        ----------
+        family_significance : float, optional
+            Probability of marking any good image point of all.
+
+        Returns
+        -------
+        ndarray of bool, shape (m,)
+            Marks.
         """
         return np.asarray(self.probability < family_significance / max(self.probability.size, 1))
 
@@ -46,10 +58,20 @@ class ImagePointTests:
 def examine_image_points(result: BundleResult) -> ImagePointTests:
     """Compute redundancy numbers and outlier tests of all image points.
 
-    result: An adjusted network.
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
 
-    With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance ``I -
-    H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
+    Returns
+    -------
+    ImagePointTests
+        The tests.
+
+    Notes
+    -----
+    With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance
+    ``I - H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
     probability is ``(1 - T / total)^((redundancy - 2) / 2)``.
     """
     count = result.problem.observations.n
@@ -110,10 +132,16 @@ def _leverages_at_once(rows: CameraRows, dense: FloatArray, coupling: FloatArray
 class Rejected:
     """An image point that was left out.
 
-    row: Its place in the observations that were given.
-    label: Target and photo.
-    residual_px: Length of its residual when it was left out [px].
-    reason: Why.
+    Parameters
+    ----------
+    row : int
+        Its place in the observations that were given.
+    label : str
+        Target and photo.
+    residual_px : float
+        Length of its residual when it was left out [px].
+    reason : str
+        Why.
     """
 
     row: int
@@ -133,13 +161,29 @@ def adjust_and_reject(
 ) -> tuple[BundleResult, tuple[Rejected, ...]]:
     """Adjust, leave out the worst image points, adjust again, until none is too far off.
 
-    problem: What is observed and what is sought.
-    family_significance: Probability of leaving out any good image point of all.
-    most_rounds: Rounds after which the search ends.
-    suspects (m,): Image points that take no part until the others are clean; then those that agree come in.
-    rejected: What was left out, in order. In each round only the worst image point of a photo and of a target goes,
-        because one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What
-        turns out to agree in the end comes back. Suspects that stay out are not among them.
+    Parameters
+    ----------
+    problem : BundleProblem
+        What is observed and what is sought.
+    start : BundleState
+        Start values.
+    options : BundleOptions, optional
+        How to adjust.
+    family_significance : float, optional
+        Probability of leaving out any good image point of all.
+    most_rounds : int, optional
+        Rounds after which the search ends.
+    suspects : ndarray of bool, shape (m,), optional
+        Image points that take no part until the others are clean; then those that agree come in.
+
+    Returns
+    -------
+    result : BundleResult
+        The adjustment of what is left.
+    rejected : tuple of Rejected
+        What was left out, in order. In each round only the worst image point of a photo and of a target goes, because
+        one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What turns out to
+        agree in the end comes back. Suspects that stay out are not among them.
     """
     options = options or BundleOptions()
     outside = np.zeros(problem.observations.n, dtype=np.bool_) if suspects is None else suspects
@@ -226,10 +270,18 @@ def _left_alone(result: BundleResult, gone: BoolArray) -> BoolArray:
 class IntrinsicTest:
     """One estimated intrinsic.
 
-    value, sigma: Estimate and standard deviation, in the unit of the name.
-    significance: Probability with which it differs from zero (1: certainly); NaN for focal length and principal
-        point.
-    rival: The other intrinsic it is correlated with most.
+    Parameters
+    ----------
+    camera, name : str
+        Which.
+    value, sigma : float
+        Estimate and standard deviation, in the unit of the name.
+    significance : float
+        Probability with which it differs from zero (1: certainly); NaN for focal length and principal point.
+    rival : str
+        The other intrinsic it is correlated with most.
+    correlation : float
+        That correlation.
     """
 
     camera: str
@@ -244,8 +296,15 @@ class IntrinsicTest:
 def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
     """Test every estimated intrinsic against zero and against the others.
 
-    result: An adjusted network.
-    Returns: In the order of cameras and `INTRINSIC_NAMES`.
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
+
+    Returns
+    -------
+    tuple of IntrinsicTest
+        In the order of cameras and `INTRINSIC_NAMES`.
     """
     covariance = result.covariance.intrinsics
     sigmas = np.sqrt(np.diag(covariance))
@@ -274,9 +333,17 @@ def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
 def largest_correlations(result: BundleResult, at_least: float = 0.95) -> tuple[tuple[str, str, float], ...]:
     """List pairs of intrinsics, and of an intrinsic with a pose, that the observations hardly separate.
 
-    result: An adjusted network.
-    at_least: Smallest absolute correlation listed.
-    Returns: Names and correlation, strongest first. Poses are given by their steps in the camera frame.
+    Parameters
+    ----------
+    result : BundleResult
+        An adjusted network.
+    at_least : float, optional
+        Smallest absolute correlation listed.
+
+    Returns
+    -------
+    tuple of (str, str, float)
+        Names and correlation, strongest first. Poses are given by their steps in the camera frame.
     """
     photos = result.problem.observations.photos
     joint = result.covariance.joint(photos=np.arange(len(photos)), intrinsics=True)

@@ -26,8 +26,6 @@ from photogrammetry.centers.operator import (
 )
 from photogrammetry.centers.template import template_center
 
-__all__ = ["CENTER_OPERATORS", "contour_center", "dual_conic_center"]
-
 #: Levels of the contours, as shares of the way from inside to outside.
 _LEVELS = (0.35, 0.45, 0.55, 0.65)
 #: A contour's length must match its ellipse's circumference to this share (spec 002 1.3); noise adds a little.

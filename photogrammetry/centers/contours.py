@@ -7,8 +7,6 @@ import numpy.typing as npt
 
 from heliogauge.validate import FloatArray, float_array, freeze
 
-__all__ = ["Contour", "closed_contours"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contour:

@@ -8,8 +8,6 @@ from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.centers.pyramid import Pyramid, ellipse_frames
 
-__all__ = ["Outlines", "outlines_along_rays"]
-
 #: Rays from a spot's centre; passes, each with the reach of its rays and their samples, in radii of the ellipse before.
 _RAYS = 24
 _PASSES = ((0.4, 1.7, 14), (0.7, 1.4, 15))

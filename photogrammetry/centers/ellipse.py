@@ -13,8 +13,6 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, float_array, freeze
 
-__all__ = ["Ellipse", "EllipseFit", "NamedEllipses", "circle_image_center_px", "eccentricity_px", "fit_ellipse"]
-
 #: Points of the ellipse that are sent through the lens; the lens's curvature needs its first three harmonics.
 _LENS_POINTS = 12
 
@@ -23,10 +21,20 @@ _LENS_POINTS = 12
 class Ellipse:
     """An ellipse in the image.
 
-    center_px (2,): Its centre (x, y) [px].
-    shape_px2 (2, 2): Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
-    InputError: The shape is not symmetric or not positive definite.
+    Parameters
+    ----------
+    center_px : ndarray, shape (2,)
+        Its centre (x, y) [px].
+    shape_px2 : ndarray, shape (2, 2)
+        Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
 
+    Raises
+    ------
+    InputError
+        The shape is not symmetric or not positive definite.
+
+    Examples
+    --------
     >>> circle = Ellipse(np.array([5.0, 4.0]), 9.0 * np.eye(2))
     >>> circle.radius_px, circle.axis_ratio
     (3.0, 1.0)
@@ -49,7 +57,19 @@ class Ellipse:
     def from_axes(cls, center_px: npt.ArrayLike, semi_axes_px: tuple[float, float], angle_rad: float) -> "Ellipse":
         """Make an ellipse from its semi-axes; the angle turns the first one from +x towards +y.
 
-        Shapes: center_px (2,).
+        Parameters
+        ----------
+        center_px : array_like, shape (2,)
+            Centre (x, y) [px].
+        semi_axes_px : tuple of float
+            Both semi-axes [px].
+        angle_rad : float
+            Direction of the first one [rad].
+
+        Returns
+        -------
+        Ellipse
+            The ellipse.
         """
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         axes = np.array([[cosine, -sine], [sine, cosine]]) * np.asarray(semi_axes_px, dtype=np.float64)
@@ -59,8 +79,20 @@ class Ellipse:
     def from_dual_conic(cls, dual: npt.ArrayLike) -> "Ellipse":
         """Make an ellipse from the matrix of its tangents.
 
-        dual (3, 3): Symmetric; any scale.
-        InputError: The conic is not an ellipse.
+        Parameters
+        ----------
+        dual : array_like, shape (3, 3)
+            Symmetric; any scale.
+
+        Returns
+        -------
+        Ellipse
+            The ellipse.
+
+        Raises
+        ------
+        InputError
+            The conic is not an ellipse.
         """
         matrix = float_array("dual", dual, (3, 3))
         center = matrix[:2, 2] / matrix[2, 2]
@@ -111,9 +143,17 @@ class Ellipse:
     def points_px(self, angles_rad: npt.ArrayLike, scale: npt.ArrayLike = 1.0) -> FloatArray:
         """Return points of the ellipse, or of an ellipse of the same centre and form.
 
-        Shapes: result (..., 2).
-        angles_rad (...): Parameter t of c + scale R (cos t, sin t) [rad].
-        scale: Size relative to this ellipse.
+        Parameters
+        ----------
+        angles_rad : array_like, shape (...)
+            Parameter t of c + scale R (cos t, sin t) [rad].
+        scale : array_like, broadcastable to the angles
+            Size relative to this ellipse.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            The points [px].
         """
         angles = np.asarray(angles_rad, dtype=np.float64)
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * np.asarray(scale, dtype=np.float64)[..., None]
@@ -122,7 +162,15 @@ class Ellipse:
     def moved(self, offset_px: npt.ArrayLike) -> "Ellipse":
         """Return the same ellipse elsewhere.
 
-        offset_px (2,): Added to the centre [px].
+        Parameters
+        ----------
+        offset_px : array_like, shape (2,)
+            Added to the centre [px].
+
+        Returns
+        -------
+        Ellipse
+            The ellipse moved.
         """
         return Ellipse(self.center_px + np.asarray(offset_px, dtype=np.float64), self.shape_px2)
 
@@ -131,9 +179,14 @@ class Ellipse:
 class NamedEllipses:
     """Ellipses of named targets in one photo.
 
-    names length n: The targets.
-    centers_px (n, 2): Centres (x, y) [px].
-    shapes_px2 (n, 2, 2): Shapes as of `Ellipse` [px^2].
+    Parameters
+    ----------
+    names : tuple of str, length n
+        The targets.
+    centers_px : ndarray, shape (n, 2)
+        Centres (x, y) [px].
+    shapes_px2 : ndarray, shape (n, 2, 2)
+        Shapes as of `Ellipse` [px^2].
     """
 
     names: tuple[str, ...]
@@ -151,7 +204,19 @@ class NamedEllipses:
     def renewed(self, names: tuple[str, ...], centers_px: FloatArray, shapes_px2: FloatArray) -> "NamedEllipses":
         """Return them with other ellipses of some of the targets.
 
-        Shapes: names length m, centers_px (m, 2), shapes_px2 (m, 2, 2).
+        Parameters
+        ----------
+        names : tuple of str, length m
+            Some of the targets.
+        centers_px : ndarray, shape (m, 2)
+            Their centres [px].
+        shapes_px2 : ndarray, shape (m, 2, 2)
+            Their shapes [px^2].
+
+        Returns
+        -------
+        NamedEllipses
+            All targets.
         """
         place = {name: k for k, name in enumerate(self.names)}
         rows = [place[name] for name in names]
@@ -297,11 +362,24 @@ def eccentricity_px(
 ) -> FloatArray:
     """Return centre of the ellipse minus image of the circle's centre.
 
-    Shapes: radius_m (n,).
-    centers_cam_m (n, 3): Centres of the circles in the camera's frame [m].
-    normals_cam (n, 3): Unit normals of their planes in the camera's frame; the sign does not matter.
-    Returns (n, 2): To be subtracted from measured centres, or added to projected points [px].
+    Parameters
+    ----------
+    camera : Camera
+        The camera with its lens.
+    centers_cam_m : array_like, shape (n, 3)
+        Centres of the circles in the camera's frame [m].
+    normals_cam : array_like, shape (n, 3)
+        Unit normals of their planes in the camera's frame; the sign does not matter.
+    radius_m : array_like, shape (n,) or a number
+        Radii [m].
 
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        To be subtracted from measured centres, or added to projected points [px].
+
+    Notes
+    -----
     About 0.005 px at 12 px diameter, 0.03 px at 30 px and 0.09 px at 50 px: worth correcting above 15 px.
     """
     return freeze(

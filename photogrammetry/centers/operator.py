@@ -16,8 +16,6 @@ from heliogauge.flags import SampleFlag
 from heliogauge.validate import FloatArray
 from photogrammetry.centers.ellipse import Ellipse
 
-__all__ = ["CenterOperator", "TargetCenter", "UnmeasuredTargetError", "Window", "cut_window", "ground_noise"]
-
 #: Reach of a window and of the operators, in radii of the ellipse: a coded target's ring begins at 2.
 REACH = 1.65
 

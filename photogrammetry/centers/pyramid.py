@@ -9,8 +9,6 @@ import numpy.typing as npt
 from heliogauge.errors import InputError
 from heliogauge.validate import Float32Array, FloatArray, IntArray
 
-__all__ = ["Pyramid", "ellipse_frames", "make_pyramid"]
-
 Bytes = npt.NDArray[np.uint8]
 
 #: Smaller semi-axis, in pixels of its level, from which an ellipse is looked at one level higher. Half as many, and the

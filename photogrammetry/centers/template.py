@@ -13,8 +13,6 @@ from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.operator import REACH, TargetCenter, UnmeasuredTargetError, cut_window, normalised_radius
 
-__all__ = ["disc_model", "template_center", "template_centers"]
-
 #: Variance of a pixel's own width [px^2]: the projection of a unit square has it in every direction.
 PIXEL_VARIANCE = 1 / 12
 #: Pixels farther from the edge than this say nothing about the centre, up to a blur of 1.5 px [px].
@@ -131,11 +129,25 @@ def disc_model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Fl
 def template_center(window_dn: npt.NDArray[np.float64], start: Ellipse) -> TargetCenter:
     """Measure a target's centre by fitting a blurred elliptic disc on a plane to the pixels.
 
-    window_dn (h, w): Grey values [DN].
-    start: The outline to half a pixel or so, in the window's pixels.
-    Returns: Centre with covariance, outline, blur, contrast.
-    EstimationError: Too few pixels, no contrast, or the fit ran away from its start.
+    Parameters
+    ----------
+    window_dn : ndarray of float64, shape (h, w)
+        Grey values [DN].
+    start : Ellipse
+        The outline to half a pixel or so, in the window's pixels.
 
+    Returns
+    -------
+    TargetCenter
+        Centre with covariance, outline, blur, contrast.
+
+    Raises
+    ------
+    EstimationError
+        Too few pixels, no contrast, or the fit ran away from its start.
+
+    Notes
+    -----
     Levels inside and outside are planes of their own, so neither shading nor a slope of the ground shifts the centre.
     Used are the pixels within 1.65 radii (a code ring begins at 2) and not far inside. Dust and glare are left out: 5
     robust sigmas and 5 % of the contrast. The covariance takes the residuals' variance, that of the inside and of the

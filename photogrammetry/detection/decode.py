@@ -14,9 +14,8 @@ import numpy.typing as npt
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.pyramid import Pyramid, make_pyramid
-from photogrammetry.targets.coded_targets import VENDOR_RADII, RingCode, RingDictionary, RingRadii
-
-__all__ = ["RingLimits", "RingReading", "read_ring", "read_rings", "ring_outline"]
+from photogrammetry.targets.coded_targets import RingDictionary
+from photogrammetry.targets.ring_codes import VENDOR_RADII, RingCode, RingRadii
 
 #: Samples for each sector, and in this share of a sector about its middle its level is taken.
 _ANGLES_PER_SECTOR, _MIDDLE = 12, 0.6

@@ -19,9 +19,7 @@ from photogrammetry.centers.edge_rays import outlines_along_rays
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.operator import CenterOperator, TargetCenter, cut_window
 from photogrammetry.centers.pyramid import Pyramid, ellipse_frames, make_pyramid
-from photogrammetry.targets.coded_targets import Polarity
-
-__all__ = ["Candidate", "SearchLimits", "find_candidates", "find_in_pyramid", "measure_center"]
+from photogrammetry.targets.ring_codes import Polarity
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -53,12 +51,23 @@ _MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
 class SearchLimits:
     """What is searched for.
 
-    smallest_px, largest_px: Diameters of targets seen square on [px].
-    least_contrast_dn: Difference of target and ground, in grey values of 255 [DN].
-    most_tilt_rad: Tilt against the line of sight [rad].
-    polarities: Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
-    gap_radius: Where the next ink may begin, in radii of the dot: the inner radius of code rings.
-    InputError: Sizes, contrast or tilt that no target has.
+    Parameters
+    ----------
+    smallest_px, largest_px : float, optional
+        Diameters of targets seen square on [px].
+    least_contrast_dn : float, optional
+        Difference of target and ground, in grey values of 255 [DN].
+    most_tilt_rad : float, optional
+        Tilt against the line of sight [rad].
+    polarities : tuple of Polarity, optional
+        Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
+    gap_radius : float, optional
+        Where the next ink may begin, in radii of the dot: the inner radius of code rings.
+
+    Raises
+    ------
+    InputError
+        Sizes, contrast or tilt that no target has.
     """
 
     smallest_px: float = 6.0
@@ -102,9 +111,22 @@ class Candidate:
 def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
     """Find all spots of a photo that may be circular targets.
 
-    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    Returns: Spots with an elliptic edge, each once, from top to bottom.
-    InputError: Not an image of one colour.
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    limits : SearchLimits, optional
+        What is searched for.
+
+    Returns
+    -------
+    tuple of Candidate
+        Spots with an elliptic edge, each once, from top to bottom.
+
+    Raises
+    ------
+    InputError
+        Not an image of one colour.
     """
     return find_in_pyramid(make_pyramid(image_dn), limits or SearchLimits())
 
@@ -125,9 +147,24 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
 def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, operator: CenterOperator) -> TargetCenter:
     """Measure a target's centre in the photo's pixels.
 
-    image_dn (h, w): Grey values [DN].
-    start: The target's outline in the photo, to a pixel or so.
-    EstimationError: The target touches the border, or the estimator refuses.
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values [DN].
+    start : Ellipse
+        The target's outline in the photo, to a pixel or so.
+    operator : CenterOperator
+        The estimator.
+
+    Returns
+    -------
+    TargetCenter
+        The result in the photo's pixels.
+
+    Raises
+    ------
+    EstimationError
+        The target touches the border, or the estimator refuses.
     """
     window = cut_window(image_dn, start)
     origin = np.array(window.origin_px, dtype=np.float64)

@@ -17,8 +17,6 @@ from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.square_edges import SquareCorners, square_corners, with_correlated_errors
 
-__all__ = ["MarkerLimits", "PhotoMarkers", "RejectedMarker", "find_markers"]
-
 Bytes = npt.NDArray[np.uint8]
 
 
@@ -75,11 +73,26 @@ def find_markers(
 ) -> PhotoMarkers:
     """Find the square markers of a photo and measure their corners.
 
-    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    dictionary: OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
-    limits: How good a marker must be.
-    Returns: Corners with covariances, and what was refused. No marker is no error.
-    InputError: Not a grey image, or no such dictionary.
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    photo : str
+        Name of the photo.
+    dictionary : str
+        OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
+    limits : MarkerLimits, optional
+        How good a marker must be.
+
+    Returns
+    -------
+    PhotoMarkers
+        Corners with covariances, and what was refused. No marker is no error.
+
+    Raises
+    ------
+    InputError
+        Not a grey image, or no such dictionary.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: a grey image is needed, not shape {image_dn.shape}")

@@ -17,9 +17,8 @@ from photogrammetry.centers.template_batch import stacked_centers
 from photogrammetry.detection.decode import RingLimits, RingReading, read_rings, ring_outline
 from photogrammetry.detection.detect import SearchLimits, find_in_pyramid, measure_center
 from photogrammetry.detection.detections import Detections
-from photogrammetry.targets.coded_targets import VENDOR_RADII, RingDictionary
-
-__all__ = ["PhotoTargets", "TargetSearch", "UnusedTarget", "measure_at", "measure_targets"]
+from photogrammetry.targets.coded_targets import RingDictionary
+from photogrammetry.targets.ring_codes import VENDOR_RADII
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
@@ -29,12 +28,20 @@ _CLIPPED_SHARE = 0.99
 class TargetSearch:
     """What is searched for in photos, and how it is measured.
 
-    dictionary: The ring codes that may occur; None for targets without code only.
-    limits: Sizes, contrast, tilt, polarity.
-    ring_limits: How good a code ring must be.
-    with_uncoded: Also return dots without a code ring.
-    operator: Estimator of the centres.
-    most_misfit: Residual of a dot without code as a share of its contrast, above which it is none.
+    Parameters
+    ----------
+    dictionary : RingDictionary or None, optional
+        The ring codes that may occur; None for targets without code only.
+    limits : SearchLimits, optional
+        Sizes, contrast, tilt, polarity.
+    ring_limits : RingLimits, optional
+        How good a code ring must be.
+    with_uncoded : bool, optional
+        Also return dots without a code ring.
+    operator : CenterOperator, optional
+        Estimator of the centres.
+    most_misfit : float, optional
+        Residual of a dot without code as a share of its contrast, above which it is none.
     """
 
     dictionary: RingDictionary | None = None
@@ -87,8 +94,19 @@ class PhotoTargets:
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
     """Find, read and centre all circular targets of a photo.
 
-    image_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
-    Returns: Detections with covariances, and what was noticed. No target is no error.
+    Parameters
+    ----------
+    image_dn : ndarray, shape (h, w)
+        Grey values: uint8, uint16 or float32 [DN].
+    photo : str
+        Name of the photo.
+    search : TargetSearch
+        What is searched for.
+
+    Returns
+    -------
+    PhotoTargets
+        Detections with covariances, and what was noticed. No target is no error.
     """
     pyramid = make_pyramid(image_dn)
     dictionary = search.dictionary
@@ -134,8 +152,21 @@ def measure_at(
 ) -> list[tuple[Detections, FloatArray]]:
     """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
 
-    images_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
-    Returns (n, 2, 2): Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
+    Parameters
+    ----------
+    images_dn : sequence of ndarray, shape (h, w)
+        Grey values: uint8, uint16 or float32 [DN].
+    photos : sequence of str
+        Names of the photos.
+    starts : sequence of NamedEllipses
+        Where the dot of each target of each photo is.
+    search : TargetSearch
+        How targets are measured.
+
+    Returns
+    -------
+    list of (Detections, ndarray of shape (n, 2, 2))
+        Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
     if search.operator is not template_center:
         return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]

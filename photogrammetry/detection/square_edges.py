@@ -10,8 +10,6 @@ from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, freeze
 from photogrammetry.centers.template import normal_distribution
 
-__all__ = ["SquareCorners", "square_corners", "with_correlated_errors"]
-
 #: Part of a side that is used; near the corners the other side's blur disturbs, and corners are rounded in print.
 _FROM, _TO = 0.1, 0.9
 #: Half width of the band of pixels round a side: at most this, and at most this share of a cell [px].

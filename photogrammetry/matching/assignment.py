@@ -16,8 +16,6 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 from photogrammetry.bundle.state import rotations_from_vectors
 from photogrammetry.matching.uncoded_names import ListedTargets
 
-__all__ = ["Assignment", "Sense", "assign_targets"]
-
 #: Fewer agreeing targets say nothing: three fit any pose, a fourth often does.
 _LEAST = 5
 #: Triples of dots that are tried; with every second dot false one in 8 is good, so that 100 fail once in 600 000.

@@ -15,8 +15,6 @@ from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.photo_targets import TargetSearch
 from photogrammetry.start_values.network import LeftOut
 
-__all__ = ["Track", "TrackLimits", "TrackedPhoto", "follow", "start_track"]
-
 #: The search radius on the coarse image: so many pixels.
 _COARSE_RADIUS_PX = 12.0
 #: Half size of a coarse template, at least: it must hold surroundings, because targets look alike [px].

@@ -18,9 +18,6 @@ from photogrammetry.matching.uncertain_rays import Dots, KnownViews, UncertainRa
 from photogrammetry.start_values.network import LeftOut
 from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD
 
-__all__ = ["MatchLimits", "MatchedDots", "match_dots"]
-
-
 #: Accidents among points of two rays, which the result names as weak, in terms of those among all others.
 _TWO_RAYS = 5.0
 

@@ -12,8 +12,6 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.start_values.network import LeftOut
 
-__all__ = ["ListedTargets", "NamedPoints", "list_frame", "name_points"]
-
 #: Probability of refusing a point that is the listed one.
 _SIGNIFICANCE = 1e-4
 #: A rival must fit worse by this chi-square, 1 to 3000 against it.

@@ -20,8 +20,6 @@ from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examin
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
 
-__all__ = ["Knowledge", "NetworkCameras", "SolveOptions", "Solved", "solve_from", "solve_network"]
-
 #: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
 _GROSS_SHARE, _GROSS_SIGMAS = 0.2, 10.0
 #: Sigmas from residuals need this many to spare to be worth more than the stated ones.

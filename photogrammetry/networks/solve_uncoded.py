@@ -17,8 +17,6 @@ from photogrammetry.matching.uncoded_names import ListedTargets, list_frame, nam
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_from
 from photogrammetry.start_values.network import LeftOut, Network
 
-__all__ = ["Extended", "LooseDots", "add_dots"]
-
 #: Matching, adjusting and matching again changes nothing after two rounds where poses were good to begin with.
 _ROUNDS = 3
 #: Outer radius of a code ring, in radii of its dot, and a tenth more.

@@ -47,7 +47,10 @@ from photogrammetry.start_values.network import StartValues
 class Options:
     """Choices of the evaluation.
 
-    jobs: Photos that are measured side by side; None for all processors.
+    Parameters
+    ----------
+    jobs : int or None
+        Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -57,16 +60,28 @@ class Options:
 class Result:
     """Everything a measurement gave, ready to be written.
 
-    name: Name of what was measured.
-    measured: All image points, and what in the photos was refused.
-    solved: The adjusted network.
-    checks: Scale bars that were not used, to check against.
-    lengths: Known lengths against a network that did not use them.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
-    sensors: Of the cameras that were given in millimetres.
-    surface: The surface under the targets, where ``[surface]`` asks for it.
+    Parameters
+    ----------
+    name : str
+        Name of what was measured.
+    measured : MeasuredPhotos
+        All image points, and what in the photos was refused.
+    solved : Solved
+        The adjusted network.
+    checks : tuple of Distance
+        Scale bars that were not used, to check against.
+    lengths : LengthStatement
+        Known lengths against a network that did not use them.
+    doubts : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    sensors : dict of str to Sensor
+        Of the cameras that were given in millimetres.
+    surface : SurfaceResult or None
+        The surface under the targets, where ``[surface]`` asks for it.
     """
 
     name: str
@@ -142,11 +157,30 @@ def run(
 ) -> Result:
     """Evaluate a measurement.
 
-    measured: Image points, where the photos were measured already; files are then neither read nor hashed.
-    start: Poses and targets to start from instead of those that measurement.toml names.
-    Returns: Points, poses and camera with their covariances, and what is doubtful.
-    InputError: Photos, image points or camera that cannot be used.
-    EstimationError: The photos do not hang together, or something is not determined.
+    Parameters
+    ----------
+    measurement : PhotogrammetryMeasurement
+        From `heliogauge.measurement.load_photogrammetry`.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+    measured : MeasuredPhotos, optional
+        Image points, where the photos were measured already; files are then neither read nor hashed.
+    start : StartValues, optional
+        Poses and targets to start from instead of those that measurement.toml names.
+
+    Returns
+    -------
+    Result
+        Points, poses and camera with their covariances, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        Photos, image points or camera that cannot be used.
+    EstimationError
+        The photos do not hang together, or something is not determined.
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model
@@ -229,7 +263,17 @@ def read_points(measurement: PhotogrammetryMeasurement, options: Options, progre
 def write(result: Result, folder: Path) -> None:
     """Write the files of a result into an existing folder.
 
-    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
+    Parameters
+    ----------
+    result : Result
+        What `run` returned.
+    folder : Path
+        Where to; usually the folder that `heliogauge.store.ResultFolder` gives.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
     """
     write_points_csv(folder / "points.csv", result.points)
     write_cameras_json(folder / "cameras.json", result.cameras, result.photo_poses)

@@ -20,7 +20,7 @@ from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.solve_uncoded import LooseDots
-from photogrammetry.targets.coded_targets import Sense
+from photogrammetry.targets.ring_codes import Sense
 
 #: Share of overexposed targets from which the user is told.
 _MANY_CLIPPED = 0.2
@@ -65,12 +65,22 @@ class MeasuredPhotos:
 class OnePhoto:
     """What one photo shows.
 
-    detections: Targets with a name.
-    ellipses_px2 (n, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].
-    size_px: Width and height [px].
-    refused: What was not used.
-    dots: Dots without a code.
-    dot_ellipses_px2 (k, 2, 2): Their ellipses [px^2].
+    Parameters
+    ----------
+    detections : Detections
+        Targets with a name.
+    ellipses_px2 : ndarray, shape (n, 2, 2)
+        Shape of each target's ellipse; NaN for corners [px^2].
+    size_px : (int, int)
+        Width and height [px].
+    refused : tuple of Refused
+        What was not used.
+    dots : Detections
+        Dots without a code.
+    dot_ellipses_px2 : ndarray, shape (k, 2, 2)
+        Their ellipses [px^2].
+    unread : UnreadRings, optional
+        Code rings that are not in the dictionary as they are seen.
     """
 
     detections: Detections
@@ -130,7 +140,21 @@ def measure_each(
 def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
     """Find and measure the targets of one photo.
 
-    Shapes: image (height, width).
+    Parameters
+    ----------
+    image : ndarray, shape (height, width)
+        The photo, grey [DN].
+    name : str
+        Its name.
+    section : TargetsSection
+        What targets it shows.
+    search : TargetSearch
+        How circular ones are searched for.
+
+    Returns
+    -------
+    OnePhoto
+        Its targets and dots.
     """
     found = _with_markers(image, name, section) if section.has_markers else None
     if found is not None and not search.with_uncoded:
@@ -210,8 +234,20 @@ def _loose(found: Sequence[OnePhoto]) -> LooseDots:
 def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """Put the targets of all photos together; those that are twice in a photo are not used there.
 
-    Returns: Image points with covariances, and what was refused.
-    EstimationError: No photo shows a target.
+    Parameters
+    ----------
+    found : sequence of OnePhoto
+        What each photo shows.
+
+    Returns
+    -------
+    MeasuredPhotos
+        Image points with covariances, and what was refused.
+
+    Raises
+    ------
+    EstimationError
+        No photo shows a target.
     """
     photos, names, parts, shapes = [], [], [], []
     refused = [bad for one in found for bad in one.refused]

@@ -3,21 +3,8 @@
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join, show
 from photogrammetry.report import figures, network
-from photogrammetry.report.network import NetworkResults, open_network
+from photogrammetry.report.network import NetworkResults
 from photogrammetry.report.scene import network_scene
-
-__all__ = [
-    "camera",
-    "head",
-    "lengths",
-    "making",
-    "open_network",
-    "overview",
-    "photos",
-    "points",
-    "refused",
-    "residuals",
-]
 
 
 def head(results: NetworkResults) -> Html:

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from photogrammetry.targets.coded_targets import Polarity as Polarity
-    from photogrammetry.targets.coded_targets import RingCode as RingCode
     from photogrammetry.targets.coded_targets import RingDictionary as RingDictionary
     from photogrammetry.targets.coded_targets import ring_dictionary as ring_dictionary
     from photogrammetry.targets.mirrored_codes import refuse_mirrored_codes as refuse_mirrored_codes
+    from photogrammetry.targets.ring_codes import Polarity as Polarity
+    from photogrammetry.targets.ring_codes import RingCode as RingCode
     from photogrammetry.targets.store_ring_codes import load_dictionary as load_dictionary
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
-        "Polarity": "photogrammetry.targets.coded_targets",
-        "RingCode": "photogrammetry.targets.coded_targets",
+        "Polarity": "photogrammetry.targets.ring_codes",
+        "RingCode": "photogrammetry.targets.ring_codes",
         "RingDictionary": "photogrammetry.targets.coded_targets",
         "load_dictionary": "photogrammetry.targets.store_ring_codes",
         "refuse_mirrored_codes": "photogrammetry.targets.mirrored_codes",

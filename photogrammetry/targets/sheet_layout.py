@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.validate import positive
-from photogrammetry.targets.coded_targets import Polarity, RingCode
+from photogrammetry.targets.ring_codes import Polarity, RingCode
 from photogrammetry.targets.vector_page import Area, Label, Page, Path, disc, rectangle, ring_sector
 
 PAPERS_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge.errors import InputError
-from photogrammetry.targets.coded_targets import RingDictionary, RingRadii, Sense, ring_dictionary
-
-__all__ = ["CodePrint", "load_dictionary", "read_ring_codes"]
+from photogrammetry.targets.coded_targets import RingDictionary, ring_dictionary
+from photogrammetry.targets.ring_codes import RingRadii, Sense
 
 #: What the file says of the print, in CSV as comment lines before the table: ``# bits = 12``.
 _KEYS = ("name", "bits", "sense", "inner_radius", "outer_radius")
@@ -44,9 +43,24 @@ class CodePrint:
 def load_dictionary(named: str, folder: Path, printed: CodePrint | None = None) -> RingDictionary:
     """Return a vendor's dictionary, or that of a user's file.
 
-    named: ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
-    printed: What is known of the print beside it.
-    InputError: No such dictionary or file, or a file with faults.
+    Parameters
+    ----------
+    named : str
+        ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
+    folder : Path
+        Where the file is, if its path is relative.
+    printed : CodePrint, optional
+        What is known of the print beside it.
+
+    Returns
+    -------
+    RingDictionary
+        The dictionary.
+
+    Raises
+    ------
+    InputError
+        No such dictionary or file, or a file with faults.
     """
     is_file = Path(named).suffix.lower() in _SUFFIXES
     found = read_ring_codes(folder / named) if is_file else ring_dictionary(named)

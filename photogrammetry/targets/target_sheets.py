@@ -6,7 +6,7 @@ from typing import Any
 
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
-from photogrammetry.targets.coded_targets import RingCode
+from photogrammetry.targets.ring_codes import RingCode
 from photogrammetry.targets.vector_page import Page, to_pdf, to_svg
 
 PDF_FILE = "sheets.pdf"

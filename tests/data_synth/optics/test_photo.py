@@ -13,7 +13,8 @@ from data_synth.targets.isolated_target import IsolatedTarget, draw_isolated
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from photogrammetry.targets import RingCode
-from photogrammetry.targets.coded_targets import aicon_dictionary, ink_at
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import ink_at
 
 #: A camera 1 m in front of the world's origin; its x is the world's, its y points down.
 FRONT = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))

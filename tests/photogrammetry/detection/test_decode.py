@@ -8,7 +8,8 @@ from data_synth.targets.presets import target_scene
 from data_synth.targets.scene import image_truth, render_photo
 from photogrammetry.detection.detect import SearchLimits
 from photogrammetry.detection.photo_targets import PhotoTargets, TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import Polarity, aicon_dictionary
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import Polarity
 
 CODES = aicon_dictionary(12)
 

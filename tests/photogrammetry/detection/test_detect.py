@@ -6,7 +6,7 @@ import pytest
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray
 from photogrammetry.detection.detect import SearchLimits, find_candidates
-from photogrammetry.targets.coded_targets import Polarity
+from photogrammetry.targets.ring_codes import Polarity
 from tests.photogrammetry.drawing import blurred_coverage, tilted
 
 

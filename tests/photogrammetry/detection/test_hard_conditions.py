@@ -15,7 +15,8 @@ from heliogauge.images.photos import read_image
 from heliogauge.validate import FloatArray
 from photogrammetry.detection.detect import SearchLimits
 from photogrammetry.detection.photo_targets import PhotoTargets, TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import aicon_dictionary, mirrored_word
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import mirrored_word
 
 CODES = aicon_dictionary(12)
 SEARCH = TargetSearch(CODES, with_uncoded=False)

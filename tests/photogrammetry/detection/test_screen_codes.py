@@ -11,7 +11,8 @@ import pytest
 
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.detection.photo_targets import PhotoTargets, TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import Sense, user_dictionary
+from photogrammetry.targets.coded_targets import user_dictionary
+from photogrammetry.targets.ring_codes import Sense
 
 COLUMNS, ROWS, PITCH = 4, 3, 8.0
 

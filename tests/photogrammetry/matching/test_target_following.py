@@ -19,7 +19,8 @@ from photogrammetry.matching.target_following import (
     provisional_pose,
     start_following,
 )
-from photogrammetry.targets.coded_targets import Polarity, aicon_dictionary
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import Polarity
 
 CAMERA = Camera(
     SMALL_CAMERA.width_px, SMALL_CAMERA.height_px, SMALL_CAMERA.focal_x_px, SMALL_CAMERA.focal_y_px,

@@ -12,7 +12,7 @@ from heliogauge.errors import InputError
 from photogrammetry.detection.detect import SearchLimits
 from photogrammetry.detection.photo_targets import TargetSearch
 from photogrammetry.matching.tracking import TrackLimits, follow, start_track
-from photogrammetry.targets.coded_targets import Polarity
+from photogrammetry.targets.ring_codes import Polarity
 
 SEARCH = TargetSearch(limits=SearchLimits(6.0, 40.0, polarities=(Polarity.BLACK_ON_WHITE,)))
 

@@ -14,7 +14,8 @@ from heliogauge.validate import FloatArray
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.pipeline.inputs import build_search
 from photogrammetry.pipeline.photos import MeasuredPhotos, collect_photos, measure_each
-from photogrammetry.targets.coded_targets import RingRadii, Sense, aicon_dictionary, mirrored_word
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import RingRadii, Sense, mirrored_word
 
 #: Words that are not their own mirror image and whose mirror image is not among them.
 CHIRAL = [word for word in aicon_dictionary(12).words if word < mirrored_word(word, 12)][:6]

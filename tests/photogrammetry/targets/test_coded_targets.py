@@ -7,17 +7,19 @@ from hypothesis import strategies as st
 
 from heliogauge.errors import InputError
 from photogrammetry.targets.coded_targets import (
+    RingDictionary,
+    aicon_dictionary,
+    metashape_dictionary,
+    ring_dictionary,
+    user_dictionary,
+)
+from photogrammetry.targets.ring_codes import (
     CODE_INNER_RADIUS,
     CODE_OUTER_RADIUS,
     RingCode,
-    RingDictionary,
     Sense,
-    aicon_dictionary,
     ink_at,
-    metashape_dictionary,
     mirrored_word,
-    ring_dictionary,
-    user_dictionary,
 )
 
 #: 1001011 is the mirror image of 1101001: the smallest words that are not their own mirror image.

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from heliogauge.errors import InputError
-from photogrammetry.targets.coded_targets import RingRadii, Sense
+from photogrammetry.targets.ring_codes import RingRadii, Sense
 from photogrammetry.targets.store_ring_codes import CodePrint, load_dictionary, read_ring_codes
 
 CSV = """# bits = 12

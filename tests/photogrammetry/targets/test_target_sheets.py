@@ -13,7 +13,8 @@ from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
 from heliogauge.results.tables import read_table_csv
 from photogrammetry import cli
-from photogrammetry.targets.coded_targets import Polarity, RingCode, aicon_dictionary, ink_at
+from photogrammetry.targets.coded_targets import aicon_dictionary
+from photogrammetry.targets.ring_codes import Polarity, RingCode, ink_at
 from photogrammetry.targets.sheet_layout import Paper, board_page, marker_pages, ring_pages, ring_paths
 from photogrammetry.targets.target_sheets import write_sheets
 from photogrammetry.targets.vector_page import Area, Page, Path, disc, rectangle, to_pdf, to_svg
