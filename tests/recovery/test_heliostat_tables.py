@@ -28,7 +28,7 @@ def measured(folder, scene, options=None, terms=""):
         design = nominal_design(task, source.plant, measurement.model.kinematics)
         rows = parse_rows(task.header, task.records)
         rows, _ = with_measured_beams(rows, folder, source.plant, measurement.model)
-        seen = observed(rows, design, source.plant, measurement.model)
+        seen = observed(rows, design, source.plant, (), 1e-3 * measurement.model.evaluation.spot_sigma_mm)
         yield task.name, seen, fit(design, seen.observations, options), truth
 
 

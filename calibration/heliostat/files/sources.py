@@ -25,9 +25,11 @@ from calibration.heliostat.files.store_paint import (
 )
 from calibration.heliostat.keys import HeliostatMeasurement, HeliostatTargetSection, SiteSection
 from calibration.heliostat.kinematic_model.design import PlaneTarget
+from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.geometry.sun import Site
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
 
@@ -58,22 +60,6 @@ class HeliostatTask:
     def digest(self, shared: str) -> str:
         """Return a hash of the task and of what it shares with others."""
         return hashlib.sha256(f"{shared}\n{self!r}".encode()).hexdigest()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plant:
-    """What all heliostats of a field share.
-
-    origin: Latitude [deg], longitude [deg], altitude [m] of the field's frame.
-    site: The same with the air above.
-    targets: Targets by name.
-    other_targets: Names of targets that are not flat: beams on them cannot be used.
-    """
-
-    origin: tuple[float, float, float]
-    site: SiteSection
-    targets: dict[str, PlaneTarget]
-    other_targets: tuple[str, ...] = ()
 
 
 class Source(Protocol):
@@ -113,7 +99,7 @@ class _TableSource:
             )
         site = model.site
         origin = (site.latitude_deg, site.longitude_deg, site.altitude_m)
-        self.plant = Plant(origin, site, {one.name: _target(one) for one in model.target})
+        self.plant = Plant(origin, _site(site), {one.name: _target(one) for one in model.target})
         self.files = measurement.input_files
         self._observations = measurement.path(model.observations.file)
         self._cells = _read_heliostats(measurement.path(model.heliostats.file))
@@ -287,9 +273,14 @@ class _PaintSource:
 
 
 def _plant(tower: Tower, site: SiteSection | None) -> Plant:
-    latitude, longitude, altitude = tower.origin
-    own = SiteSection(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
-    return Plant(tower.origin, own if site is None else site, tower.targets, tower.others)
+    own = Site(*tower.origin) if site is None else _site(site)
+    return Plant(tower.origin, own, tower.targets, tower.others)
+
+
+def _site(section: SiteSection) -> Site:
+    return Site(
+        section.latitude_deg, section.longitude_deg, section.altitude_m, section.pressure_hpa, section.temperature_c
+    )
 
 
 def _text(file: Path, faults: list[str]) -> str:

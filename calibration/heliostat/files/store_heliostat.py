@@ -7,19 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from calibration.heliostat.files.result import FIELD, HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import final_flags, residual_columns
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.splits import AngleSummary, HeldOut
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.store_design import design_content
-from calibration.heliostat.pipeline.one_heliostat import (
-    FIELD,
-    SKY_AZIMUTHS_DEG,
-    SKY_ELEVATIONS_DEG,
-    HeliostatResult,
-    Shared,
-)
-from heliogauge.results.folder import Summary, write_json, write_summary, write_table_csv
+from heliogauge.results.folder import Summary, write_json, write_table_csv
 from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
 
@@ -31,21 +25,10 @@ FIELD_KIND = "heliostat-field"
 SCHEMA = 1
 
 
-def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path, summary: Summary) -> None:
-    """Write ``heliostat.json``, ``residuals.csv`` and ``summary.json`` of one heliostat into an existing folder.
-
-    Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
-
-    shared: What all heliostats of the run share.
-    """
+def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path) -> None:
+    """Write ``heliostat.json`` and ``residuals.csv`` of one heliostat into an existing folder."""
     write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
     write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
-    if result.beams is not None:
-        # OpenCV and matplotlib cost 0.5 s, which only photos are worth.
-        from calibration.heliostat.pipeline.beam_pictures import write_beam_files
-
-        write_beam_files(result, shared, folder, pictures=shared.thorough)
-    write_summary(folder / "summary.json", summary)
 
 
 def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]:
@@ -119,8 +102,8 @@ def _sky_content(result: HeliostatResult) -> dict[str, Any] | None:
         return None
     return {
         "target": result.sky.target,
-        "azimuth_deg": list(SKY_AZIMUTHS_DEG),
-        "elevation_deg": list(SKY_ELEVATIONS_DEG),
+        "azimuth_deg": list(result.sky.azimuths_deg),
+        "elevation_deg": list(result.sky.elevations_deg),
         "sigma_beam_mrad": _plain(1e3 * result.sky.sigma_beam_rad),
         "extrapolated": result.sky.extrapolated.tolist(),
     }

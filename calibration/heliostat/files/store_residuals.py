@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.observations.observations import BeamSpots
 from calibration.heliostat.observations.residuals import Residuals, evaluate, predicted_spots
-from calibration.heliostat.pipeline.one_heliostat import HeliostatResult, Shared
 from heliogauge.geometry.sun import angles_from_direction
 from heliogauge.validate import FloatArray
 

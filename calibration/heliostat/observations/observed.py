@@ -6,8 +6,6 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from calibration.heliostat.files.sources import Plant
-from calibration.heliostat.keys import HeliostatCameraSection, HeliostatModel, SiteSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.observations.observations import (
     BeamSpots,
@@ -21,9 +19,9 @@ from calibration.heliostat.observations.observations import (
     Pointings,
     SunInCamera,
 )
+from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.row_checks import readings_of, refuse_constants, refuse_repeats, suns_of
 from calibration.heliostat.observations.rows import Rows, Verdicts
-from heliogauge.geometry.sun import Site
 from heliogauge.validate import BoolArray, FloatArray
 
 KINDS = ("beam", "drone", "camera", "normal", "point", "lamp")
@@ -60,20 +58,16 @@ class Observed:
     has_sigmas: bool
 
 
-def site_of(section: SiteSection) -> Site:
-    """Return the site as the sun's position needs it."""
-    return Site(
-        section.latitude_deg, section.longitude_deg, section.altitude_m, section.pressure_hpa, section.temperature_c
-    )
-
-
-def observed(rows: Rows, design: HeliostatDesign, plant: Plant, model: HeliostatModel) -> Observed:
+def observed(
+    rows: Rows, design: HeliostatDesign, plant: Plant, cameras: Sequence[Place], spot_sigma_m: float
+) -> Observed:
     """Turn rows into observations.
 
     rows: As they were read.
     design: The heliostat as it is known.
     plant: Targets and site.
-    model: Cameras, and the sigma of a beam's centre where the table gives none.
+    cameras: Cameras in which the sun is seen reflected.
+    spot_sigma_m: Sigma of a beam's centre where the table gives none [m].
     InputError: A whole column is in another unit or convention, or never changes.
     """
     verdicts = Verdicts(rows)
@@ -81,11 +75,11 @@ def observed(rows: Rows, design: HeliostatDesign, plant: Plant, model: Heliostat
     _refuse_names("unreadable", "kind", kinds, KINDS, verdicts)
     needs_sun = np.array([kind in _WITH_SUN for kind in kinds], dtype=np.bool_)
     readings = readings_of(rows, design, verdicts)
-    suns, check = suns_of(rows, site_of(plant.site), verdicts, needs_sun)
+    suns, check = suns_of(rows, plant.site, verdicts, needs_sun)
     spots = _spots(rows, kinds, plant, verdicts)
     refuse_repeats(rows, verdicts)
     building = _Building(rows, kinds, readings, suns, spots, verdicts)
-    groups = [group for kind in KINDS if (group := _group(building, kind, plant, model)) is not None]
+    groups = [group for kind in KINDS if (group := _group(building, kind, plant, cameras, spot_sigma_m)) is not None]
     refuse_constants(readings, suns, verdicts.usable & needs_sun, design.name)
     given = any(name in rows.numbers for name in ("sigma_mm", "sigma_x_mm", "sigma_mrad", "sigma_drone_e_mm"))
     return Observed(
@@ -191,13 +185,13 @@ class _Building:
         return tuple(cells[row] for row in np.nonzero(chosen)[0].tolist())
 
 
-def _group(building: _Building, kind: str, plant: Plant, model: HeliostatModel) -> Group | None:
+def _group(building: _Building, kind: str, plant: Plant, cameras: Sequence[Place], spot_sigma_m: float) -> Group | None:
     if not building.of(kind).any():
         return None
     if kind == "beam":
-        return _beams(building, plant, 1e-3 * model.evaluation.spot_sigma_mm)
+        return _beams(building, plant, spot_sigma_m)
     if kind == "camera":
-        return _cameras(building, model.camera)
+        return _cameras(building, cameras)
     if kind == "drone":
         return _drones(building, plant)
     if kind == "lamp":
@@ -223,8 +217,8 @@ def _beams(building: _Building, plant: Plant, sigma_m: float) -> BeamSpots | Non
     )
 
 
-def _cameras(building: _Building, sections: Sequence[HeliostatCameraSection]) -> SunInCamera | None:
-    known = tuple(section.name for section in sections)
+def _cameras(building: _Building, cameras: Sequence[Place]) -> SunInCamera | None:
+    known = tuple(place.name for place in cameras)
     checked = Verdicts(building.rows)
     _refuse_names("camera", "camera", building.rows.text("camera"), known, checked)
     wrong = building.of("camera") & np.array([flag == "camera" for flag in checked.flags], dtype=np.bool_)
@@ -233,16 +227,13 @@ def _cameras(building: _Building, sections: Sequence[HeliostatCameraSection]) ->
     chosen = building.usable("camera")
     if not chosen.any():
         return None
-    places = tuple(_camera_place(section) for section in sections)
     return SunInCamera(
-        building.pointings(chosen), building.suns[chosen], building.names("camera", chosen), places, sigma[chosen]
+        building.pointings(chosen),
+        building.suns[chosen],
+        building.names("camera", chosen),
+        tuple(cameras),
+        sigma[chosen],
     )
-
-
-def _camera_place(section: HeliostatCameraSection) -> Place:
-    if section.center_m is None:
-        return Place(section.name, np.zeros(3), np.array(np.inf))
-    return Place(section.name, np.array(section.center_m), np.array(section.sigma_m or 0.0))
 
 
 def _drones(building: _Building, plant: Plant) -> DroneSightings | None:

@@ -9,8 +9,8 @@ from calibration.heliostat.beam_photos.light.beam_image import BeamSettings
 from calibration.heliostat.beam_photos.pipeline.figures import beam_image_figure
 from calibration.heliostat.beam_photos.pipeline.measure import write_beams
 from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
+from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import residual_columns
-from calibration.heliostat.pipeline.one_heliostat import HeliostatResult, Shared
 from calibration.heliostat.pipeline.photo_beams import beam_frames
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.reporting.canvas import png_of

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibration.heliostat.files.field_folder import FieldFolder
+from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
 from calibration.heliostat.files.store_heliostat import (
     failed_row,
@@ -18,7 +19,6 @@ from calibration.heliostat.files.store_heliostat import (
     split_lines,
     worst_first,
     write_field,
-    write_heliostat,
 )
 from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.keys import HeliostatMeasurement
@@ -33,7 +33,8 @@ from calibration.heliostat.pipeline.measure import (
     with_field,
     write,
 )
-from calibration.heliostat.pipeline.one_heliostat import Shared, calibrate_one
+from calibration.heliostat.pipeline.one_heliostat import calibrate_one
+from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.results.folder import ResultFolder, Summary, hash_files, write_summary
 from heliogauge.running.progress import Progress, SilentProgress
@@ -215,7 +216,7 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
         summary = heliostat_summary(
             result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
         )
-        write_heliostat(result, shared, folder, summary)
+        write_result(result, shared, folder, summary)
         return _Finished(field_row(result), {file.name: file.read_bytes() for file in folder.iterdir()})
 
 

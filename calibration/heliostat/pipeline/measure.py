@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from calibration.heliostat.files.field_folder import check_names
+from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.sources import Source, open_source
 from calibration.heliostat.files.store_heliostat import (
     FIELD_KIND,
@@ -15,14 +16,15 @@ from calibration.heliostat.files.store_heliostat import (
     field_row,
     heliostat_summary,
     write_field,
-    write_heliostat,
 )
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
 from calibration.heliostat.keys import HeliostatMeasurement, Label, Split
-from calibration.heliostat.pipeline.nominal_design import told_free
-from calibration.heliostat.pipeline.one_heliostat import AUTO, HeliostatResult, Shared, calibrate_one, fit_alone
+from calibration.heliostat.pipeline.free_parameters import AUTO
+from calibration.heliostat.pipeline.nominal_design import frees_parameters
+from calibration.heliostat.pipeline.one_heliostat import calibrate_one, fit_alone
+from calibration.heliostat.pipeline.writing import write_result
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import Summary, hash_files, write_summary
 from heliogauge.running.progress import Progress, SilentProgress
@@ -193,8 +195,8 @@ def with_field(chosen: Chosen, workers: Workers, progress: Progress) -> Chosen:
         measured yet.
     """
     shared = chosen.shared
-    own_say = shared.free != AUTO or told_free(shared.model.kinematics)
-    if own_say or not shared.thorough or shared.model.images or len(chosen.names) < FEWEST_OF_A_FIELD:
+    is_stated = shared.free != AUTO or frees_parameters(shared.model.kinematics)
+    if is_stated or not shared.thorough or shared.model.images or len(chosen.names) < FEWEST_OF_A_FIELD:
         return chosen
     fits: dict[str, HeliostatFit] = {}
     tasks = chosen.source.tasks(chosen.names)
@@ -259,13 +261,13 @@ def write(result: Result, folder: Path) -> None:
     durations, hashes = result.durations_s, result.input_sha256
     if len(result.heliostats) == 1 and not result.failures:
         (one,) = result.heliostats
-        write_heliostat(one, result.shared, folder, heliostat_summary(one, durations_s=durations, input_sha256=hashes))
+        write_result(one, result.shared, folder, heliostat_summary(one, durations_s=durations, input_sha256=hashes))
         return
     rows = [field_row(one) for one in result.heliostats]
     rows += [failed_row(name, failure.reason, failure.kind) for name, failure in result.failures.items()]
     for one in result.heliostats:
         (folder / one.name).mkdir()
-        write_heliostat(one, result.shared, folder / one.name, heliostat_summary(one, durations_s={}, input_sha256={}))
+        write_result(one, result.shared, folder / one.name, heliostat_summary(one, durations_s={}, input_sha256={}))
     write_field(folder, rows)
     summary = field_summary(result.name, rows, result.shared, durations_s=durations, input_sha256=hashes)
     write_summary(folder / "summary.json", summary)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.files.sources import HeliostatTask, Plant, position_of
+from calibration.heliostat.files.sources import HeliostatTask, position_of
 from calibration.heliostat.files.store_paint import PaintProperties, parse_properties
 from calibration.heliostat.keys import KinematicsSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
@@ -19,6 +19,7 @@ from calibration.heliostat.kinematic_model.presets import (
     two_axes,
     with_drive_terms,
 )
+from calibration.heliostat.observations.plant import Plant
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic
 
@@ -95,8 +96,8 @@ def _actuators(cells: Mapping[str, str], kinematics: KinematicsSection) -> tuple
 
         def number(part: str, axis: int = axis) -> float:
             name = f"{part}_{axis}"
-            told = kinematics.parameters.get(name)
-            value = _cell(name, cells[name]) if cells.get(name) else None if told is None else told.value
+            known = kinematics.parameters.get(name)
+            value = _cell(name, cells[name]) if cells.get(name) else None if known is None else known.value
             if value is None:
                 raise InputError(
                     f"preset linear-actuators: {name} is missing; give it as a column of the table of heliostats or in "
@@ -142,7 +143,7 @@ def _with_knowledge(
     return design.with_parameters(design.parameters.with_sigmas(sigmas))
 
 
-def told_free(kinematics: KinematicsSection) -> bool:
-    """Return whether the measurement itself says which parameters are free, so that nothing is left to choose."""
+def frees_parameters(kinematics: KinematicsSection) -> bool:
+    """Return whether measurement.toml itself frees parameters, so that nothing is left to choose."""
     freed = any(one.sigma == FREE for one in kinematics.parameters.values() if one.sigma is not None)
     return kinematics.free is not None or freed

@@ -14,8 +14,8 @@ from calibration.heliostat.beam_photos.pipeline.target_frames import (
     TargetFrame,
     WholeImage,
 )
-from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.keys import BeamImagesSection, HeliostatModel
+from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import Rows, Verdicts
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files

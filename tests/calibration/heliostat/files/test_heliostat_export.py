@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.heliostat.files.sources import Plant
 from calibration.heliostat.files.store_heliostat import read_heliostat
 from calibration.heliostat.files.store_paint import parse_properties
-from calibration.heliostat.keys import SiteSection, load_heliostat
+from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.kinematic_model.presets import (
@@ -22,13 +21,14 @@ from calibration.heliostat.kinematic_model.presets import (
     with_drive_terms,
 )
 from calibration.heliostat.kinematic_model.store_design import design_content, design_from
+from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.pipeline.export import ExportOptions, controller_row, correction_columns, run
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.pipeline.nominal_design import paint_design
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import reflect
-from heliogauge.geometry.sun import direction_from_angles
+from heliogauge.geometry.sun import Site, direction_from_angles
 from heliogauge.results.tables import read_table_csv
 from tests.calibration.heliostat_folders import ACTUATORS, SITE, TARGET, write_field, write_paint
 
@@ -177,7 +177,7 @@ class TestPaint:
         content = read_heliostat(paint)
         calibrated = design_from(content["design"], content["parameters"], key="value")
         text = (tmp_path / "e" / "AA11_properties.json").read_text(encoding="utf-8")
-        plant = Plant(ORIGIN, SiteSection(latitude_deg=37.0, longitude_deg=-2.0), {})
+        plant = Plant(ORIGIN, Site(37.0, -2.0, 0.0), {})
         back = paint_design(parse_properties(text, "f"), "AA11", plant)
         readings = np.array([[20000.0, 30000.0], [40000.0, 50000.0], [60000.0, 20000.0]])
         one, other = (mirror_poses(each, each.parameters.values, readings) for each in (calibrated, back))

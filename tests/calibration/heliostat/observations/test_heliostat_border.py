@@ -32,7 +32,7 @@ def see(folder: Path) -> Observed:
         rows = parse_rows(task.header, [(int(number), text) for number, text in task.records])
     else:
         rows = parse_calibrations(task.records, task.times, label="UTIS", origin=source.plant.origin)
-    return observed(rows, design, source.plant, measurement.model)
+    return observed(rows, design, source.plant, (), 1e-3 * measurement.model.evaluation.spot_sigma_mm)
 
 
 @pytest.fixture

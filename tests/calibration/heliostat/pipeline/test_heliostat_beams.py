@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.heliostat.files.sources import Plant
-from calibration.heliostat.keys import SiteSection
+from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import parse_rows
 from calibration.heliostat.pipeline.photo_beams import beam_frames, with_measured_beams
 from heliogauge.errors import InputError
+from heliogauge.geometry.sun import Site
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import parse_measurement
 from tests.calibration.heliostat_folders import CONTENT, TARGET
 
 CENTER_M = (0.8, -0.6)
-PLANT = Plant((37.0, -2.0, 500.0), SiteSection(latitude_deg=37.0, longitude_deg=-2.0), {TARGET.name: TARGET})
+PLANT = Plant((37.0, -2.0, 500.0), Site(37.0, -2.0, 0.0), {TARGET.name: TARGET})
 HEADER = ("time_utc", "axis_1_rad", "axis_2_rad", "target", "image", "x_m", "y_m")
 
 

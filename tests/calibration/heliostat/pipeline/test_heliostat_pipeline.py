@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from calibration.heliostat.files.field_folder import JOURNAL_FILE, check_names
+from calibration.heliostat.files.result import FIELD
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline import field as pipeline_field
 from calibration.heliostat.pipeline import measure as pipeline
 from calibration.heliostat.pipeline.field import FieldResult, run_into
 from calibration.heliostat.pipeline.measure import Options, run, write
-from calibration.heliostat.pipeline.one_heliostat import FIELD, calibrate_one
+from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import read_summary
 from heliogauge.results.tables import read_table_csv, write_table_csv

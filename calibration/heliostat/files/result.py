@@ -1,0 +1,109 @@
+"""What the heliostats of a run share, and what a calibrated heliostat consists of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
+from calibration.heliostat.fitting.fit_result import HeliostatFit
+from calibration.heliostat.fitting.model_choice import ModelChoice
+from calibration.heliostat.fitting.population import Population
+from calibration.heliostat.fitting.splits import HeldOut
+from calibration.heliostat.keys import HeliostatModel
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.observations.observed import Observed
+from calibration.heliostat.observations.plant import Plant
+from heliogauge.validate import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from calibration.heliostat.beam_photos import BeamMeasurements
+
+#: Name of the model in which values and priors come from the other heliostats of the field.
+FIELD = "priors of the field"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """What all heliostats of a run share; sent to each worker once.
+
+    plant: Targets and site.
+    model: What measurement.toml says.
+    split: The split whose residuals are reported.
+    free: Usual choice of free parameters, or "auto".
+    label: Method of the beams' centres in PAINT's records.
+    folder: The measurement's folder; where work is done elsewhere, photos must be found there too.
+    thorough: Try the model out on every split, and choose it again for each.
+    population: What the heliostats of the field have in common; None where each is taken for itself.
+    """
+
+    plant: Plant
+    model: HeliostatModel
+    split: str
+    free: str
+    label: str
+    folder: Path
+    thorough: bool
+    population: Population | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyMap:
+    """Predicted uncertainty of the beam on one target, over the sky.
+
+    target: Whose centre is aimed at.
+    azimuths_deg, elevations_deg: Directions of the sun [deg].
+    sigma_beam_rad (elevations, azimuths): Expected error of the beam [rad]; NaN where the sun never stands or the
+        drives cannot point.
+    extrapolated (elevations, azimuths): Whether the sun stands beyond those that were used.
+    """
+
+    target: str
+    azimuths_deg: tuple[int, ...]
+    elevations_deg: tuple[int, ...]
+    sigma_beam_rad: FloatArray
+    extrapolated: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeliostatResult:
+    """A calibrated heliostat.
+
+    nominal: As it was known before.
+    seen: All rows with the verdict on each.
+    fit: To all usable observations.
+    free: Which parameters were free.
+    choice: Why; None where the user chose.
+    split: The split whose residuals are reported.
+    held: What came of each split that could be made: fit to one part, prediction of the other.
+    diagnosis: What is wrong with the heliostat or its records.
+    not_split: Why the other splits could not be made.
+    sky: Predicted uncertainty over the sky; thorough runs only.
+    beams: What was measured in photos; None where no row names one.
+    doubts: What makes the numbers doubtful.
+    notes: What is good to know besides.
+    properties: The properties file of PAINT it came from; empty with tables.
+    duration_s: Time it took [s].
+    """
+
+    name: str
+    nominal: HeliostatDesign
+    seen: Observed
+    fit: HeliostatFit
+    free: str
+    choice: ModelChoice | None
+    split: str
+    held: Mapping[str, HeldOut]
+    diagnosis: Diagnosis
+    not_split: Mapping[str, str] = field(default_factory=dict)
+    sky: SkyMap | None = None
+    beams: "BeamMeasurements | None" = None
+    doubts: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    properties: str = ""
+    duration_s: float = 0.0
+
+    @property
+    def main(self) -> HeldOut | None:
+        """What came of the split whose residuals are reported; None where it could not be made."""
+        return self.held.get(self.split)
