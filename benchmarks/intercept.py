@@ -11,12 +11,18 @@ from scipy.special import ndtri
 
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun
-from observer.light.beam_profile import beam_profile, sun_profile
-from observer.light.intercept import TroughOptics, mirror_nodes
-from observer.light.spread import beam_spread, gaussian_short_form
-from observer.light.trace import Sunlight, trace_intercept
-from observer.trough.absorber_path import AbsorberPath
-from observer.trough.collector import Collector
+from observer.light import (
+    Case,
+    Sunlight,
+    beam_profile,
+    beam_spread,
+    gaussian_short_form,
+    measured_trough,
+    optics_of,
+    sun_profile,
+    trace_intercept,
+)
+from observer.trough import AbsorberPath, Collector
 
 TROUGH = Collector(5.774, 4.0, 1.71, 0.070)
 SUN = GaussianSun(2.73e-3)
@@ -83,8 +89,7 @@ def main():
     )
     for sigma, soltrace, closed in REFERENCE:
         mirror = trough_map(sigma, rng)
-        nodes = mirror_nodes(mirror, TROUGH.focal_length_m)
-        optics = TroughOptics.of(nodes, tube, 0.035, beam_profile(sun))
+        optics = optics_of(measured_trough(mirror, tube, TROUGH), Case.AS_MEASURED, beam_profile(sun))
         short = gaussian_short_form(TROUGH, sun, sigma_r_rad=sigma)
         traced = trace_intercept(mirror, tube, 0.07, Sunlight(SUN), rays=rays, rng=rng)
         found = (optics.ratio(), beam_spread(optics).ratio, short, traced.ratio)

@@ -14,8 +14,8 @@ from _measure import row, title
 
 from data_synth.troughs import read_trough_truth
 from heliogauge.measurement.load import load
-from observer.pipeline.measure import Options, Result, run
-from observer.trough.visibility import shares
+from observer import Options, Result, run
+from observer.trough import seeable_shares
 
 #: RMS of the error of theta_r after tilt removal [mrad] that is asked of each preset.
 ASKED_RMS = {
@@ -71,7 +71,7 @@ def report(folder: Path, case: str) -> None:
     untilted = error - error.mean()
     terms = np.stack([np.ones_like(x), x], axis=1)
     bent = untilted - terms @ np.linalg.lstsq(terms, untilted, rcond=None)[0]
-    seeable, measured = shares(result.visible, result.slope_map.aperture, result.slope_map.valid)
+    seeable, measured = seeable_shares(result.visible, result.slope_map.aperture, result.slope_map.valid)
     off_x, off_z = absorber_error_mm(result, place)
     title(f"{preset}: {photos} photos, scale {scale or '1'}", ("measured", "asked"))
     row("error of theta_r without tilt, RMS [mrad]", f"{1e3 * untilted.std():.3f}", ASKED_RMS.get(preset, ""))

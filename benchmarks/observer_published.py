@@ -11,17 +11,20 @@ from pathlib import Path
 import numpy as np
 from _measure import title as with_columns
 
-from observer.photo_edges.reflection_edges import Expectation
-from observer.planning.keys import ObserverPlanModel
-from observer.planning.photo_network import believed_after, drawn_network, planned_network
-from observer.planning.plan import planned_passes
-from observer.planning.simulated_edges import EdgeNoise, Scene
-from observer.planning.simulated_flight import Believed, Evaluation, error_theta_ra, simulate
-from observer.product.figures_of_merit import flight_figures
-from observer.product.longitudinal import error_of_theta_ra
-from observer.trough.absorber_path import AbsorberPath
-from observer.trough.collector import ls2
-from observer.trough.typical_mirror import TypicalMirror
+from observer.planning import (
+    Believed,
+    EdgeNoise,
+    Evaluation,
+    ObserverPlanModel,
+    Scene,
+    drawn_network,
+    error_theta_ra,
+    planned_network,
+    planned_passes,
+    simulate,
+)
+from observer.product import error_of_theta_ra, flight_figures
+from observer.trough import AbsorberPath, Expectation, TypicalMirror, ls2
 
 TABLE_7_2 = {
     15: (6.3, 8.1, 20.3, 16.0),
@@ -108,17 +111,12 @@ def flown(model, noise, along_rad, runs, ground_x_m=None):
     for run in range(runs):
         rng = np.random.default_rng([7, run])
         mirror = TypicalMirror.drawn(trough, rng, 3e-3, along_rad)
-        believed = believed_after(drawn_network(network, rng))
+        believed = Believed.of(drawn_network(network, rng))
         one = simulate(Scene(Expectation(trough, absorber, y), mirror, network.views), believed, noise, evaluation, rng)
         error = error_theta_ra(one, trough.focal_length_m, absorber)
         errors.append(error[np.isfinite(error)])
         stated.append(np.nanmedian(one.sigma_slope_x))
-        eyes.append(
-            [
-                a[1].inverse().translation_m - b[1].inverse().translation_m
-                for a, b in zip(believed.views, network.views, strict=True)
-            ]
-        )
+        eyes.append([a.eye_m - b.eye_m for a, b in zip(believed.views, network.views, strict=True)])
     found = np.abs(np.concatenate(errors))
     return (np.sqrt(np.mean(found**2)), np.percentile(found, 95), np.median(stated), np.sqrt(np.mean(np.square(eyes))))
 

@@ -25,7 +25,7 @@ import cv2
 from _measure import StageClock, row, title
 
 from heliogauge.measurement.load import load
-from observer.pipeline.measure import Options, run
+from observer import Options, run
 
 ASKED_RATIO, ASKED_MIB = 1.5, 1536
 

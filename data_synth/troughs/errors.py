@@ -8,7 +8,7 @@ import numpy as np
 from data_synth.optics.surface_errors import Ripple, SurfaceErrors
 from data_synth.troughs.mirror import PanelErrors, TroughMirror
 from heliogauge.errors import InputError
-from observer.trough.collector import Collector
+from observer.trough import Collector
 
 
 def random_mirror(

@@ -12,7 +12,7 @@ from data_synth.optics.surface_errors import SurfaceErrors
 from heliogauge.errors import InputError
 from heliogauge.geometry.surfaces import HeightAndSlopes
 from heliogauge.validate import Float32Array, FloatArray, IntArray, float_array
-from observer.trough.collector import Collector
+from observer.trough import Collector
 
 # Arrays of a block of rays: float32 for photos, float64 as the reference in tests.
 RayArray = npt.NDArray[Any]

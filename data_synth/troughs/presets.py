@@ -28,7 +28,7 @@ from data_synth.troughs.surroundings import Ground, Sky, Surroundings
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
-from observer.trough.collector import Collector, ls2
+from observer.trough import Collector, ls2
 from photogrammetry.targets import ring_dictionary
 
 #: GE1910C: 1920 x 1080, pixel pitch over focal length 4.2e-4 (Owkes 2012, Table 7.2).

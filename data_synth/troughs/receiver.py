@@ -9,7 +9,7 @@ import numpy.typing as npt
 from data_synth.troughs.mirror import RayArray, Rays
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
-from observer.trough.collector import Collector
+from observer.trough import Collector
 
 #: Points of the table that rays use: joined by straight lines, a sag of 10 mm over 4 m is right within 10 nm.
 _TABLE_POINTS = 4001

@@ -17,7 +17,7 @@ from data_synth.troughs.trace import Finish, TroughWorld
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, float_array, positive
-from observer.trough.collector import Collector
+from observer.trough import Collector
 
 
 @dataclass(frozen=True, slots=True, eq=False)

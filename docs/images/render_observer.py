@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 
 from heliogauge.reporting.canvas import png_of
-from observer.report.maps import theta_r_map
-from observer.report.pictures import overlay_figure
-from observer.report.results import open_trough
+from observer.report import open_trough, overlay_figure, theta_r_map
 
 #: Pages are about 1000 px wide.
 WIDTH_PX = 1200

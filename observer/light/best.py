@@ -6,7 +6,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray
-from observer.light.beam_profile import BeamProfile
+from observer.light.beam import BeamProfile
 from observer.light.cases import Case, MeasuredTrough, joined, optics_of, sensitivity
 from observer.light.intercept import TroughOptics
 from observer.light.maximum import climb, largest_between

@@ -19,7 +19,7 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray, IntArray
-from observer.light.beam_profile import BeamProfile
+from observer.light.beam import BeamProfile
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.observation_equation import Sights, misfit
 

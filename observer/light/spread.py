@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.validate import FloatArray
-from observer.light.beam_profile import BeamProfile, beam_profile
+from observer.light.beam import BeamProfile, beam_profile
 from observer.light.intercept import TroughOptics
 from observer.trough.collector import Collector
 
@@ -43,7 +43,15 @@ class BeamSpread:
 def beam_spread(optics: TroughOptics) -> BeamSpread:
     """Pool the errors of the whole aperture.
 
-    optics: Mirror, tube and light.
+    Parameters
+    ----------
+    optics : TroughOptics
+        Mirror, tube and light.
+
+    Returns
+    -------
+    BeamSpread
+        Distributions and acceptance.
     """
     windows, light, profile = optics.windows, optics.light(0.0), optics.profile
     error = 0.5 * (windows.upper_rad + windows.lower_rad)
@@ -68,14 +76,29 @@ def gaussian_short_form(
 ) -> float:  # fmt: skip
     """Return the intercept factor of a design with Gaussian errors.
 
-    sun: The sun, from `observer.light.beam_profile.sun_profile`.
-    sigma_r_rad: Slope error of the mirror's normal across, RMS [rad].
-    sigma_a_rad: Absorber displacement as a slope error (theta_a), RMS [rad].
-    specularity_rad, tracking_error_rad: Of the beam, 1 sigma [rad].
+    Parameters
+    ----------
+    collector : Collector
+        The design.
+    sun : BeamProfile
+        The sun, from `observer.beam_profile.sun_profile`.
+    sigma_r_rad : float
+        Slope error of the mirror's normal across, RMS [rad].
+    sigma_a_rad : float, optional
+        Absorber displacement as a slope error (theta_a), RMS [rad].
+    specularity_rad, tracking_error_rad : float, optional
+        Of the beam, 1 sigma [rad].
 
-    ``sigma_tot^2 = 4 sigma_r^2 + 4 sigma_a^2 + sigma_spec^2 + sigma_track^2`` (Owkes 2012, eq. 5.16) widens the sun;
-    at each distance from the vertex the share within the acceptance ``asin(a / R)`` (5.4) counts, and the mean over
-    the aperture is taken.
+    Returns
+    -------
+    float
+        The intercept factor.
+
+    Notes
+    -----
+    ``sigma_tot^2 = 4 sigma_r^2 + 4 sigma_a^2 + sigma_spec^2 + sigma_track^2`` (Owkes 2012, eq. 5.16) widens the sun; at
+    each distance from the vertex the share within the acceptance ``asin(a / R)`` (5.4) counts, and the mean over the
+    aperture is taken.
     """
     total = float(np.sqrt(4 * sigma_r_rad**2 + 4 * sigma_a_rad**2 + specularity_rad**2 + tracking_error_rad**2))
     profile = beam_profile(sun, specularity_rad=total)

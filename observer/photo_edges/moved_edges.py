@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from heliogauge.validate import FloatArray, IntArray
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
+from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.photo_edges.tube_bearings import Bearings, bearing
 from observer.photo_edges.views import View
+from observer.trough.expectation import Expectation
 
 
 def carried_edges(

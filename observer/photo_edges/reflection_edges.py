@@ -13,6 +13,7 @@ from observer.photo_edges.rectify import Strip, rectified_strip
 from observer.photo_edges.views import Shot
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 from observer.trough.observation_equation import Misfit, Sights, beside_axis, misfit
 
 #: Samples across the trough for each pixel of the photo.
@@ -75,22 +76,6 @@ class ReflectionEdges:
     def chosen(self, which: npt.NDArray[np.bool_] | IntArray) -> "ReflectionEdges":
         """Return some of them."""
         return ReflectionEdges(*(getattr(self, name)[which] for name in self.__slots__))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Expectation:
-    """Where reflections are expected.
-
-    collector: The design.
-    absorber: The tube's axis, as well as it is known.
-    y_m (r,): Equally spaced rows of the map [m].
-    slope_error_rad: Largest slope error of the mirror that is searched for [rad].
-    """
-
-    collector: Collector
-    absorber: AbsorberPath
-    y_m: FloatArray
-    slope_error_rad: float = 12e-3
 
 
 def joined(parts: list[ReflectionEdges]) -> ReflectionEdges:

@@ -17,9 +17,9 @@ from heliogauge.geometry.surfaces import Quadric, quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, rectified_strip
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.silhouette import level_edges
 from observer.photo_edges.views import Shot
+from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
 from observer.trough.observation_equation import Sights, beside_axis
 

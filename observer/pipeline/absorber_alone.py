@@ -20,13 +20,13 @@ from observer.absorber.product import (
 )
 from observer.files import COLLECTOR, write_collector
 from observer.keys import ObserverMeasurement
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.headline import absorber_numbers
 from observer.pipeline.inputs import absorber_start, as_photogrammetry, build_collector
 from observer.slopes.pose_modes import Photos
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 from photogrammetry import pipeline as photogrammetry_pipeline
 
 #: Kind of the summary, which names its report.

@@ -19,7 +19,7 @@ from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
-from observer.trough.visibility import Visibility, shares
+from observer.trough.visibility import Visibility, seeable_shares
 
 Numbers = dict[str, float | int | None]
 
@@ -33,7 +33,7 @@ def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -
     whole = statistics(across)
     untilted = statistics(across, removed=Removal.TILT)
     sigma = slope_map.sigma_slope()[0][slope_map.valid]
-    seeable, measured = shares(visible, slope_map.aperture, slope_map.valid)
+    seeable, measured = seeable_shares(visible, slope_map.aperture, slope_map.valid)
     theta_ra = angles.theta_ra_rad[slope_map.valid]
     turn = 1 / (1 + slope_map.slope_x[slope_map.valid] ** 2)
     return {

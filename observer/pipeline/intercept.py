@@ -13,7 +13,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
 from observer.keys import OpticsSection, SunSection
-from observer.light.beam_profile import BeamProfile, beam_profile, sun_profile
+from observer.light.beam import BeamProfile, beam_profile, sun_profile
 from observer.light.best import Best, best_absorber, best_offset
 from observer.light.cases import (
     Case,

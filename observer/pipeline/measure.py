@@ -39,7 +39,6 @@ from observer.files import (
     write_slices,
 )
 from observer.keys import ObserverMeasurement
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.tone import Tone
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.design_comparison import design_doubts
@@ -81,7 +80,8 @@ from observer.slopes.row_spline import Roughness
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
-from observer.trough.visibility import Visibility, coverage_warning, shares, visibility
+from observer.trough.expectation import Expectation
+from observer.trough.visibility import Visibility, coverage_warning, seeable_shares, visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.keys import PhotogrammetryMeasurement
 from photogrammetry.pipeline import collect_photos
@@ -94,7 +94,10 @@ NETWORK_FOLDER = "network"
 class Options:
     """Choices of the evaluation.
 
-    jobs: Photos that are measured side by side; None for all processors.
+    Parameters
+    ----------
+    jobs : int or None
+        Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -104,25 +107,46 @@ class Options:
 class Result:
     """Everything a measurement gave, ready to be written.
 
-    name: Name of what was measured.
-    collector: The design.
-    orientation_rad: Turn of the collector from zenith, by the right hand about +y [rad].
-    network: Cameras and targets.
-    seen: Edges and bearings.
-    absorber: The tube's axis, adjusted together with the slopes.
-    absorber_solution: Its measurement; None where it was given.
-    reflector: The mirror's slope errors.
-    slope_map: The same in the common form.
-    visible: What the cameras can see of the tube by way of each node.
-    angles: The same as angles, with the absorber's share.
-    intercept: What mirror and absorber collect.
-    photos: Poses of the photos with their joint covariance, as the targets tell them.
-    poses: The same as the reflection has refined them, ``cam_from_frame``.
-    pose_covariances (n, 6, 6): Of the steps of each [rad, m].
-    overlay: One photo with what design and result predict of the reflection.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
+    Parameters
+    ----------
+    name : str
+        Name of what was measured.
+    collector : Collector
+        The design.
+    orientation_rad : float
+        Turn of the collector from zenith, by the right hand about +y [rad].
+    network : photogrammetry.pipeline.Result
+        Cameras and targets.
+    seen : SeenInPhotos
+        Edges and bearings.
+    absorber : AbsorberPath
+        The tube's axis, adjusted together with the slopes.
+    absorber_solution : AbsorberSolution or None
+        Its measurement; None where it was given.
+    reflector : Reflector
+        The mirror's slope errors.
+    slope_map : SlopeMap
+        The same in the common form.
+    visible : Visibility
+        What the cameras can see of the tube by way of each node.
+    angles : AngleMaps
+        The same as angles, with the absorber's share.
+    intercept : InterceptResult
+        What mirror and absorber collect.
+    photos : Photos
+        Poses of the photos with their joint covariance, as the targets tell them.
+    poses : tuple of RigidTransform
+        The same as the reflection has refined them, ``cam_from_frame``.
+    pose_covariances : ndarray, shape (n, 6, 6)
+        Of the steps of each [rad, m].
+    overlay : Overlay
+        One photo with what design and result predict of the reflection.
+    warnings : tuple of str
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
     """
 
     name: str
@@ -165,9 +189,26 @@ class Prepared:
 def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
     """Evaluate a measurement.
 
-    Returns: Slope errors, absorber and cameras with their uncertainty, and what is doubtful.
-    InputError: Photos, targets or camera that cannot be used, or several modules.
-    EstimationError: The photos do not hang together, or too little of the reflection is seen.
+    Parameters
+    ----------
+    measurement : ObserverMeasurement
+        From `heliogauge.measurement.load_observer`; of a single collector.
+    options : Options, optional
+        Choices.
+    progress : Progress, optional
+        Told of each stage.
+
+    Returns
+    -------
+    Result
+        Slope errors, absorber and cameras with their uncertainty, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        Photos, targets or camera that cannot be used, or several modules.
+    EstimationError
+        The photos do not hang together, or too little of the reflection is seen.
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("hash inputs"):
@@ -258,7 +299,7 @@ def evaluate(
     coverage = coverage_warning(visible, slope_map.x_m, slope_map.aperture, photos.eyes_m)
     with progress.stage("check the design"):
         camera = stated_camera_doubt(network, survey, first.targets, first.poses)
-        sparse = sparse_doubt(shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m)
+        sparse = sparse_doubt(seeable_shares(visible, slope_map.aperture, slope_map.valid)[1], photos.eyes_m)
         good = camera is None and sparse is None
         design = (
             camera, panels_doubt(reflector.roughness, collector), heights_doubt(reflector) if good else None, sparse,

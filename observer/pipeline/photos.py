@@ -20,12 +20,13 @@ from heliogauge.images.photos import Image, read_luma
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from observer.photo_edges.moved_edges import carried_bearings, carried_edges
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, joined, reflection_edges
+from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
 from observer.photo_edges.tone import Tone, linear_light
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
 from observer.product.pictures import Slices, empty_slices
+from observer.trough.expectation import Expectation
 from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection
 from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following

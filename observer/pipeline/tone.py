@@ -9,9 +9,10 @@ import numpy as np
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image
 from heliogauge.validate import FloatArray
-from observer.photo_edges.reflection_edges import Expectation, edge_profiles
+from observer.photo_edges.reflection_edges import edge_profiles
 from observer.photo_edges.tone import Tone, find_tone, linear_light
 from observer.photo_edges.views import Shot, View
+from observer.trough.expectation import Expectation
 from photogrammetry.centers import NamedEllipses
 from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.matching import KnownTargets

@@ -15,7 +15,7 @@ from observer.photo_edges.views import View
 from observer.pipeline.inputs import AXES, target_constraints
 from observer.planning.keys import ObserverPlanModel
 from observer.planning.simulated_edges import in_image
-from observer.planning.simulated_flight import Believed
+from observer.slopes.pose_modes import Photos
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, constraints
 from photogrammetry.keys import (
@@ -58,16 +58,60 @@ class PlannedNetwork:
         return tuple(View(self.camera, pose) for pose in self.poses)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Believed:
+    """Cameras and poses as the photo network of one measurement finds them.
+
+    Parameters
+    ----------
+    views : tuple of (Camera, RigidTransform)
+        Camera and ``cam_from_frame`` of each photo.
+    covariance : ndarray, shape (6 n, 6 n)
+        Joint covariance of the poses' steps [rad, m].
+    """
+
+    views: tuple[View, ...]
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, bundle: BundleResult) -> "Believed":
+        """Return cameras and poses as an adjustment found them."""
+        poses = bundle.cam_from_world
+        views = tuple(View(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True))
+        return cls(views, bundle.covariance.joint((), np.arange(len(poses))))
+
+    @property
+    def photos(self) -> Photos:
+        """The poses with their covariance."""
+        poses: tuple[RigidTransform, ...] = tuple(pose for _, pose in self.views)
+        return Photos(poses, self.covariance)
+
+
 def planned_network(
     model: ObserverPlanModel, folder: Path, poses: tuple[RigidTransform, ...]
 ) -> tuple[PlannedNetwork, tuple[str, ...]]:
     """Build the photo network of a plan.
 
-    model: What measurement.toml says.
-    poses: ``cam_from_frame`` of each planned photo.
-    Returns: The network, and why photos were left out.
-    InputError: A list of targets or a camera that cannot be used.
-    EstimationError: Fewer than two photos see four targets.
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What measurement.toml says.
+    folder : Path
+        Where its files are.
+    poses : tuple of RigidTransform
+        ``cam_from_frame`` of each planned photo.
+
+    Returns
+    -------
+    PlannedNetwork, tuple of str
+        The network, and why photos were left out.
+
+    Raises
+    ------
+    InputError
+        A list of targets or a camera that cannot be used.
+    EstimationError
+        Fewer than two photos see four targets.
     """
     coordinates, names, points = planned_targets(model, folder)
     photogrammetry = PhotogrammetryModel(
@@ -145,8 +189,22 @@ def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:
 def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> BundleResult:
     """Adjust the photo network, with everything that is known disturbed by its sigma.
 
-    rng: Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
-    EstimationError: The network is not determined.
+    Parameters
+    ----------
+    network : PlannedNetwork
+        The truth.
+    rng : numpy.random.Generator or None
+        Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
+
+    Returns
+    -------
+    BundleResult
+        The adjustment.
+
+    Raises
+    ------
+    EstimationError
+        The network is not determined.
     """
     points = _image_points(network, rng)
     present = {points.targets[i] for i in np.unique(points.target_index)}
@@ -200,13 +258,3 @@ def _drawn_camera(network: PlannedNetwork, rng: np.random.Generator | None) -> t
     error = rng.multivariate_normal(np.zeros(len(model.prior_covariance)), model.prior_covariance, method="eigh")
     values = None if model.prior_values is None else model.prior_values + error
     return replace(model, priors=priors, prior_values=values), network.camera
-
-
-def believed_after(bundle: BundleResult) -> Believed:
-    """Return cameras and poses as an adjustment found them, with the joint covariance of the poses.
-
-    Returns: What the evaluation of the reflection starts from.
-    """
-    poses = bundle.cam_from_world
-    views = tuple(View(bundle.cameras[k], pose) for k, pose in zip(bundle.problem.camera_index, poses, strict=True))
-    return Believed(views, bundle.covariance.joint((), np.arange(len(poses))))

@@ -14,17 +14,17 @@ from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import COLLECTOR, read_absorber, write_collector
-from observer.photo_edges.reflection_edges import Expectation
 from observer.pipeline.inputs import absorber_start, build_collector
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
-from observer.planning.photo_network import PlannedNetwork, believed_after, drawn_network, planned_network
+from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network, planned_network
 from observer.planning.planned_flight import Pass, advice, steps_too_wide
 from observer.planning.simulated_edges import EdgeNoise, Scene
 from observer.planning.simulated_flight import Evaluation, Simulated, simulate
 from observer.product.figures_of_merit import FlightFigures, flight_figures
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 from observer.trough.typical_mirror import MeasuredMirror, Mirror, TypicalMirror
 from photogrammetry.bundle import BundleResult
 
@@ -84,7 +84,7 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
     with progress.stage("simulate the measurement"):
         rng = np.random.default_rng([model.mirror.seed, 1])
         scene = planned_scene(measurement, collector, network, 1e-3 * model.evaluation.row_step_mm, rng)
-        simulated = simulate(scene, believed_after(drawn_network(network, rng)), noise, evaluation, rng)
+        simulated = simulate(scene, Believed.of(drawn_network(network, rng)), noise, evaluation, rng)
         missing = missing_shares(simulated.slope_map)
     eyes = np.array([pose.inverse().translation_m for pose in network.poses])
     spread = _spread(measurement, collector, network, progress)
@@ -100,7 +100,20 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
 def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
     """Return the passes that measurement.toml plans.
 
-    InputError: A pass that cannot be flown.
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What it says.
+
+    Returns
+    -------
+    tuple of Pass
+        The passes.
+
+    Raises
+    ------
+    InputError
+        A pass that cannot be flown.
     """
     return tuple(Pass(one.height_m, one.reach_m, one.photos, one.y_m, one.look_y_m) for one in model.flight)
 
@@ -166,7 +179,7 @@ def _spread(
 
     def once(rng: np.random.Generator) -> Simulated:
         scene = planned_scene(measurement, collector, network, 1e-3 * model.monte_carlo.row_step_mm, rng)
-        return simulate(scene, believed_after(drawn_network(network, rng)), noise, evaluation, rng)
+        return simulate(scene, Believed.of(drawn_network(network, rng)), noise, evaluation, rng)
 
     with progress.stage("Monte Carlo", runs) as stage:
         return monte_carlo(once, runs, model.monte_carlo.seed, stage.advance)

@@ -11,8 +11,9 @@ import numpy as np
 
 from heliogauge.geometry.surfaces import Quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, is_on_panels, joined, sees_tube
+from observer.photo_edges.reflection_edges import ReflectionEdges, is_on_panels, joined, sees_tube
 from observer.photo_edges.views import View
+from observer.trough.expectation import Expectation
 from observer.trough.observation_equation import Sights, misfit
 from observer.trough.typical_mirror import Mirror
 
@@ -32,8 +33,12 @@ END_MARGIN_M = 0.04
 class EdgeNoise:
     """How well edges are found in photos.
 
-    reflection_px: Standard deviation of an edge of the reflection [px].
-    absorber_px: Standard deviation of the tube's middle [px].
+    Parameters
+    ----------
+    reflection_px : float, optional
+        Standard deviation of an edge of the reflection [px].
+    absorber_px : float, optional
+        Standard deviation of the tube's middle [px].
     """
 
     reflection_px: float = 0.05
@@ -44,9 +49,14 @@ class EdgeNoise:
 class Scene:
     """What is looked at, without error.
 
-    truth: Collector, true axis of the tube, rows of the map.
-    mirror: True slope errors.
-    views: True camera and ``cam_from_frame`` of each photo.
+    Parameters
+    ----------
+    truth : Expectation
+        Collector, true axis of the tube, rows of the map.
+    mirror : Mirror
+        True slope errors.
+    views : tuple of (Camera, RigidTransform)
+        True camera and ``cam_from_frame`` of each photo.
     """
 
     truth: Expectation

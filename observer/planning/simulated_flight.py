@@ -4,48 +4,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.position import solve_absorber
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
-from observer.photo_edges.views import View
+from observer.photo_edges.reflection_edges import ReflectionEdges
+from observer.planning.photo_network import Believed
 from observer.planning.simulated_bearings import measured_bearings
 from observer.planning.simulated_edges import EdgeNoise, Scene, measured_edges, true_edges
 from observer.product.slope_map import known_theta_r, slope_map_of
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
-from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
+from observer.trough.expectation import Expectation
 from observer.trough.visibility import Visibility, visibility
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Believed:
-    """Cameras and poses as the photo network of one measurement finds them.
-
-    views: Camera and ``cam_from_frame`` of each photo.
-    covariance (6 n, 6 n): Joint covariance of the poses' steps [rad, m].
-    """
-
-    views: tuple[View, ...]
-    covariance: FloatArray
-
-    @property
-    def photos(self) -> Photos:
-        """The poses with their covariance."""
-        poses: tuple[RigidTransform, ...] = tuple(pose for _, pose in self.views)
-        return Photos(poses, self.covariance)
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """How a measurement is evaluated.
 
-    column_step_m: Distance of the nodes across the trough [m].
-    station_step_m: Distance of the absorber's stations [m].
-    along_rad: Standard deviation of the slope along the trough, as prior [rad].
-    measures_absorber: Whether the photos tell the absorber's place; it is known otherwise.
+    Parameters
+    ----------
+    column_step_m : float
+        Distance of the nodes across the trough [m].
+    station_step_m : float
+        Distance of the absorber's stations [m].
+    along_rad : float
+        Standard deviation of the slope along the trough, as prior [rad].
+    measures_absorber : bool
+        Whether the photos tell the absorber's place; it is known otherwise.
     """
 
     column_step_m: float = 0.02
@@ -90,8 +77,19 @@ class Simulated:
 def error_theta_ra(simulated: Simulated, focal_length_m: float, true_absorber: AbsorberPath) -> FloatArray:
     """Return estimated less true reflector-absorber angle at the nodes.
 
-    true_absorber: The tube's true axis.
-    Returns (r, nx): Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
+    Parameters
+    ----------
+    simulated : Simulated
+        A simulated measurement.
+    focal_length_m : float
+        Focal length of the design [m].
+    true_absorber : AbsorberPath
+        The tube's true axis.
+
+    Returns
+    -------
+    ndarray, shape (r, nx)
+        Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
     """
     x, y = np.meshgrid(simulated.slope_map.x_m, simulated.slope_map.y_m)
     z = x**2 / (4 * focal_length_m)
@@ -108,9 +106,28 @@ def simulate(
 ) -> Simulated:
     """Simulate one measurement and evaluate it by the instrument's own estimators.
 
-    believed: Cameras and poses as the photo network finds them.
-    noise: How well edges are found.
-    EstimationError: The photos show too little of the reflection or of the absorber.
+    Parameters
+    ----------
+    scene : Scene
+        The truth.
+    believed : Believed
+        Cameras and poses as the photo network finds them.
+    noise : EdgeNoise
+        How well edges are found.
+    evaluation : Evaluation
+        How the measurement is evaluated.
+    rng : numpy.random.Generator
+        Draws the noise of the edges.
+
+    Returns
+    -------
+    Simulated
+        Estimates and truth.
+
+    Raises
+    ------
+    EstimationError
+        The photos show too little of the reflection or of the absorber.
     """
     truth = scene.truth
     collector, y = truth.collector, truth.y_m

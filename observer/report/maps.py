@@ -67,7 +67,17 @@ def _shares(results: TroughResults) -> Html:
 def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
     """Draw the mirror's slope error.
 
-    limit: Where the colours end [mrad].
+    Parameters
+    ----------
+    results : TroughResults
+        The results.
+    limit : float, optional
+        Where the colours end [mrad].
+
+    Returns
+    -------
+    Figure
+        A map [mrad].
     """
     return _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit)
 

@@ -47,7 +47,18 @@ def overlay(results: TroughResults) -> Html:
 
 
 def overlay_figure(results: TroughResults) -> "Figure":
-    """Draw the photo that gave most edges with both outlines."""
+    """Draw the photo that gave most edges with both outlines.
+
+    Parameters
+    ----------
+    results : TroughResults
+        The results.
+
+    Returns
+    -------
+    Figure
+        The photo.
+    """
     from matplotlib.lines import Line2D
 
     image, nodes, name = read_overlay(results.base.folder)

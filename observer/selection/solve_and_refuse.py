@@ -9,7 +9,7 @@ import numpy as np
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
+from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
 from observer.selection.shadows import borne_out, pulled_curves
 from observer.slopes.along_variance import find_along
@@ -23,6 +23,7 @@ from observer.slopes.shape_share import ShapeShare, find_shape_share
 from observer.slopes.slope_sums import sum_covariance
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 from observer.trough.observation_equation import Sights, change_across, misfit_with_slopes
 
 #: Extra scatter in the edge's angle that is allowed in each round [rad]: edges of clouds, seams and shadows fall out

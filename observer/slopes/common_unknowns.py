@@ -24,9 +24,10 @@ import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
+from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
+from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
 from observer.trough.observation_equation import Misfit, Sights, change_across, misfit
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from heliogauge.camera.model import Camera
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.views import View
+from observer.planning.photo_network import Believed
 from observer.planning.planned_flight import Pass
 from observer.planning.simulated_edges import Scene
-from observer.planning.simulated_flight import Believed
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
+from observer.trough.expectation import Expectation
 from observer.trough.typical_mirror import Mirror
 
 CAMERA = Camera(480, 640, 1030.0, 1030.0, 239.5, 319.5)

@@ -12,8 +12,8 @@ import pytest
 from data_synth.troughs.dataset import TroughOptions, write_trough_dataset
 from data_synth.troughs.presets import TroughChoice, trough_scene
 from heliogauge.errors import EstimationError, MetrologyError
+from observer import Options, run
 from observer.keys import load_observer
-from observer.pipeline.measure import Options, run
 
 
 @pytest.fixture(scope="session")

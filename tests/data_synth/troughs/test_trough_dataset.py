@@ -29,7 +29,7 @@ from heliogauge.results.json_file import read_json
 from heliogauge.results.slope_map_file import write_slope_map
 from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.map import SlopeMap, no_common_modes
-from observer.trough.collector import ls2
+from observer.trough import ls2
 
 
 @pytest.fixture(scope="module")

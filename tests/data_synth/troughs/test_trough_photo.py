@@ -17,7 +17,7 @@ from data_synth.troughs.surroundings import Ground, Sky, Surroundings
 from data_synth.troughs.trace import Finish, Tracer, TroughWorld, _reflected
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray
-from observer.trough.collector import ls2
+from observer.trough import ls2
 
 FOCAL = 1.49
 BARE = replace(ls2(), glass=None)

@@ -12,7 +12,7 @@ from data_synth.troughs.scene import world_of
 from data_synth.troughs.trace import Finish, Tracer
 from heliogauge.geometry.rays import reflect, refract
 from heliogauge.validate import FloatArray
-from observer.trough.collector import Collector, ls2
+from observer.trough import Collector, ls2
 
 BARE = replace(ls2(), glass=None)
 FOCAL = 1.49

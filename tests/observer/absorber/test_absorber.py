@@ -10,12 +10,12 @@ from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from observer.absorber.position import AbsorberSolution, StationFate, bearing_derivatives, solve_absorber
 from observer.photo_edges.edges import Edges
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.tube_bearings import Bearings, bearing, paired_edges, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
+from observer.trough.expectation import Expectation
 from tests.observer.drawn_tube import Axis, drawn_tube, looking
 
 LS2 = ls2()

@@ -10,7 +10,7 @@ from scipy.special import erf, ndtr
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
-from observer.light.beam_profile import BeamProfile, beam_profile, sun_profile
+from observer.light.beam import BeamProfile, beam_profile, sun_profile
 from observer.light.best import best_absorber, best_offset
 from observer.light.cases import (
     Case,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliogauge.sunlight.sun_shapes import GaussianSun
-from observer.light.beam_profile import beam_profile, sun_profile
+from observer.light.beam import beam_profile, sun_profile
 from observer.light.best import best_offset
 from observer.light.cases import Case, intercept_at_offsets, intercept_gain, measured_trough, optics_of
 from observer.planning.simulated_edges import EdgeNoise

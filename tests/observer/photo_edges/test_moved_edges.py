@@ -6,11 +6,12 @@ from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from observer.photo_edges.moved_edges import carried_bearings, carried_edges
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges
+from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.photo_edges.tube_bearings import Bearings, bearing
 from observer.photo_edges.views import View
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 
 COLLECTOR = Collector(5.0, 8.0, 1.49, 0.07)
 Y = (np.arange(400) + 0.5) * 0.02 - 4.0

@@ -8,11 +8,12 @@ from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from observer.photo_edges.edges import find_edges
 from observer.photo_edges.rectify import Strip
-from observer.photo_edges.reflection_edges import Expectation, edge_profiles, reflection_edges
+from observer.photo_edges.reflection_edges import edge_profiles, reflection_edges
 from observer.photo_edges.tube_bearings import tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
+from observer.trough.expectation import Expectation
 from tests.observer.drawn_tube import drawn_tube, looking
 
 CAMERA = Camera(360, 260, 1050.0, 1050.0, 181.3, 128.2)

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.stats import chi2
 
-from observer.photo_edges.reflection_edges import Expectation
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.selection.solve_and_refuse import solve_reflector
 from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
+from observer.trough.expectation import Expectation
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
-from observer.photo_edges.reflection_edges import Expectation
 from observer.photo_edges.views import View
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.selection.solve_and_refuse import solve_reflector
 from observer.slopes.along_variance import find_along
 from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+from observer.trough.expectation import Expectation
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.simulated_trough import short_scene, short_trough
 

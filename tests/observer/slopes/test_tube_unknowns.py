@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from observer.photo_edges.reflection_edges import Expectation, ReflectionEdges, design_misfit
+from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.photo_edges.views import View
+from observer.planning.photo_network import Believed
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
-from observer.planning.simulated_flight import Believed, Evaluation, simulate
+from observer.planning.simulated_flight import Evaluation, simulate
 from observer.product.slope_map import angle_maps
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
@@ -16,6 +17,7 @@ from observer.slopes.pose_modes import CameraModes, Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
+from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
 from observer.trough.observation_equation import Misfit, Sights
 from observer.trough.typical_mirror import TypicalMirror

@@ -9,7 +9,7 @@ from heliogauge.flags import SampleFlag
 from observer.photo_edges.reflection_edges import design_misfit
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
-from observer.trough.visibility import Visibility, coverage_warning, shares, visibility
+from observer.trough.visibility import Visibility, coverage_warning, seeable_shares, visibility
 
 X = (np.arange(100) + 0.5) * 0.05 - 2.5
 
@@ -100,6 +100,6 @@ def test_pass_too_short_on_both_sides_and_with_a_gap_names_each_part() -> None:
 def test_shares() -> None:
     _, found = seen_from(line_of_cameras(3.0), trough())
     aperture = np.ones(found.flags.shape, dtype=bool)
-    seeable, measured = shares(found, aperture, found.seeable)
+    seeable, measured = seeable_shares(found, aperture, found.seeable)
     assert seeable == pytest.approx(found.seeable.mean())
     assert measured == 1.0
