@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from observer import product as product
     from observer import report as report
     from observer import trough as trough
+    from observer.keys import load_observer as load_observer
     from observer.pipeline.measure import Options as Options
     from observer.pipeline.measure import Result as Result
     from observer.pipeline.measure import run as run
@@ -24,6 +25,7 @@ __getattr__, __dir__, __all__ = lazy_face(
         "Options": "observer.pipeline.measure",
         "Result": "observer.pipeline.measure",
         "light": "observer.light",
+        "load_observer": "observer.keys",
         "planning": "observer.planning",
         "product": "observer.product",
         "report": "observer.report",

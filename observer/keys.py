@@ -228,9 +228,20 @@ class ObserverMeasurement:
 def load_observer(folder: Path) -> ObserverMeasurement:
     """Read and check a folder with photos of a trough.
 
-    folder: Folder with measurement.toml; the files it names are relative to it.
-    Returns: The measurement; every file it names exists.
-    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    ObserverMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        As for `heliogauge.measurement.load.read_measurement`.
     """
     file, model = read_measurement(folder, ObserverModel)
     images = model.images

@@ -141,7 +141,7 @@ class Result:
         Of the steps of each [rad, m].
     overlay : Overlay
         One photo with what design and result predict of the reflection.
-    warnings : tuple of str
+    doubts : tuple of Doubt
         What makes the result doubtful.
     durations_s : dict of str to float
         Wall time of each stage [s].
