@@ -44,8 +44,9 @@ def run_command(
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
     from deflectometry.keys import load_deflectometry
-    from deflectometry.pipeline.evaluate import Align
-    from deflectometry.pipeline.measure import Options, run
+    from deflectometry.pipeline.choices import Options
+    from deflectometry.pipeline.measure import run
+    from deflectometry.shape.smooth_shape import Align
     from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
@@ -145,7 +146,7 @@ def patterns_command(
     verbose: Verbose = False,
 ) -> None:
     """Write the frames to display, pattern.toml for measurement.toml, and grey steps to calibrate the response."""
-    from deflectometry.setup.pattern_files import DisplayOptions, PatternOptions, write_patterns
+    from deflectometry.pipeline.write_patterns import DisplayOptions, PatternOptions, write_patterns
     from deflectometry.setup.patterns import Axis
     from heliogauge.running.terminal import terminal_progress
 

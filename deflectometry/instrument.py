@@ -18,7 +18,7 @@ INSTRUMENT = Instrument(
             template="deflectometry:template.toml",
             command="deflectometry",
             run="deflectometry.pipeline.measure:run",
-            options="deflectometry.pipeline.measure:Options",
+            options="deflectometry.pipeline.choices:Options",
         ),
     ),
     reports={"deflectometry": "deflectometry:report.ipynb"},

@@ -213,13 +213,13 @@ def _repeated(sample: FrameSample, pattern: FringePattern) -> Iterator[tuple[int
         seen.setdefault(key, index)
 
 
-def _label(pattern: FringePattern, index: int) -> tuple[str, float, float]:
-    """Return what a frame should show, for comparing."""
+def _label(pattern: FringePattern, index: int) -> str:
+    """Return what a frame should show; the same for frames that are meant to be the same."""
     for fringes, position in zip(pattern.sets, pattern.frame_slices, strict=True):
         if position.start <= index < position.stop:
             step = float(fringes.steps_rad[index - position.start] % (2 * np.pi))
-            return fringes.axis.value, fringes.periods, round(step, 6)
-    return "", 0.0, 0.0
+            return f"{fringes.axis} {fringes.periods} {round(step, 6)}"
+    return ""
 
 
 def _repeated_fault(pattern: FringePattern, earlier: int, later: int) -> FrameFault:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -86,15 +86,30 @@ def fit_sets(light: FloatArray, pattern: FringePattern) -> SetFit:
     return SetFit(turns, modulation, offsets, np.array(shares))
 
 
-def locate(
-    fit: SetFit, pattern: FringePattern, chosen: tuple[int, ...], noise: NoiseModel
-) -> tuple[FloatArray, FloatArray, float]:
+class SetPosition(NamedTuple):
+    """Position of each pixel of the sample from some sets of one axis.
+
+    fraction (m,): Fraction of the displayed image.
+    log_odds (m,): Logarithm of the odds that its order is right.
+    contradiction_turns: Largest median misfit of one period against the next.
+    """
+
+    fraction: FloatArray
+    log_odds: FloatArray
+    contradiction_turns: float
+
+
+class AgreeingSets(NamedTuple):
+    """Sets of one axis that do not contradict each other, by their place in the pattern."""
+
+    sets: tuple[int, ...]
+    contradiction_turns: float
+
+
+def position_from_sets(fit: SetFit, pattern: FringePattern, chosen: tuple[int, ...], noise: NoiseModel) -> SetPosition:
     """Find the position from some sets of one axis.
 
-    Shapes: fraction (m,).
     pattern: What was shown.
-    log_odds (m,): Logarithm of the odds that its order is right.
-    contradiction: Largest median misfit of one period against the next [turns].
     """
     search = search_orders([pattern.sets[i].periods for i in chosen])
     order = [chosen[position] for position in search.positions]
@@ -112,11 +127,11 @@ def locate(
         alone = (np.rint(period * fraction - cycles[coarse]) + cycles[coarse]) / period
         misfit = cycles[fine] - search.periods[fine] * alone
         worst = max(worst, float(np.median(np.abs(misfit - np.rint(misfit)))))
-    return np.asarray(fraction, dtype=np.float64), np.asarray(odds, dtype=np.float64), worst
+    return SetPosition(np.asarray(fraction, dtype=np.float64), np.asarray(odds, dtype=np.float64), worst)
 
 
-def agreeing_sets(fit: SetFit, pattern: FringePattern, axis: Axis, noise: NoiseModel) -> tuple[tuple[int, ...], float]:
-    """Return the largest group of sets of one axis that do not contradict each other, and its contradiction [turns].
+def agreeing_sets(fit: SetFit, pattern: FringePattern, axis: Axis, noise: NoiseModel) -> AgreeingSets:
+    """Return the largest group of sets of one axis that do not contradict each other.
 
     Sets whose own frames do not follow a sinusoid (four times the usual residual) are left out first: two swapped
     frames spoil two sets, and the pairs that remain are too few to contradict each other.
@@ -124,15 +139,18 @@ def agreeing_sets(fit: SetFit, pattern: FringePattern, axis: Axis, noise: NoiseM
     every = tuple(i for i, fringes in enumerate(pattern.sets) if fringes.axis is axis)
     limit = max(4.0 * float(np.median(fit.residual_share)), 0.1)
     members = tuple(i for i in every if fit.residual_share[i] < limit) or every
-    best: tuple[tuple[int, ...], float] = (members, locate(fit, pattern, members, noise)[2])
-    if best[1] < _CONTRADICTION_TURNS:
-        return best
+
+    def judge(group: tuple[int, ...]) -> AgreeingSets:
+        return AgreeingSets(group, position_from_sets(fit, pattern, group, noise).contradiction_turns)
+
+    every_set = judge(members)
+    if every_set.contradiction_turns < _CONTRADICTION_TURNS:
+        return every_set
     for size in range(len(members) - 1, 1, -1):
-        tried = [(group, locate(fit, pattern, group, noise)[2]) for group in combinations(members, size)]
-        found = min(tried, key=lambda pair: pair[1])
-        if found[1] < _CONTRADICTION_TURNS:
+        found = min(map(judge, combinations(members, size)), key=lambda one: one.contradiction_turns)
+        if found.contradiction_turns < _CONTRADICTION_TURNS:
             return found
-    return best
+    return every_set
 
 
 def contradicts(turns: float) -> bool:
@@ -182,11 +200,12 @@ def frame_content(
     explained, step, sigma = np.zeros((n, sets)), np.zeros((n, sets)), np.zeros((n, sets))
     exposure, sigma_exposure, spoilt, misfit = np.ones(n), np.full(n, np.inf), np.zeros(n), np.zeros(n)
     total = ((light - light.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) + 1e-12
-    everywhere = {axis: locate(fit, pattern, group, noise)[0] for axis, group in groups.items()}
+    everywhere = {axis: position_from_sets(fit, pattern, group, noise).fraction for axis, group in groups.items()}
     for j, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         group = groups[fringes.axis]
-        others, odds, _ = locate(fit, pattern, tuple(i for i in group if i != j) or group, noise)
-        angle = TURN_RAD * fringes.periods * np.where(odds > 6.9, others, everywhere[fringes.axis])
+        others = position_from_sets(fit, pattern, tuple(i for i in group if i != j) or group, noise)
+        usable = others.log_odds > 6.9
+        angle = TURN_RAD * fringes.periods * np.where(usable, others.fraction, everywhere[fringes.axis])
         waves = [modulation * wave(order * angle) for order in (1, 2) for wave in (np.cos, np.sin)]
         basis = np.stack([offset, *waves])
         # Weak priors: light 1 +- 0.1, harmonics 0 +- 0.3, against 2 % of systematic misfit. Where only a third of a

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ TURN_RAD = 2 * np.pi
 
 #: Variance of rounding to whole digital numbers [DN^2]; no integer frame can have less noise.
 QUANTISATION_VARIANCE_DN2 = 1.0 / 12.0
-
 
 #: Where the response is three times steeper than usual it bends within the noise, and first order overstates it.
 _STEEP = 9.0
@@ -104,73 +103,6 @@ def solve_steps(steps_rad: npt.ArrayLike) -> StepSolver:
     return StepSolver(steps, freeze(estimate), freeze(residual), freeze(variance), bool(n > 3 and uneven < 1e-9))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PhaseFit:
-    """Sinusoid fitted to each pixel of one set of frames.
-
-    phase_rad (...): Phase in (-pi, pi] [rad].
-    sigma_rad (...): Its standard deviation [rad]; infinite without modulation.
-    modulation_dn (...): Amplitude b of the sinusoid [DN, or the response's unit].
-    offset_dn (...): Mean a [DN, or the response's unit].
-    residual_dn (...): Root of the sum of squared residuals per degree of freedom; NaN for three frames [DN, or the
-        response's unit].
-    """
-
-    phase_rad: FloatArray
-    sigma_rad: FloatArray
-    modulation_dn: FloatArray
-    offset_dn: FloatArray
-    residual_dn: FloatArray
-
-
-def fit_phase(
-    frames: npt.ArrayLike,
-    steps_rad: npt.ArrayLike,
-    *,
-    noise: NoiseModel | None = None,
-    response: LightResponse | None = None,
-) -> PhaseFit:
-    """Fit ``I_k = a + b cos(phi - step_k)`` to each pixel by least squares.
-
-    frames (n, ...): Readings in the order of the steps [DN].
-    steps_rad (n,): Phase steps, any values that determine the phase [rad].
-    noise: Noise of the readings; estimated from the residuals of all pixels without it.
-    response: Makes readings linear first; the noise is carried through its slope.
-    Returns: Float64 arrays of the pixels' shape; NaN where a reading is not finite.
-    InputError: Number of frames and of steps differ.
-    EstimationError: The steps do not determine the phase, or three frames without a noise model.
-
-    Unweighted least squares. With the rows c, s of the solution that give b cos(phi) and b sin(phi), ``sigma_phi**2 =
-    sum_k (cos(phi) s_k - sin(phi) c_k)**2 var(I_k) / b**2``; n equal steps and constant noise give the Cramer-Rao
-    bound ``sigma_phi = sqrt(2 / n) sigma / b``. First order: it holds for sigma_phi below about 0.3 rad. Model: spec
-    003 C-31 (Ulmer et al. 2011 for four steps), with steps of any value instead of 2 pi / n.
-
-    >>> fit = fit_phase([3.0, 2.0, 1.0, 2.0], [0, np.pi / 2, np.pi, 3 * np.pi / 2], noise=NoiseModel(0.01))
-    >>> round(float(fit.modulation_dn), 6), round(float(fit.sigma_rad), 6)
-    (1.0, 0.007071)
-    """
-    given = np.asarray(frames)
-    floor = QUANTISATION_VARIANCE_DN2 if given.dtype.kind in "ui" else 1e-12
-    readings = given.astype(np.float64)
-    solver = solve_steps(steps_rad)
-    if readings.ndim < 1 or len(readings) != len(solver.steps_rad):
-        raise InputError(f"phase: {len(solver.steps_rad)} steps need as many frames, not {readings.shape}")
-    shape = readings.shape[1:]
-    readings = readings.reshape(len(readings), -1)
-    model = noise if noise is not None else estimate_noise(readings, [solver], response=response, floor_dn2=floor)
-    light, slope_squared = _linear_light(readings, response)
-    offset, cosine, sine = solver.estimate @ light
-    modulation = np.hypot(cosine, sine)
-    var_cc, var_ss, var_cs, _ = solver.variance @ (slope_squared * model.variance(readings))
-    across = cosine**2 * var_ss + sine**2 * var_cc - 2 * cosine * sine * var_cs
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.where(modulation == 0, np.inf, np.sqrt(np.maximum(across, 0.0)) / modulation**2)
-    squares = ((solver.residual @ light) ** 2).sum(axis=0)
-    residual = np.sqrt(squares / solver.redundancy) if solver.redundancy else np.full_like(offset, np.nan)
-    phase = wrap_phase(np.arctan2(sine, cosine))
-    return PhaseFit(*(freeze(part.reshape(shape)) for part in (phase, sigma, modulation, offset, residual)))
-
-
 def wrap_phase(phase_rad: FloatArray) -> FloatArray:
     """Wrap angles into (-pi, pi].
 
@@ -183,7 +115,7 @@ def wrap_phase(phase_rad: FloatArray) -> FloatArray:
     return np.asarray(phase_rad - TURN_RAD * np.ceil((phase_rad - np.pi) / TURN_RAD), dtype=np.float64)
 
 
-def _linear_light(readings: FloatArray, response: LightResponse | None) -> tuple[FloatArray, FloatArray]:
+def linear_light(readings: FloatArray, response: LightResponse | None) -> tuple[FloatArray, FloatArray]:
     """Return linear light and the squared slope that carries a variance of readings to it."""
     if response is None:
         return readings, np.ones_like(readings)
@@ -236,8 +168,7 @@ def estimate_noise(
     return NoiseModel(math.sqrt(read), gain)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Squares:
+class _Squares(NamedTuple):
     """Squared residuals of all sets and pixels, with what goes with each.
 
     value (k,): Squared residuals.
@@ -254,17 +185,7 @@ class _Squares:
 
     def chosen(self, where: BoolArray) -> "_Squares":
         """Return some of them."""
-        return _Squares(*(part[where] for part in self._parts()))
-
-    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        return self.value, self.constant, self.linear, self.power, self.steepness
-
-    @classmethod
-    def joined(cls, sets: "Sequence[_Squares]") -> "_Squares":
-        """Join the sets; nothing for no set."""
-        if not sets:
-            return cls(*(np.zeros(0) for _ in range(5)))
-        return cls(*(np.concatenate(parts) for parts in zip(*(one._parts() for one in sets), strict=True)))
+        return _Squares(*(part[where] for part in self))
 
 
 def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], response: LightResponse | None) -> _Squares:
@@ -278,7 +199,7 @@ def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], resp
         start = stop
         if solver.redundancy == 0 or chosen.size == 0:
             continue
-        light, slope_squared = _linear_light(chosen, response)
+        light, slope_squared = linear_light(chosen, response)
         weights = solver.residual**2
         _, cosine, sine = solver.estimate @ light
         constant = weights @ slope_squared
@@ -294,7 +215,9 @@ def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], resp
         linear = weights @ (slope_squared * np.maximum(chosen, 0.0))
         power, steepness = (np.broadcast_to(part, squares.shape) for part in (cosine**2 + sine**2, steepness))
         found.append(_Squares(*(part.ravel() for part in (squares, constant, linear, power, steepness))))
-    return _Squares.joined(found)
+    if not found:
+        return _Squares(*np.zeros((5, 0)))
+    return _Squares(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def residual_distortion(light: FloatArray, solver: StepSolver, weights: FloatArray | None = None) -> FloatArray:

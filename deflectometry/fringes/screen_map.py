@@ -77,6 +77,11 @@ class ScreenMap:
     noise: NoiseModel
     systematic_phase_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
 
+    def points_seen(self) -> tuple[Float32Array, Float32Array]:
+        """Return u and v of the pixels without a flag, each of shape (n,)."""
+        good = self.flags == 0
+        return self.u[good], self.v[good]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SetPlan:
@@ -94,10 +99,18 @@ class _SetPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _AxisPlan:
+    """The sets of one axis, coarsest first."""
+
+    search: OrderSearch
+    sets: tuple[_SetPlan, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
     """Everything that is the same for all blocks."""
 
-    axes: tuple[tuple[OrderSearch, tuple[_SetPlan, ...]], ...]
+    axes: tuple[_AxisPlan, ...]
     noise: NoiseModel
     response: LightResponse | None
     light_table: Float32Array
@@ -129,7 +142,7 @@ def measure_screen_map(
     InputError: Frames, region or noise that do not fit the pattern.
     EstimationError: No region, three-step sets without a given noise, or periods whose order cannot be searched.
 
-    For each pixel and set: sinusoid by least squares (`deflectometry.fringes.phase.fit_phase`), its variance from the
+    For each pixel and set: sinusoid by least squares (`deflectometry.fringes.phase.solve_steps`), its variance from the
     noise model carried through the response's slope; the sets of an axis are combined by
     `deflectometry.fringes.unwrap`. A set is left out where its amplitude is below what noise alone reaches with
     `no_fringe_probability` p, which is ``sigma_phi > 1 / sqrt(2 ln(1 / p))`` (0.19 rad at 1e-6: the amplitude of
@@ -265,10 +278,11 @@ def _systematic_phases(plan: _Plan, sample: npt.NDArray[Any]) -> FloatArray:
     unused = np.zeros((2, sample.shape[1]), dtype=np.float32)
     found = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        for search, sets in plan.axes:
-            fits = [_fit_set(plan, fringes, light, variance, unused[0], unused[1]) for fringes in sets]
+        for axis in plan.axes:
+            fits = [_fit_set(plan, fringes, light, variance, unused[0], unused[1]) for fringes in axis.sets]
             cycles = [turns.astype(np.float64) for turns, _ in fits]
-            found.append(estimate_systematic_phase(search, cycles, [weight.astype(np.float64) for _, weight in fits]))
+            weights = [weight.astype(np.float64) for _, weight in fits]
+            found.append(estimate_systematic_phase(axis.search, cycles, weights))
     return np.array(found)
 
 
@@ -276,15 +290,15 @@ def _with_systematic(plan: _Plan, systematic_rad: FloatArray, sample: npt.NDArra
     """Return the plan with each axis's systematic phase and each set's harmonics in the variances."""
     light = _light(sample, sample.astype(np.float32), plan.response, plan.light_table).astype(np.float64)
     axes = []
-    for (search, sets), phase in zip(plan.axes, systematic_rad, strict=True):
+    for axis, phase in zip(plan.axes, systematic_rad, strict=True):
         known = []
-        for one in sets:
+        for one in axis.sets:
             distortion = residual_distortion(light[one.position], one.solver)
             # Mean square over the phase of a residual, for each squared DN of modulation.
             share = 0.5 * float((distortion**2).sum()) / max(one.solver.redundancy, 1)
             variance = float(phase) ** 2 / one.information_scale
             known.append(replace(one, systematic_variance=variance, distortion_share=share))
-        axes.append((search, tuple(known)))
+        axes.append(_AxisPlan(axis.search, tuple(known)))
     return replace(plan, axes=tuple(axes))
 
 
@@ -326,7 +340,7 @@ def _make_plan(
         search = search_orders([fringes.periods for fringes, _ in sets])
         plans = tuple(_plan_set(*sets[position], limits) for position in search.positions)
         redundancy += sum(plan.solver.redundancy for plan in plans)
-        axes.append((search, plans))
+        axes.append(_AxisPlan(search, plans))
     light_table, variance_table = _tables(dtype, response, noise)
     return _Plan(
         axes=tuple(axes),
@@ -368,13 +382,13 @@ def _measure_block(plan: _Plan, raw: npt.NDArray[Any]) -> tuple[list[Float32Arra
     positions: list[Float32Array] = []
     sigmas: list[Float32Array] = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        for search, sets in plan.axes:
+        for axis in plan.axes:
             cycles, information = [], []
-            for fringes in sets:
+            for fringes in axis.sets:
                 turns, weight = _fit_set(plan, fringes, light, variance, modulation, disagreement)
                 cycles.append(turns)
                 information.append(weight)
-            position, total, odds = combine_orders(search, cycles, information)
+            position, total, odds = combine_orders(axis.search, cycles, information)
             sigma = 1.0 / np.sqrt(total)
             seen = information[0] > 0
             flags |= np.where(seen, np.uint32(0), np.uint32(SampleFlag.LOW_MODULATION))
@@ -389,7 +403,7 @@ def _measure_block(plan: _Plan, raw: npt.NDArray[Any]) -> tuple[list[Float32Arra
         flags |= np.where(saturated, np.uint32(SampleFlag.SATURATED), np.uint32(0))
     if raw.dtype.kind == "f":
         flags[~np.isfinite(readings).reshape(n, -1).all(axis=0)] = SampleFlag.INPUT_NOT_FINITE
-    modulation *= np.float32(1.0 / sum(len(sets) for _, sets in plan.axes))
+    modulation *= np.float32(1.0 / sum(len(axis.sets) for axis in plan.axes))
     return [part.reshape(shape) for part in (*positions, *sigmas, modulation)], flags.reshape(shape)
 
 
@@ -401,7 +415,7 @@ def _reading_variance(plan: _Plan, raw: npt.NDArray[Any], readings: Float32Array
             return np.take(plan.variance_table, raw, mode="wrap").reshape(n, -1)
         wide = readings.astype(np.float64)
         return (plan.response.slope(wide) ** 2 * plan.noise.variance(wide)).astype(np.float32).reshape(n, -1)
-    if all(fringes.solver.balanced for _, sets in plan.axes for fringes in sets):
+    if all(fringes.solver.balanced for axis in plan.axes for fringes in axis.sets):
         return np.zeros((0, 0), dtype=np.float32)
     constant, gain = np.float32(plan.noise.sigma_read_dn**2), np.float32(plan.noise.gain_dn)
     return (constant + gain * np.maximum(readings, np.float32(0))).reshape(n, -1)

@@ -3,33 +3,17 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deflectometry.fringes.phase import TURN_RAD
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import AnyFloatArray, BoolArray, FloatArray, float_array, freeze
+from heliogauge.validate import FloatArray, float_array
 
 #: More candidates than this for the order of the coarsest set cost more than a better choice of periods.
 MOST_CANDIDATES = 200
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UnwrappedFraction:
-    """Position on the display along one axis.
-
-    fraction (...): Fraction of the displayed image, 0 to 1; noise may carry it a little beyond. NaN where no set is
-        usable.
-    sigma (...): Standard deviation of the fraction, given that the order is right.
-    wrong_order_probability (...): Probability that the order of any of the sets is wrong, from the sigmas; 1 where
-        no set is usable.
-    """
-
-    fraction: FloatArray
-    sigma: FloatArray
-    wrong_order_probability: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,22 +50,31 @@ def search_orders(periods: Sequence[float]) -> OrderSearch:
     if search.candidates > MOST_CANDIDATES:
         raise EstimationError(
             f"unwrapping: the coarsest set has {search.periods[0]:g} periods; add a set with fewer than 1 "
-            "(0.9 leaves a dead band at the edges), or unwrap in space"
+            "(0.9 leaves a dead band at the edges)"
         )
     return search
 
 
-def unwrap_temporal(
-    phases_rad: npt.ArrayLike, sigmas_rad: npt.ArrayLike, periods: Sequence[float]
-) -> UnwrappedFraction:
-    """Find absolute positions from the phases of several periods, pixel by pixel.
+class Position(NamedTuple):
+    """Positions on the display along one axis, each of shape (...).
 
-    phases_rad (m, ...): Wrapped phase of each set, ``2 pi periods w`` [rad].
-    sigmas_rad (m, ...): Their standard deviations; infinite leaves a set out at that pixel [rad].
-    periods length m: Periods of each set over the display, in any order, any ratios.
-    Returns: Mean of all sets weighted by inverse variance, its sigma, and the probability of a wrong order.
-    InputError: Shapes or periods that do not fit.
-    EstimationError: Too many periods in the coarsest set.
+    fraction: Fraction of the displayed image; noise may carry it a little beyond 0 and 1.
+    information: Its inverse variance, given that the orders are right.
+    log_odds: Logarithm of the odds that every order is right.
+    """
+
+    fraction: npt.NDArray[Any]
+    information: npt.NDArray[Any]
+    log_odds: npt.NDArray[Any]
+
+
+def combine_orders(
+    search: OrderSearch, cycles: Sequence[npt.NDArray[Any]], information: Sequence[npt.NDArray[Any]]
+) -> Position:
+    """Search the orders of all sets of one axis for a block of pixels.
+
+    cycles (...): Phase of each set in turns, coarsest first; float32 or float64.
+    information (...): Inverse variance of the position from each set alone, coarsest first; zero leaves it out.
 
     The coarsest set gives one candidate for each of its periods that may lie on the display (exactly one below 1
     period: its window is centred on the display, so that noise at an edge stays there instead of jumping by 1 /
@@ -90,70 +83,33 @@ def unwrap_temporal(
     wins, and the odds against the next (and against the neighbouring order at each step) are ``exp(difference of
     chi-square / 2)``. With whole periods everywhere w and w + 1 cannot be told apart at the edges; such samples carry
     a probability near 0.5. Sets like (15, 16) without a coarse one work the same way.
-
-    >>> phases = 2 * np.pi * np.array([0.9, 7.0])[:, None] * np.array([0.0, 0.25, 1.0])
-    >>> found = unwrap_temporal(phases, np.full((2, 3), 0.01), [0.9, 7.0])
-    >>> found.fraction.round(9) + 0.0
-    array([0.  , 0.25, 1.  ])
-    """
-    search = search_orders(periods)
-    phases = np.asarray(phases_rad, dtype=np.float64)
-    sigmas = np.asarray(sigmas_rad, dtype=np.float64)
-    if phases.shape != sigmas.shape or phases.ndim < 1 or len(phases) != len(search.periods):
-        raise InputError(
-            f"unwrapping: phases {phases.shape} and sigmas {sigmas.shape} of {len(search.periods)} sets are needed"
-        )
-    cycles = [phases[i] / TURN_RAD for i in search.positions]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        information = [
-            np.nan_to_num((TURN_RAD * p / sigmas[i]) ** 2, nan=0.0, posinf=1e30)
-            for p, i in zip(search.periods, search.positions, strict=True)
-        ]
-    fraction, total, log_odds = combine_orders(search, cycles, information)
-    with np.errstate(divide="ignore", over="ignore"):
-        sigma = 1.0 / np.sqrt(total)
-        probability = np.where(total > 0, 1.0 / (1.0 + np.exp(log_odds)), 1.0)
-    return UnwrappedFraction(
-        freeze(np.where(total > 0, fraction, np.nan)), freeze(sigma), freeze(np.asarray(probability, dtype=np.float64))
-    )
-
-
-def combine_orders(
-    search: OrderSearch, cycles: Sequence[npt.NDArray[Any]], information: Sequence[npt.NDArray[Any]]
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
-    """Search the orders for a block of pixels; see `unwrap_temporal` for the model.
-
-    cycles (...): Phase of each set in turns, coarsest first; float32 or float64.
-    information (...): Inverse variance of the position from each set alone, coarsest first; zero leaves it out.
-    fraction, information, log_odds (...): Position, its inverse variance, and the logarithm of the odds that every
-        order is right.
     """
     coarsest = search.periods[0]
     base = cycles[0] - coarsest * 0.5
     base = base - np.rint(base)
     if search.candidates == 1:
         start = 0.5 + base * (1.0 / coarsest)
-        fraction, total, odds, _ = _refine(search.periods, start, cycles, information)
+        found, _ = _refine(search.periods, start, cycles, information)
         # The neighbouring window lies off the display by at least 1 / coarsest - 1, except at the window's own ends.
-        off_center = np.abs(fraction - 0.5)
+        off_center = np.abs(found.fraction - 0.5)
         off_here = np.maximum(off_center - 0.5, 0.0)
         off_there = np.maximum((1.0 / coarsest - 0.5) - off_center, 0.0)
-        return fraction, total, np.minimum(odds, 0.5 * total * (off_there * off_there - off_here * off_here))
+        against = 0.5 * found.information * (off_there * off_there - off_here * off_here)
+        return found._replace(log_odds=np.minimum(found.log_odds, against))
     shape, dtype = base.shape, base.dtype
-    fraction, total, odds = np.zeros(shape, dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
+    chosen = Position(np.zeros(shape, dtype), np.zeros(shape, dtype), np.zeros(shape, dtype))
     best, second = np.full(shape, np.inf, dtype), np.full(shape, np.inf, dtype)
     reach = search.candidates // 2
     for order in range(-reach, reach + 1):
         start = 0.5 + (base + dtype.type(order)) * (1.0 / coarsest)
-        found, found_total, found_odds, cost = _refine(search.periods, start, cycles, information)
-        off = np.maximum(np.abs(found - 0.5) - 0.5, 0.0)
-        cost = cost + off * off * found_total
+        found, cost = _refine(search.periods, start, cycles, information)
+        off = np.maximum(np.abs(found.fraction - 0.5) - 0.5, 0.0)
+        cost = cost + off * off * found.information
         better = cost < best
         second = np.where(better, best, np.minimum(second, cost))
         best = np.where(better, cost, best)
-        fraction, odds = np.where(better, found, fraction), np.where(better, found_odds, odds)
-        total = np.where(better, found_total, total)
-    return fraction, total, np.minimum(odds, 0.5 * (second - best))
+        chosen = Position(*(np.where(better, new, old) for new, old in zip(found, chosen, strict=True)))
+    return chosen._replace(log_odds=np.minimum(chosen.log_odds, 0.5 * (second - best)))
 
 
 def _refine(
@@ -161,8 +117,8 @@ def _refine(
     start: npt.NDArray[Any],
     cycles: Sequence[npt.NDArray[Any]],
     information: Sequence[npt.NDArray[Any]],
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
-    """Refine a position by each further set; return it with its information, the step's log odds and the chi-square."""
+) -> tuple[Position, npt.NDArray[Any]]:
+    """Refine a position by each further set; return it with the odds of the worst step, and the chi-square."""
     fraction, total = start, information[0]
     odds = np.full_like(start, np.inf)
     cost = np.zeros_like(start)
@@ -179,7 +135,7 @@ def _refine(
         cost += misfit * misfit * certainty
         fraction = fraction + misfit * share * (1.0 / period)
         total = whole
-    return fraction, total, odds, cost
+    return Position(fraction, total, odds), cost
 
 
 def estimate_systematic_phase(
@@ -223,40 +179,3 @@ def estimate_systematic_phase(
         enough = float(np.median(square / (variance + middle**2 * factor))) < median
         low, high = (low, middle) if enough else (middle, high)
     return TURN_RAD * high
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RelativePhase:
-    """Phase unwrapped in space: known up to a whole number of turns for each connected region.
-
-    phase_rad (h, w): Continuous phase [rad]; NaN outside the region. Not an absolute position on the display.
-    region (h, w): Where it was unwrapped.
-    """
-
-    phase_rad: FloatArray
-    region: BoolArray
-
-
-def unwrap_spatial(phase_rad: AnyFloatArray, region: BoolArray) -> RelativePhase:
-    """Unwrap one phase image in space, where no coarse set of fringes exists.
-
-    Shapes: phase_rad (h, w).
-    region (h, w): Pixels to unwrap; pixels that are not finite are left out.
-    Returns: Relative by type: a known point or another measurement must fix the turns.
-    InputError: Shapes differ.
-    EstimationError: No usable pixel in the region.
-
-    Reliability-sorted path of Herraez et al. 2002, from scikit-image. Neighbours must differ by less than half a
-    turn.
-    """
-    from skimage.restoration import unwrap_phase  # 0.3 s to import, and few measurements need it
-
-    wrapped = np.asarray(phase_rad, dtype=np.float64)
-    if wrapped.ndim != 2 or region.shape != wrapped.shape:
-        raise InputError(f"unwrap_spatial: a phase image and a region of its shape are needed, not {wrapped.shape}")
-    usable = region & np.isfinite(wrapped)
-    if not usable.any():
-        raise EstimationError("unwrap_spatial: the region has no pixel with a phase")
-    filled = np.ma.MaskedArray(np.where(usable, wrapped, 0.0), mask=~usable)
-    unwrapped = np.ma.filled(unwrap_phase(filled), np.nan)  # type: ignore[no-untyped-call]
-    return RelativePhase(freeze(np.asarray(unwrapped, dtype=np.float64)), freeze(usable))

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deflectometry.pipeline.evaluate import Evaluation, LocatedMirror
-from deflectometry.setup.bench import Setup
+from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.pose.find_pose import LocatedMirror
+from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, unit_of
@@ -16,12 +17,12 @@ from heliogauge.validate import FloatArray
 Numbers = dict[str, float | int | None]
 
 #: What is taken out, and how the numbers that are left are called.
-VIEWS: tuple[tuple[str, Removal], ...] = (
-    ("", Removal.NOTHING),
-    ("_tilt_removed", Removal.TILT),
-    ("_best_focus", Removal.FOCUS),
-    ("_best_quadratic", Removal.QUADRATIC),
-)
+VIEWS: dict[str, Removal] = {
+    "": Removal.NOTHING,
+    "_tilt_removed": Removal.TILT,
+    "_best_focus": Removal.FOCUS,
+    "_best_quadratic": Removal.QUADRATIC,
+}
 
 
 def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
@@ -32,7 +33,7 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     Returns: Numbers by name with the unit at the end, each sigma beside its number.
     """
     numbers: Numbers = {}
-    for view, removal in VIEWS:
+    for view, removal in VIEWS.items():
         numbers.update(_deviation_numbers(statistics(slope_map, removed=removal), view))
     fit = fit_quadratic(as_measured)
     numbers |= {
@@ -47,6 +48,13 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     numbers["measured_share"] = slope_map.measured_share
     numbers["valid_nodes_count"] = int(np.count_nonzero(slope_map.valid))
     return numbers
+
+
+def numbers_of_facets(evaluation: Evaluation, maps: Mapping[str, SlopeMap]) -> dict[str, Numbers]:
+    """Collect the headline numbers of each facet, from its map after what was removed; empty for a single facet."""
+    if len(evaluation.located.facets) == 1:
+        return {}
+    return {name: canting_numbers(one) | facet_numbers(maps[name], one) for name, one in evaluation.maps.items()}
 
 
 def canting_numbers(as_measured: SlopeMap) -> Numbers:

@@ -1,7 +1,4 @@
-"""From measurement.toml to what the numeric modules work on: camera, screen, pattern, facets."""
-
-from dataclasses import dataclass
-from pathlib import Path
+"""From measurement.toml to what the numeric modules work on: camera, screen, pattern, mirror."""
 
 import numpy as np
 
@@ -14,31 +11,21 @@ from deflectometry.keys import (
     RectangularScreenSection,
     TabulatedScreenSection,
 )
-from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
-from deflectometry.setup.bench import RectangularScreen, Screen, Setup, TabulatedScreen
+from deflectometry.pose.find_pose import MirrorInput
+from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
+from deflectometry.setup.camera_and_screen import RectangularScreen, Screen, Setup, TabulatedScreen
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
-from deflectometry.setup.screen_table import refuse_other_units
+from deflectometry.setup.screen_table import check_screen_points, refuse_other_units
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
 from heliogauge.measurement.designs import build_design
 from heliogauge.measurement.load import MEASUREMENT_FILE
-from heliogauge.results.tables import read_camera_json, read_table_csv
-from heliogauge.validate import FloatArray, float_array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownPose:
-    """A pose that was measured otherwise.
-
-    covariance (6, 6): Covariance of the steps of `RigidTransform.moved` [rad, m].
-    """
-
-    cam_from_mirror: RigidTransform
-    covariance: FloatArray
-
+from heliogauge.measurement.models import Section
+from heliogauge.results.tables import read_camera_json, read_number_columns
 
 #: A full turn; no rotation needs more.
 TURN_RAD = 2 * np.pi
@@ -68,19 +55,36 @@ def _build_camera(measurement: DeflectometryMeasurement) -> Camera:
     if not isinstance(section, CameraParameters):
         return read_camera_json(measurement.path(section.file))
     distortion = BrownDistortion(
-        k1=section.k1, k2=section.k2, k3=section.k3, p1=section.p1, p2=section.p2,
+        k1=section.k1,
+        k2=section.k2,
+        k3=section.k3,
+        p1=section.p1,
+        p2=section.p2,
         direction=DistortionDirection(section.distortion_direction),
-    )  # fmt: skip
+    )
     sigma = [
-        section.sigma_focal_px, section.sigma_focal_px, section.sigma_center_px, section.sigma_center_px,
-        section.sigma_skew, section.sigma_k1, section.sigma_k2, section.sigma_p1, section.sigma_p2, section.sigma_k3,
-    ]  # fmt: skip
+        section.sigma_focal_px,
+        section.sigma_focal_px,
+        section.sigma_center_px,
+        section.sigma_center_px,
+        section.sigma_skew,
+        section.sigma_k1,
+        section.sigma_k2,
+        section.sigma_p1,
+        section.sigma_p2,
+        section.sigma_k3,
+    ]
     return Camera(
-        width_px=section.width_px, height_px=section.height_px,
-        focal_x_px=section.focal_x_px, focal_y_px=section.focal_y_px,
-        center_x_px=section.center_x_px, center_y_px=section.center_y_px,
-        skew=section.skew, distortion=distortion, covariance=np.diag(np.square(sigma)),
-    )  # fmt: skip
+        width_px=section.width_px,
+        height_px=section.height_px,
+        focal_x_px=section.focal_x_px,
+        focal_y_px=section.focal_y_px,
+        center_x_px=section.center_x_px,
+        center_y_px=section.center_y_px,
+        skew=section.skew,
+        distortion=distortion,
+        covariance=np.diag(np.square(sigma)),
+    )
 
 
 def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
@@ -95,20 +99,6 @@ def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
         return TabulatedScreen(columns[0], columns[1], columns[2:].T)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-
-
-def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
-    """Read named columns of numbers from a CSV file.
-
-    Shapes: result (n_names, n_rows).
-    InputError: A missing column, or a cell that is not a finite number.
-    """
-    table = read_table_csv(path, names)
-    try:
-        values = [[float(cell) for cell in table[name]] for name in names]
-    except ValueError as error:
-        raise InputError(f"{path}: {', '.join(names)} must hold numbers ({error})") from error
-    return float_array(f"{path}", values, (len(names), None))
 
 
 def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
@@ -127,7 +117,7 @@ def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
     )
 
 
-def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScreenSection) -> KnownPose:
+def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScreenSection) -> UncertainPose:
     turn_rad = float(np.linalg.norm(section.rotation_vector_rad))
     if turn_rad > TURN_RAD:
         raise InputError(
@@ -136,12 +126,7 @@ def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScree
         )
     pose = RigidTransform.from_rotation_vector(section.rotation_vector_rad, section.translation_m)
     sigma = 1e-3 * np.array([*section.sigma_rotation_mrad, *section.sigma_translation_mm])
-    return KnownPose(pose, np.diag(sigma**2))
-
-
-def build_pose(section: PoseSection) -> KnownPose:
-    """Build the mirror's pose from what was measured otherwise."""
-    return _known_pose(section)
+    return UncertainPose(pose, np.diag(sigma**2))
 
 
 def build_facets(section: MirrorSection, name: str) -> tuple[Facet, ...]:
@@ -185,10 +170,12 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
         measured = section.distance
         distances = (
             DistanceObservation(
-                measured.distance_m, measured.sigma_mm * 1e-3, np.asarray(measured.point_m),
+                measured.distance_m,
+                measured.sigma_mm * 1e-3,
+                np.asarray(measured.point_m),
                 setup.cam_from_screen.translation_m,
             ),
-        )  # fmt: skip
+        )
     points = section.known_point
     known = KnownPoints(
         np.array([one.point_m for one in points]).reshape(-1, 3),
@@ -201,3 +188,44 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
         roll_rad=float(np.deg2rad(section.roll_deg)),
         sigma_outline_m=section.outline_sigma_mm * 1e-3,
     )
+
+
+def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
+    """Put together what the file says of the mirror."""
+    section = measurement.model.mirror
+    return MirrorInput(
+        name=measurement.model.name,
+        facets=build_facets(section, measurement.model.name),
+        design=build_design(section),
+        known_pose=None if section.pose is None else _known_pose(section.pose),
+        knowledge=build_knowledge(section, setup),
+    )
+
+
+def check_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> Doubt | None:
+    """Return which inputs count as exact because no sigma is given; a sigma of 0.0 is a statement."""
+    exact = []
+    if not setup.camera.covariance.any() and not _states_sigma(measurement.model.camera):
+        exact.append("the camera ([camera] sigma_focal_px ...)")
+    if not setup.covariance_cam_from_screen.any() and not _states_sigma(measurement.model.screen):
+        exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
+    if not exact:
+        return None
+    return Doubt(
+        "sigma_of_setup_missing",
+        f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
+        "uncertainty (focus, astigmatism, twist) is too small",
+        {"inputs_count": len(exact)},
+    )
+
+
+def _states_sigma(section: Section) -> bool:
+    return any(key.startswith("sigma") for key in section.model_fields_set)
+
+
+def check_screen(measurement: DeflectometryMeasurement, screen: Screen) -> Doubt | None:
+    """Return a doubt where points of the screen's table stand out of the others."""
+    section = measurement.model.screen
+    if not isinstance(section, TabulatedScreenSection) or not isinstance(screen, TabulatedScreen):
+        return None
+    return check_screen_points(screen, str(measurement.path(section.file)))

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineFit, OutlineSearch, edge_margin_px
-from deflectometry.pose.pose_observations import KnownPoints
+from deflectometry.pose.pose_observations import KnownPoints, UncertainPose
 from deflectometry.pose.pose_start import mirror_regions
-from deflectometry.setup.facet import find_mirrors
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array
 
 #: A sharp image: half a pixel's diagonal is what a pixel needs to lie wholly on the mirror.
 SHARP_MARGIN_PX = 0.5 * float(np.sqrt(2.0))
@@ -46,15 +46,14 @@ def check_given_pose(
     image_dn: Float32Array,
     camera: Camera,
     facets: Sequence[Facet],
-    pose: RigidTransform,
-    covariance: FloatArray,
+    given: UncertainPose,
 ) -> OutlineCheck:
     """Look where the edges of a mirror with a given pose really are, and how wide.
 
     image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
-    covariance (6, 6): Its covariance for steps of `RigidTransform.moved` [rad, m].
     Returns: The pose and margin for the mask, and how far the outline of the given pose is off the edges.
     """
+    pose = given.cam_from_mirror
     image = np.nan_to_num(np.ascontiguousarray(image_dn, dtype=np.float32), posinf=0.0, neginf=0.0)
     try:
         found = find_mirrors(image)
@@ -70,7 +69,7 @@ def check_given_pose(
     edges = fit.edges.subset(fit.used)
     residuals, derivatives = edges.rows(camera, pose)
     rms = float(np.sqrt(np.mean(residuals**2)))
-    by_pose = float(np.einsum("ni,ij,nj->n", derivatives, covariance, derivatives).mean())
+    by_pose = float(np.einsum("ni,ij,nj->n", derivatives, given.covariance, derivatives).mean())
     allowed = _OFF_SIGMAS * float(np.sqrt(fit.sigma_px**2 + by_pose))
     off = None
     if rms > max(allowed, _OFF_WIDTH * edges.width_px):

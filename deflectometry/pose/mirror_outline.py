@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.setup.facet import polygon_mask
+from deflectometry.pose.mirrors_in_image import polygon_mask
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.pose.mirror_outline import lit_share
+from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
-from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
+from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
 from deflectometry.pose.pose_start import mirror_regions, point_poses, start_poses
-from deflectometry.setup.bench import Setup
-from deflectometry.setup.facet import find_mirrors
+from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
 from heliogauge.camera.model import Camera
@@ -102,6 +102,11 @@ class MirrorPose:
     def mask_margin_px(self) -> float:
         """Distance from the outline within which a pixel mixes the facet with what is beside it [px]."""
         return edge_margin_px(self.edge_width_px, self.sigma_edge_px)
+
+    @property
+    def uncertain_pose(self) -> UncertainPose:
+        """The pose with its covariance, which follows camera and screen."""
+        return UncertainPose(self.cam_from_mirror, self.covariance, self.with_setup)
 
     def with_setup(self, setup: Setup) -> RigidTransform:
         """Return the pose that the same images and distances give with another camera or screen."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deflectometry.pose.mirror_outline import OutlinePoints, beside_another, project_outline, sample_outlines
+from deflectometry.pose.mirrors_in_image import measure_edges
 from deflectometry.pose.pose_observations import KnownPoints
-from deflectometry.setup.facet import measure_edges
 from heliogauge.adjust.robust_loss import Cauchy, Tukey
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.camera.model import Camera

@@ -1,9 +1,11 @@
-"""What can be known of a mirror's pose beside the image of its outline: distances, points, the expected roll."""
+"""A mirror's pose with its uncertainty, and what is known of it beside the image: distances, points, the roll."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.adjust.least_squares import Constraint
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
@@ -107,3 +109,22 @@ class Knowledge:
         for name in ("sigma_outline_m", "side_share"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name}: zero or more is needed, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertainPose:
+    """The pose of a mirror before alignment, how well it is known, and how it follows camera and screen.
+
+    covariance (6, 6): Covariance for steps of `RigidTransform.moved` [rad, m], for camera and screen as given.
+    with_setup: The pose that the same observations give with another setup; without it the pose stays where it is.
+    """
+
+    cam_from_mirror: RigidTransform
+    covariance: FloatArray
+    with_setup: Callable[[Setup], RigidTransform] | None = None
+
+    def following(self, setup: Setup, aligned: RigidTransform) -> RigidTransform:
+        """Return an aligned pose moved by what another setup does to the pose."""
+        if self.with_setup is None:
+            return aligned
+        return self.with_setup(setup) @ self.cam_from_mirror.inverse() @ aligned

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from deflectometry.setup.facet import FoundMirrors, Region, enclosing_polygon
+from deflectometry.pose.mirrors_in_image import FoundMirrors, Region, enclosing_polygon
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between

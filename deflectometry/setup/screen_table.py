@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from deflectometry.fringes.screen_map import ScreenMap
-from deflectometry.setup.bench import Screen, TabulatedScreen
+from deflectometry.setup.camera_and_screen import Screen, TabulatedScreen
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.slopes.map import monomials
-from heliogauge.validate import FloatArray
+from heliogauge.validate import AnyFloatArray, FloatArray
 
 #: Display coordinates are fractions; measured points may lie a little outside of the displayed image.
 _FARTHEST = 0.5
@@ -33,13 +32,11 @@ def refuse_other_units(columns: FloatArray, name: str) -> None:
         )
 
 
-def check_screen_points(screen: Screen, name: str) -> Doubt | None:
+def check_screen_points(screen: TabulatedScreen, name: str) -> Doubt | None:
     """Return a doubt where measured points are far off the smooth surface through all of them.
 
     name: The file, for the text.
     """
-    if not isinstance(screen, TabulatedScreen):
-        return None
     terms = monomials(2 * screen.u - 1, 2 * screen.v - 1, 4)
     if screen.u.size < 2 * len(terms):
         return None
@@ -61,18 +58,20 @@ def check_screen_points(screen: Screen, name: str) -> Doubt | None:
     )
 
 
-def check_beyond_table(screen: Screen, screen_map: ScreenMap) -> Doubt | None:
-    """Return a doubt where the mirror shows parts of the display that no measured point surrounds."""
+def check_beyond_table(screen: Screen, seen_u: AnyFloatArray, seen_v: AnyFloatArray) -> Doubt | None:
+    """Return a doubt where the mirror shows parts of the display that no measured point surrounds.
+
+    seen_u, seen_v (n,): Display coordinates that good pixels see.
+    """
     if not isinstance(screen, TabulatedScreen):
         return None
-    good = screen_map.flags == 0
-    beyond = np.zeros(np.count_nonzero(good), dtype=np.bool_)
+    beyond = np.zeros(seen_u.size, dtype=np.bool_)
     reach = []
-    for name, seen, table in (("u", screen_map.u, screen.u), ("v", screen_map.v, screen.v)):
+    for name, seen, table in (("u", seen_u, screen.u), ("v", seen_v, screen.v)):
         low, high = float(table.min()), float(table.max())
         # Half the usual distance between points: so far the surface beside them is as good as between them.
         margin = 0.5 * (high - low) / max(np.sqrt(table.size) - 1.0, 1.0)
-        beyond |= (seen[good] < low - margin) | (seen[good] > high + margin)
+        beyond |= (seen < low - margin) | (seen > high + margin)
         reach.append(f"{name} from {low:.3g} to {high:.3g}")
     share = float(beyond.mean()) if beyond.size else 0.0
     if share <= _BEYOND_SHARE:

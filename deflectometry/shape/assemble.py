@@ -1,12 +1,13 @@
 """One map of a whole ensemble from the maps of its facets."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from deflectometry.pipeline.evaluate import Align, Evaluation, alignment_words
-from deflectometry.shape.common_modes import spread_indices
+from deflectometry.shape.facet_pixels import spread_indices
 from deflectometry.shape.gridding import default_step_m, grid_axis
+from deflectometry.shape.smooth_shape import Align, alignment_words
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
@@ -15,18 +16,29 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
 
-def assemble_maps(evaluation: Evaluation, maps: Mapping[str, SlopeMap], removal: Removal) -> SlopeMap:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """The common modes of one facet, its place, and the nodes (2, n) that it covers, in its own frame."""
+
+    common: CommonModes
+    ensemble_from_facet: RigidTransform
+    nodes: FloatArray
+
+
+def assemble_maps(mirror: Sequence[Facet], maps: Mapping[str, SlopeMap], align: Align, removal: Removal) -> SlopeMap:
     """Put the maps of all facets into one map in the frame of the ensemble.
 
-    removal: What was taken out of each of these maps.
+    mirror: All facets, measured or not.
+    maps: The map of each measured facet by its name.
+    align, removal: Orientation of these maps, and what was taken out of each.
     Returns: The map of the only facet, or the map of the ensemble: slopes, design slopes and heights in its frame,
         nodes between facets and facets that were not measured flagged.
 
-    Each node is carried into the facet that covers it, the facet's map is read at its nearest node, and measured and
+    Each node is taken into the facet that covers it, the facet's map is read at its nearest node, and measured and
     design normal are turned into the ensemble's frame: canting shows as a step between facets. The maps of the facets
     keep what the nearest node loses.
     """
-    facets = {facet.name: facet for facet in evaluation.located.facets}
+    facets = {facet.name: facet for facet in mirror}
     if len(facets) == 1:
         return next(iter(maps.values()))
     first = next(iter(maps.values()))
@@ -45,17 +57,25 @@ def assemble_maps(evaluation: Evaluation, maps: Mapping[str, SlopeMap], removal:
         flags[own] = np.uint32(SampleFlag.NOT_SEEN)
         if name in maps:
             fields[:, own], flags[own] = _read_facet(maps[name], nodes, facet.ensemble_from_facet)
-            parts.append((maps[name].common, facet.ensemble_from_facet, nodes))
+            parts.append(_Part(maps[name].common, facet.ensemble_from_facet, nodes))
     return SlopeMap(
-        x_m=x_m, y_m=y_m,
-        slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
-        sigma_random_x=fields[4], sigma_random_y=fields[5], noise_correlation=first.noise_correlation,
+        x_m=x_m,
+        y_m=y_m,
+        slope_x=fields[0],
+        slope_y=fields[1],
+        design_slope_x=fields[2],
+        design_slope_y=fields[3],
+        sigma_random_x=fields[4],
+        sigma_random_y=fields[5],
+        noise_correlation=first.noise_correlation,
         common=_joint_modes(parts, 0.5 * (low + high)[:2], 0.5 * float((high - low)[:2].max())),
-        height_m=fields[6], flags=flags, aperture=aperture,
+        height_m=fields[6],
+        flags=flags,
+        aperture=aperture,
         design=f"ensemble of {len(facets)} facets: {first.design}",
         frame="ensemble frame: x across, y up, seen from the front, z out of the mirror [m]",
-        removed=_removed_words(evaluation.choices.align, removal, len(facets)),
-    )  # fmt: skip
+        removed=_removed_words(align, removal, len(facets)),
+    )
 
 
 def _removed_words(align: Align, removal: Removal, n_facets: int) -> str:
@@ -109,19 +129,19 @@ def _turned(slope_x: FloatArray, slope_y: FloatArray, rotation: FloatArray) -> t
     return -normal[0] / normal[2], -normal[1] / normal[2]
 
 
-def _joint_modes(
-    parts: list[tuple[CommonModes, RigidTransform, FloatArray]], center_m: FloatArray, scale_m: float
-) -> CommonModes:
+def _joint_modes(parts: Sequence[_Part], center_m: FloatArray, scale_m: float) -> CommonModes:
     """Fit one set of polynomials to the modes of all facets; a source moves them together."""
-    sources = parts[0][0].sources
+    sources = parts[0].common.sources
     values, positions = [], []
-    for common, place, nodes in parts:
-        if common.sources != sources:
+    for part in parts:
+        if part.common.sources != sources:
             continue
-        thinned = nodes[:, spread_indices(nodes.shape[1], 200)]
-        modes = common.evaluate(thinned[0], thinned[1])
-        values.append(np.einsum("ab,kbn->kan", place.rotation[:2, :2], modes))
-        ensemble = place.apply(np.stack([thinned[0], thinned[1], np.zeros(thinned.shape[1])], axis=-1))
+        thinned = part.nodes[:, spread_indices(part.nodes.shape[1], 200)]
+        modes = part.common.evaluate(thinned[0], thinned[1])
+        values.append(np.einsum("ab,kbn->kan", part.ensemble_from_facet.rotation[:2, :2], modes))
+        ensemble = part.ensemble_from_facet.apply(
+            np.stack([thinned[0], thinned[1], np.zeros(thinned.shape[1])], axis=-1)
+        )
         positions.append(ensemble[:, :2].T)
     at = (np.concatenate(positions, axis=1) - center_m[:, None]) / scale_m
     terms = monomials(at[0], at[1], 3)

@@ -1,12 +1,14 @@
 """From the pixels of a facet to the regular grid of a slope map."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from deflectometry.shape.slope_image import SlopeImage
-from deflectometry.shape.slopes import FittedSurface
+from deflectometry.shape.smooth_shape import Align, FittedSurface, alignment_words
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -60,6 +62,22 @@ def default_step_m(footprint_m: float, area_m2: float) -> float:
     return float(np.round(np.floor(step / unit + 1e-9) * unit, 12))
 
 
+def plan_grid(images: Mapping[str, SlopeImage], facets: Sequence[Facet], step_m: float, align: Align) -> GridPlan:
+    """Choose one grid step for all facets, and the words of their maps.
+
+    images: Pixels of each measured facet by its name.
+    facets: All facets of the mirror, measured or not.
+    step_m: The step asked for; 0 takes that of `default_step_m` [m].
+    """
+    if step_m == 0.0:
+        finest = min(image.footprint_m for image in images.values())
+        step_m = default_step_m(finest, sum(facet.area_m2 for facet in facets if facet.name in images))
+    frame = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
+    if len(facets) > 1:
+        frame += "; one frame for each facet, placed by the ensemble's definition"
+    return GridPlan(step_m, frame, alignment_words(align, len(facets)))
+
+
 def grid_axis(low_m: float, high_m: float, step_m: float) -> FloatArray:
     """Return grid positions at whole multiples of the step that cover an interval [m]."""
     first, last = np.floor(low_m / step_m + 1e-9), np.ceil(high_m / step_m - 1e-9)
@@ -69,7 +87,8 @@ def grid_axis(low_m: float, high_m: float, step_m: float) -> FloatArray:
 def grid_slopes(
     image: SlopeImage,
     surface: FittedSurface,
-    view: tuple[Camera, RigidTransform],
+    camera: Camera,
+    cam_from_facet: RigidTransform,
     facet: Facet,
     *,
     plan: GridPlan,
@@ -106,19 +125,18 @@ def grid_slopes(
         )
     nodes = np.stack([grid_x[aperture], grid_y[aperture]])
     points = np.stack([*nodes, surface.height(*nodes)], axis=-1)
-    camera, cam_from_facet = view
     pixels = camera.project(cam_from_facet.apply(points)) - np.array([image.column, image.row])
-    residual, sigma, flag = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
+    sample = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
     smooth = np.stack(surface.gradient(*nodes))
     design = np.stack(surface.design.gradient(*nodes))
     fields = np.full((7, *aperture.shape), np.nan)
-    fields[:, aperture] = np.concatenate([smooth + residual, design, sigma, surface.height(*nodes)[None]])
+    fields[:, aperture] = np.concatenate([smooth + sample.residual, design, sample.sigma, surface.height(*nodes)[None]])
     flags = np.full(aperture.shape, SampleFlag.OUTSIDE_MIRROR, dtype=np.uint32)
-    flags[aperture] = flag
-    if not np.isfinite(residual).any():
+    flags[aperture] = sample.flags
+    if not np.isfinite(sample.residual).any():
         raise EstimationError(f"grid: no pixel of facet {facet.name} carries a slope; see the flags of pixels.nc")
     remainder = np.full((2, *aperture.shape), np.nan)
-    remainder[:, aperture] = residual
+    remainder[:, aperture] = sample.residual
     doubts: tuple[Doubt, ...] = ()
     try:
         height = fields[6] + integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
@@ -126,20 +144,44 @@ def grid_slopes(
         text = f"facet {facet.name} has slopes but no height map: {error}"
         doubts, height = (Doubt("facet_without_heights", text),), np.full(aperture.shape, np.nan)
     slope_map = SlopeMap(
-        x_m=x_m, y_m=y_m,
-        slope_x=fields[0], slope_y=fields[1], design_slope_x=fields[2], design_slope_y=fields[3],
-        sigma_random_x=fields[4], sigma_random_y=fields[5],
-        noise_correlation=_noise_correlation(image, sigma), common=common,
-        height_m=height, flags=flags, aperture=aperture,
-        design=facet.design.describe(), frame=plan.frame, removed=plan.removed,
-    )  # fmt: skip
+        x_m=x_m,
+        y_m=y_m,
+        slope_x=fields[0],
+        slope_y=fields[1],
+        design_slope_x=fields[2],
+        design_slope_y=fields[3],
+        sigma_random_x=fields[4],
+        sigma_random_y=fields[5],
+        noise_correlation=_noise_correlation(image, sample.sigma),
+        common=common,
+        height_m=height,
+        flags=flags,
+        aperture=aperture,
+        design=facet.design.describe(),
+        frame=plan.frame,
+        removed=plan.removed,
+    )
     return GriddedFacet(slope_map, doubts)
 
 
-def _sample(
-    image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int
-) -> tuple[FloatArray, FloatArray, FlagArray]:
-    """Interpolate differences from the smooth shape, their sigma, and the flag of the nearest pixel."""
+class _NodeSample(NamedTuple):
+    """Slopes minus the smooth shape's (2, n) at nodes, their sigma (2, n), and the flag of the nearest pixel (n,)."""
+
+    residual: FloatArray
+    sigma: FloatArray
+    flags: FlagArray
+
+
+class _WeightedSums(NamedTuple):
+    """Sums over the pixels beside each node: weights (n,), weighted differences and squared-weight variances (2, n)."""
+
+    weight: FloatArray
+    residual: FloatArray
+    variance: FloatArray
+
+
+def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int) -> _NodeSample:
+    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2)."""
     smooth_x, smooth_y = surface.gradient(image.x_m, image.y_m)
     usable = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     weight = usable.astype(np.float64)
@@ -166,11 +208,11 @@ def _sample(
     # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
     flags[usable_node] &= ~np.uint32(REJECTED)
     flags[~usable_node & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
-    total, residual, variance = _interpolate(at, weight, planes, width)
+    sums = _interpolate(at, weight, planes, width)
     with np.errstate(invalid="ignore", divide="ignore"):
-        residual = np.where(usable_node, residual / total, np.nan)
-        sigma = np.where(usable_node, np.sqrt(variance) / total, np.nan)
-    return residual, sigma, flags
+        residual = np.where(usable_node, sums.residual / sums.weight, np.nan)
+        sigma = np.where(usable_node, np.sqrt(sums.variance) / sums.weight, np.nan)
+    return _NodeSample(residual, sigma, flags)
 
 
 def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[IntArray, BoolArray]:
@@ -184,10 +226,8 @@ def _box_sum(plane: FloatArray, width: int) -> FloatArray:
     return np.asarray(cv2.boxFilter(plane, cv2.CV_64F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT))
 
 
-def _interpolate(
-    pixels: FloatArray, weight: FloatArray, planes: list[FloatArray], width: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sum the neighbours of each position: weights, weighted differences, squared-weight variances.
+def _interpolate(pixels: FloatArray, weight: FloatArray, planes: list[FloatArray], width: int) -> _WeightedSums:
+    """Sum the neighbours of each position.
 
     Cubic where all 16 neighbours are there, linear over the ones of the 4 that are there elsewhere. Neighbours that
     are means over `width` pixels share most of them: their noise adds up, it does not average out.
@@ -215,7 +255,7 @@ def _interpolate(
             for axis in (0, 1):
                 residual[axis] += share * planes[axis].ravel()[at]
                 variance[axis] += share * noise * planes[axis + 2].ravel()[at]
-    return total, residual, variance
+    return _WeightedSums(total, residual, variance)
 
 
 def _tap_weights(fraction: FloatArray, cubic: BoolArray) -> FloatArray:

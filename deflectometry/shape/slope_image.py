@@ -1,16 +1,16 @@
 """Slopes of every pixel of a facet, with the random share of their uncertainty."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deflectometry.fringes.screen_map import ScreenMap
-from deflectometry.setup.bench import Setup
-from deflectometry.shape.slopes import FittedSurface, slope_sensitivity, slopes_at
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.smooth_shape import FittedSurface, slope_sensitivity, slopes_at
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, IntArray
+from heliogauge.validate import AnyFloatArray, BoolArray, FlagArray, Float32Array, FloatArray, IntArray
 
 #: Pixels worked on at a time: a dozen float64 buffers of this size stay in a 2 MiB second-level cache.
 BLOCK_PIXELS = 16384
@@ -78,7 +78,7 @@ def measure_slopes(
     Shapes: region (h, w).
     setup: Camera and screen.
     screen_map: Screen point of each pixel with its sigma and flags.
-    surface: Shape of the facet, from `deflectometry.shape.slopes.solve_shape`.
+    surface: Shape of the facet, from `deflectometry.shape.smooth_shape.solve_shape`.
     Returns: Slopes with the random share of their sigma; the share common to all pixels is in `CommonModes`.
     """
     rows, columns = bounding_box(region)
@@ -113,13 +113,8 @@ def measure_slopes(
     return SlopeImage(rows.start, columns.start, x_m, y_m, slope_x, slope_y, sigma_x, sigma_y, flags)
 
 
-def _reject(
-    flags: FlagArray,
-    values: tuple[FloatArray, FloatArray, Float32Array, Float32Array],
-    region: BoolArray,
-    x_m: FloatArray,
-) -> None:
-    """Flag pixels whose ray misses, and blank everything that carries a rejecting flag."""
+def _reject(flags: FlagArray, values: Sequence[AnyFloatArray], region: BoolArray, x_m: FloatArray) -> None:
+    """Flag pixels whose ray misses, and blank slopes and sigmas where the flags reject; the slope in x comes first."""
     flags[region & np.isnan(x_m)] |= np.uint32(SampleFlag.NO_INTERSECTION)
     missing = region & np.isnan(values[0]) & ((flags & np.uint32(REJECTED)) == 0)
     flags[missing] |= np.uint32(SampleFlag.OFF_SCREEN)

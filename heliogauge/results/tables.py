@@ -173,6 +173,20 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
     return {name: [row[index].strip() for _, row in body] for index, name in enumerate(header)}
 
 
+def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
+    """Read named columns of numbers from a CSV file.
+
+    Shapes: result (n_names, n_rows).
+    InputError: A missing column, or a cell that is not a finite number.
+    """
+    table = read_table_csv(path, names)
+    try:
+        values = [[float(cell) for cell in table[name]] for name in names]
+    except ValueError as error:
+        raise InputError(f"{path}: {', '.join(names)} must hold numbers ({error})") from error
+    return float_array(f"{path}", values, (len(names), None))
+
+
 def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
     try:
         return np.array([float(cell) if cell else np.nan for cell in cells])

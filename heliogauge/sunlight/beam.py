@@ -13,7 +13,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rays import intersect_plane, reflect
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.slopes.statistics import SlopeStatistics, statistics
+from heliogauge.slopes.statistics import FocusDeviation, SlopeStatistics, statistics
 from heliogauge.sunlight.rays import Illumination, RayBlock, mirror_heights, reflected_rays
 from heliogauge.validate import Float32Array, FloatArray, float_array, positive
 
@@ -120,7 +120,7 @@ class SpotImage:
     light: str
 
     @property
-    def focus_deviation_m(self) -> tuple[float, float, float]:
+    def focus_deviation_m(self) -> FocusDeviation:
         """``2 d SD`` of the slopes in x, in y and in both, at the target's distance [m]."""
         return self.slope.focus_deviation_m(self.distance_m)
 

@@ -31,7 +31,7 @@ BORDER_ROOMS = frozenset(
 BORDER_MODULES = {
     "heliogauge": "opens measurements and results by their path",
     "heliogauge.instruments": "finds the instruments by name",
-    "deflectometry.setup.pattern_files": "writes the frames to display and the tables that describe them",
+    "deflectometry.pipeline.write_patterns": "writes the frames to display and the tables that describe them",
     "photogrammetry.targets.target_sheets": "writes printable sheets",
     "photogrammetry.targets.store_ring_codes": "reads tables of codes",
     "photogrammetry.surface.store_mesh": "reads and writes meshes",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deflectometry.setup.bench import RectangularScreen, Setup
+from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform

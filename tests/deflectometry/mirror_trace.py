@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deflectometry.setup.bench import Setup
+from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.geometry.rigid import RigidTransform
 
 Height = Callable[[np.ndarray, np.ndarray], np.ndarray]

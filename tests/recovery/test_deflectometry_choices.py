@@ -10,8 +10,8 @@ from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
 from deflectometry.keys import EvaluationSection, load_deflectometry
-from deflectometry.pipeline.evaluate import Align
 from deflectometry.pipeline.measure import Options, run
+from deflectometry.shape.smooth_shape import Align
 from heliogauge.errors import InputError
 from heliogauge.reporting.results import open_results
 from heliogauge.slopes.removal import Removal

@@ -1,4 +1,4 @@
-"""Phase and its sigma: known answers, the Cramer-Rao bound, honesty in repeated noise, noise models, Fourier method."""
+"""Phase and its sigma: known answers, the Cramer-Rao bound, honesty in repeated noise and noise models."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.screen import ScreenResponse
-from deflectometry.frames.single_image import fourier_phase
 from deflectometry.fringes.phase import (
     NoiseModel,
     estimate_noise,
-    fit_phase,
     residual_distortion,
     solve_steps,
     wrap_phase,
 )
 from deflectometry.setup.patterns import equal_steps
 from heliogauge.errors import EstimationError, InputError
+from tests.deflectometry.one_pixel import fit_phase
 
 STEP_SETS = {
     "3 equal": equal_steps(3),
@@ -155,22 +154,3 @@ def test_wrong_number_of_frames_and_undetermined_steps() -> None:
 def test_pixels_without_fringes_have_no_phase() -> None:
     fit = fit_phase(np.full((4, 2), 7.0), equal_steps(4), noise=NoiseModel(1.0))
     assert (fit.sigma_rad > 1e6).all()
-
-
-def test_fourier_phase_is_right_and_its_sigma_honest() -> None:
-    rng = np.random.default_rng(10)
-    x = np.arange(512)
-    true = 2 * np.pi * 0.125 * x + 0.3 * np.sin(2 * np.pi * x / 400)
-    image = 100 + 50 * np.cos(true) + 2.0 * rng.standard_normal((300, 512))
-    for along_x in (True, False):
-        found = fourier_phase(image if along_x else image.T, 0.125, sigma_dn=2.0, along_x=along_x)
-        phase, sigma, trusted = (
-            part if along_x else part.T for part in (found.phase_rad, found.sigma_rad, found.trusted)
-        )
-        inner = trusted & (abs(x - 256) < 200)
-        ratio = wrap_phase(phase - true)[inner] / sigma[inner]
-        # Neighbours share the filter: 300 rows x 400 / 16 independent samples.
-        assert np.mean(ratio**2) == pytest.approx(1.0, abs=0.06)
-        assert not trusted[:, :16].any()
-    with pytest.raises(InputError, match="carrier"):
-        fourier_phase(image, 0.45, sigma_dn=1.0)

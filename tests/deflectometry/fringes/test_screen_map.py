@@ -8,13 +8,13 @@ import pytest
 
 from calibration.screen import ScreenResponse
 from deflectometry.frames.checks import FaultKind, check_frames
-from deflectometry.fringes.phase import NoiseModel, fit_phase
+from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
-from deflectometry.fringes.unwrap import unwrap_temporal
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, equal_steps, make_pattern
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from tests.deflectometry.fringe_drawing import Scene
+from tests.deflectometry.one_pixel import fit_phase, unwrap_temporal
 
 PERIODS = [0.9, 3.9, 15.9, 63.9]
 PATTERN = make_pattern(PERIODS, PERIODS)

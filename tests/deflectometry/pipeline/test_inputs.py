@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from deflectometry.keys import DeflectometryMeasurement
-from deflectometry.pipeline.inputs import build_knowledge
-from deflectometry.pipeline.measure import describe_mirror
-from deflectometry.setup.bench import RectangularScreen, Setup
+from deflectometry.pipeline.inputs import build_knowledge, describe_mirror
+from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform

@@ -9,8 +9,9 @@ from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.evaluate import Align
-from deflectometry.pipeline.measure import Options, run
+from deflectometry.pipeline.choices import Options
+from deflectometry.pipeline.measure import run
+from deflectometry.shape.smooth_shape import Align
 from tests.recovery.agreement import agreement, measure
 
 

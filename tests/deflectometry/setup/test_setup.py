@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deflectometry.setup.bench import RectangularScreen, TabulatedScreen
+from deflectometry.setup.camera_and_screen import RectangularScreen, TabulatedScreen
 from heliogauge.errors import InputError
 
 

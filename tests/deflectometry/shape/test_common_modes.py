@@ -5,16 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deflectometry.setup.bench import Setup
-from deflectometry.shape.common_modes import (
-    PixelSamples,
-    UncertainPose,
-    common_modes,
-    principal_steps,
-    spread_indices,
-    trace_samples,
-)
-from deflectometry.shape.slopes import slopes_at, solve_shape
+from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.common_modes import common_modes, principal_steps
+from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace_samples
+from deflectometry.shape.smooth_shape import slopes_at, solve_shape
 from heliogauge.geometry.surfaces import Facet, paraboloid
 from tests.deflectometry.mirror_trace import trace_pixels
 

@@ -5,7 +5,7 @@ import pytest
 
 from deflectometry.shape.gridding import GridPlan, default_step_m, grid_slopes
 from deflectometry.shape.slope_image import SlopeImage
-from deflectometry.shape.slopes import start_surface
+from deflectometry.shape.smooth_shape import start_surface
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
 from heliogauge.flags import REJECTED, SampleFlag
@@ -33,7 +33,7 @@ def image_of(slope_x, slope_y, flags=None):
 
 def gridded(image, step_m):
     plan = GridPlan(step_m, "facet frame", "nothing")
-    found = grid_slopes(image, start_surface(FACET), (CAMERA, POSE), FACET, plan=plan, common=no_common_modes())
+    found = grid_slopes(image, start_surface(FACET), CAMERA, POSE, FACET, plan=plan, common=no_common_modes())
     return found.slope_map
 
 
@@ -86,7 +86,7 @@ def test_slopes_that_cannot_be_integrated_keep_their_map():
         np.where(lonely, 0, np.uint32(SampleFlag.LOW_MODULATION)).astype(np.uint32),
     )  # fmt: skip
     plan = GridPlan(PITCH_M, "facet frame", "nothing")
-    found = grid_slopes(image, start_surface(FACET), (CAMERA, POSE), FACET, plan=plan, common=no_common_modes())
+    found = grid_slopes(image, start_surface(FACET), CAMERA, POSE, FACET, plan=plan, common=no_common_modes())
     slope_map, (doubt,) = found.slope_map, found.doubts
     assert doubt.code == "facet_without_heights"
     assert "facet flat has slopes but no height map: height: no two neighbouring" in doubt.text

@@ -9,7 +9,7 @@ import pytest
 from calibration.screen.keys import load_response
 from calibration.screen.pipeline import run as calibrate
 from deflectometry.keys import load_deflectometry
-from deflectometry.setup.pattern_files import DisplayOptions, PatternOptions, display_levels, write_patterns
+from deflectometry.pipeline.write_patterns import DisplayOptions, PatternOptions, display_levels, write_patterns
 from deflectometry.setup.patterns import Axis, render_frames, response_table
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_frames, read_image, write_image

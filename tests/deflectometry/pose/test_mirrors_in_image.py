@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deflectometry.setup.facet import enclosing_polygon, find_mirrors, image_noise, measure_edges, polygon_mask
+from deflectometry.pose.mirrors_in_image import (
+    enclosing_polygon,
+    find_mirrors,
+    image_noise,
+    measure_edges,
+    polygon_mask,
+)
 from heliogauge.errors import EstimationError, InputError
 
 SQUARE = np.array([[60.3, 40.2], [150.7, 45.4], [145.1, 120.6], [55.9, 118.8]])

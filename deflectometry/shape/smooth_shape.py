@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -153,6 +155,22 @@ def slope_sensitivity(
     return np.asarray(-(d_normal[:2] + slope * d_normal[2]) / normal[2])
 
 
+class Align(StrEnum):
+    """To which orientation the slopes refer."""
+
+    NORMAL = "normal"
+    OUTLINE = "outline"
+
+
+def alignment_words(align: Align, n_facets: int) -> str:
+    """Say what the alignment took out of the slopes of a mirror of so many facets."""
+    if align is Align.OUTLINE:
+        return "nothing; the orientation is that of the pose"
+    if n_facets == 1:
+        return "mean tilt, by turning the mirror's frame until the best-fit surface has the design's normal"
+    return "mean tilt of the ensemble, by turning its frame; the canting of single facets is kept"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FacetSamples:
     """Some pixels of one facet: enough to find its smooth shape.
@@ -241,9 +259,9 @@ def solve_shape(
             _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet, limits.reweighting)
             for sample, surface in zip(samples, surfaces, strict=True)
         ]
-        surfaces = tuple(surface for surface, _, _ in fits)
-        errors = [error for _, error, _ in fits]
-        tilts = np.array([tilt for _, _, tilt in fits])
+        surfaces = tuple(fit.surface for fit in fits)
+        errors = [fit.slope_error for fit in fits]
+        tilts = np.array([fit.tilt_rad for fit in fits])
         change = max(float(np.nanmax(np.abs(now - old))) for now, old in zip(errors, before, strict=True))
         before = errors
         if align:
@@ -259,10 +277,18 @@ def solve_shape(
     )
 
 
+class _FacetFit(NamedTuple):
+    """What one round gave for one facet: its shape, its slope errors (2, n) and its tilt (2,)."""
+
+    surface: FittedSurface
+    slope_error: FloatArray
+    tilt_rad: FloatArray
+
+
 def _fit_facet(
     sample: FacetSamples, surface: FittedSurface, cam_from_facet: RigidTransform, reweighting: int
-) -> tuple[FittedSurface, FloatArray, FloatArray]:
-    """One round for one facet: its new shape, its slope errors and its tilt."""
+) -> _FacetFit:
+    """Fit shape and tilt of one facet once."""
     facet_from_cam = cam_from_facet.inverse()
     camera = facet_from_cam.translation_m
     points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
@@ -271,7 +297,7 @@ def _fit_facet(
     shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting)
     tilt = _fit_potential(surface, points, error, 2, reweighting)[:2] / surface.scale_m
     # The height of the polynomial stays zero at the reference point.
-    return replace(surface, coefficients_m=np.concatenate([[0.0], shape])), error, tilt
+    return _FacetFit(replace(surface, coefficients_m=np.concatenate([[0.0], shape])), error, tilt)
 
 
 def _fit_potential(

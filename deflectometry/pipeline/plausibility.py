@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from deflectometry.pipeline.evaluate import Align, Evaluation
+from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pipeline.headline import flag_words
-from deflectometry.setup.bench import Setup
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.smooth_shape import Align
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deflectometry.setup.bench import Setup
+from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import PixelSamples, trace_samples
-from deflectometry.shape.slopes import (
+from deflectometry.shape.smooth_shape import (
     FacetSamples,
     RoundLimits,
     derivative_coefficients,

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.pipeline.inputs import read_number_columns
 from deflectometry.setup.patterns import Axis, DisplayLevels, FringePattern, make_pattern, render_frames, response_table
 from heliogauge import __version__
 from heliogauge.errors import InputError
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml, write_text
+from heliogauge.results.tables import read_number_columns
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import positive

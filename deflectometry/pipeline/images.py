@@ -1,0 +1,78 @@
+"""From the images of a measurement to what is evaluated; frames that contradict the pattern are refused."""
+
+from pathlib import Path
+
+import numpy as np
+
+from calibration.screen import ScreenResponse
+from deflectometry.frames.checks import check_frames
+from deflectometry.frames.image_checks import check_noise, saturation_level
+from deflectometry.fringes.observation import Observation
+from deflectometry.fringes.phase import NoiseModel
+from deflectometry.fringes.screen_map import ScreenMapLimits
+from deflectometry.keys import DeflectometryMeasurement
+from deflectometry.setup.patterns import FringePattern
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import Frames
+from heliogauge.results.tables import read_number_columns
+
+
+def image_files(measurement: DeflectometryMeasurement) -> tuple[Path, ...]:
+    """Return the fringe frames, then the dark and the bright frame where there are any."""
+    section = measurement.model.images
+    extra = (measurement.path(text) for text in (section.dark, section.bright) if text is not None)
+    return (*measurement.fringe_files, *extra)
+
+
+def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frames: Frames) -> Observation:
+    """Put together what the images of a measurement show.
+
+    Returns: Frames, response, noise and limits.
+    """
+    section = measurement.model.images
+    fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
+    lit = None
+    if section.bright is not None:
+        lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
+    saturation = section.saturation_dn or saturation_level(fringes, frames.full_scale_dn)
+    return Observation(
+        frames=fringes,
+        pattern=pattern,
+        response=read_response(measurement),
+        lit=lit,
+        noise=None if section.pixel_noise_dn is None else NoiseModel(section.pixel_noise_dn),
+        limits=ScreenMapLimits(saturation_dn=saturation),
+    )
+
+
+def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | None:
+    """Read the response of camera and display, where there is one."""
+    name = measurement.model.screen.response_file
+    if name is None:
+        return None
+    camera_dn, level = read_number_columns(measurement.path(name), ("camera_dn", "display_level"))
+    try:
+        return ScreenResponse(camera_dn, level)
+    except InputError as error:
+        raise InputError(f"{measurement.path(name)}: {error}") from None
+
+
+def refuse_faulty_frames(observation: Observation) -> tuple[Doubt, ...]:
+    """Refuse frames that contradict the pattern; return what is doubtful about the others.
+
+    EstimationError: At least one fault that makes the phases wrong, each with the frames and the remedy.
+    """
+    faults = check_frames(
+        observation.frames,
+        observation.pattern,
+        response=observation.response,
+        saturation_dn=observation.limits.saturation_dn,
+    )
+    errors = [fault.message for fault in faults if fault.severity == "error"]
+    if errors:
+        raise EstimationError("images.fringes: " + "\n  ".join(errors))
+    noise = None
+    if observation.noise is not None and observation.response is None:
+        noise = check_noise(observation.frames, observation.pattern, observation.noise)
+    return gather_doubts((fault.doubt for fault in faults), noise)

@@ -1,0 +1,138 @@
+"""What a measurement gave: its files, its summary, its lines on the terminal."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headline_text
+from deflectometry.pose.mirror_pose import MirrorPose
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.setup.patterns import FringePattern
+from heliogauge.geometry.rigid import skew
+from heliogauge.results.folder import (
+    PhotoPose,
+    Summary,
+    write_cameras_json,
+    write_pixels,
+    write_slope_map,
+    write_table_csv,
+)
+from heliogauge.results.frame import InstrumentResult
+from heliogauge.results.slope_map_file import ASSEMBLED
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result(InstrumentResult):
+    """Everything a measurement gave, ready to be written.
+
+    setup: Camera and screen as used.
+    pattern: What was shown.
+    evaluation: Poses, pixels and the map of each facet as measured.
+    maps: The map of each measured facet, after what was to be removed.
+    assembled: The map of the whole mirror, put together from these; that of the only facet where there is one.
+    assembled_as_measured: The same before anything was removed.
+    numbers: Headline numbers of the mirror.
+    facets: Headline numbers of each facet; empty for a single one.
+    """
+
+    kind: ClassVar[str] = "deflectometry"
+    setup: Setup
+    pattern: FringePattern
+    evaluation: Evaluation
+    maps: dict[str, SlopeMap]
+    assembled: SlopeMap
+    assembled_as_measured: SlopeMap
+    numbers: Numbers
+    facets: dict[str, Numbers]
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        texts = {
+            "design": self.assembled.design,
+            "removed": self.assembled.removed,
+            "frame": self.assembled.frame,
+            "camera": f"{self.setup.camera.width_px} x {self.setup.camera.height_px} px",
+            "screen": self.setup.screen.describe(),
+            "pattern": _pattern_words(self.pattern),
+            "pose": self.evaluation.located.source,
+            "pixels": flag_words(self.evaluation),
+            "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
+        }
+        return self._summary(self.numbers, texts, facets=self.facets, geometry_m=geometry(self.setup, self.evaluation))
+
+    def write_files(self, folder: Path) -> None:
+        """Write maps, pixels, cameras and outline into an existing folder."""
+        evaluation = self.evaluation
+        maps = dict(self.maps)
+        if len(evaluation.located.facets) > 1:
+            maps[ASSEMBLED] = self.assembled
+        attributes = {"name": self.name, "input_sha256": self.input_sha256, "pose": evaluation.located.source}
+        write_slope_map(folder / "slope_map.nc", maps, attributes)
+        write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": self.name})
+        write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
+        if evaluation.located.evidence is not None:
+            write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
+
+
+def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
+    """Return the pose of each facet; a turn of an ensemble also shifts the facets away from its origin."""
+    located, cam_from_mirror = evaluation.located, evaluation.solution.cam_from_mirror
+    residual = None if located.evidence is None else located.evidence.residual_rms_px
+    poses = {}
+    for facet in located.facets:
+        carry = np.eye(6)
+        carry[3:, :3] = -skew(cam_from_mirror.rotate(facet.ensemble_from_facet.translation_m))
+        pose = cam_from_mirror @ facet.ensemble_from_facet
+        poses[facet.name] = PhotoPose("camera", pose, carry @ located.pose.covariance @ carry.T, residual)
+    return poses
+
+
+def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
+    (x_px, y_px), (residual_x_px, residual_y_px) = evidence.points_px.T, evidence.residuals_px.T
+    return {"x_px": x_px, "y_px": y_px, "residual_x_px": residual_x_px, "residual_y_px": residual_y_px}
+
+
+def _pattern_words(pattern: FringePattern) -> str:
+    listed = ", ".join(f"{one.axis} {one.periods:g} periods x {one.n_frames} steps" for one in pattern.sets)
+    return f"{pattern.n_frames} frames: {listed}"
+
+
+def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
+    """Put the pixels of all facets into images of the camera's size."""
+    screen_map = evaluation.screen_map
+    shape = screen_map.flags.shape
+    arrays = {name: np.full(shape, np.nan) for name in ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")}
+    flags = screen_map.flags.copy()
+    surfaces = dict(zip(evaluation.images, evaluation.solution.surfaces, strict=True))
+    for name, image in evaluation.images.items():
+        index = [facet.name for facet in evaluation.located.facets].index(name)
+        rows = slice(image.row, image.row + image.x_m.shape[0])
+        columns = slice(image.column, image.column + image.x_m.shape[1])
+        own = evaluation.facet_index[rows, columns] == index
+        values: dict[str, npt.NDArray[Any]] = {
+            "x": image.x_m, "y": image.y_m, "z": surfaces[name].height(image.x_m, image.y_m),
+            "slope_x": image.slope_x, "slope_y": image.slope_y, "sigma_x": image.sigma_x, "sigma_y": image.sigma_y,
+        }  # fmt: skip
+        for key, value in values.items():
+            arrays[key][rows, columns][own] = value[own]
+        flags[rows, columns][own] = image.flags[own]
+    return {
+        **arrays,
+        "u": screen_map.u,
+        "v": screen_map.v,
+        "sigma_u": screen_map.sigma_u,
+        "sigma_v": screen_map.sigma_v,
+        "modulation_dn": screen_map.modulation_dn,
+        "facet": (evaluation.facet_index + 1).astype(np.int16),
+        "flag": flags,
+    }

@@ -1,0 +1,116 @@
+"""Where the mirror is: from the pose as given, from its outline, or from its reflection alone."""
+
+from dataclasses import dataclass
+from functools import partial
+
+from deflectometry.fringes.observation import Observation
+from deflectometry.pose.given_pose import check_given_pose
+from deflectometry.pose.mirror_pose import MirrorPose, locate_mirror, pose_from_points
+from deflectometry.pose.pose_observations import Knowledge, UncertainPose
+from deflectometry.pose.pose_without_outline import outline_from_image
+from deflectometry.setup.camera_and_screen import Setup
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet, Quadric
+from heliogauge.validate import Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorInput:
+    """What is known of the mirror before it is measured.
+
+    facets: Facets with outline and design; empty where the outline is not known.
+    design: Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
+    known_pose: The pose, where it was measured otherwise.
+    knowledge: Distances, known points and roll that help to find the pose.
+    """
+
+    name: str
+    facets: tuple[Facet, ...]
+    design: Quadric
+    known_pose: UncertainPose | None
+    knowledge: Knowledge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedMirror:
+    """Where the mirror is.
+
+    facets: Facets; of a mirror without outline the one made from its image.
+    pose: Pose before alignment.
+    margin_px: Distance to the outline below which pixels mix the mirror with its surroundings [px].
+    source: Where the pose comes from, in words with numbers.
+    outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from
+        `pose` only where that was given.
+    evidence: The adjustment, where the outline gave the pose.
+    doubts: What makes the pose doubtful.
+    """
+
+    facets: tuple[Facet, ...]
+    pose: UncertainPose
+    margin_px: float
+    source: str
+    outline_pose: RigidTransform
+    evidence: MirrorPose | None = None
+    doubts: tuple[Doubt, ...] = ()
+
+
+def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
+    """Find where the mirror is: from the pose as given, from its outline, or from its reflection alone.
+
+    observation: Frames and pattern.
+    setup: Camera and screen.
+    EstimationError: No mirror in view, or an outline that does not fit.
+    """
+    image = observation.lit
+    if image is None:
+        image = observation.modulation_image()
+    if mirror.facets and mirror.known_pose is not None:
+        checked = check_given_pose(image, setup.camera, mirror.facets, mirror.known_pose)
+        source = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
+        return LocatedMirror(
+            mirror.facets,
+            mirror.known_pose,
+            checked.margin_px,
+            source,
+            checked.outline_pose,
+            doubts=gather_doubts(checked.doubt),
+        )
+    if not mirror.facets:
+        return _find_without_outline(observation, image, setup, mirror)
+    evidence = locate_mirror(image, setup.camera, mirror.facets, mirror.knowledge)
+    source = (
+        f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
+        f"{evidence.n_rejected} rejected"
+    )
+    return LocatedMirror(
+        mirror.facets,
+        evidence.uncertain_pose,
+        evidence.mask_margin_px,
+        source,
+        evidence.cam_from_mirror,
+        evidence,
+        evidence.doubts,
+    )
+
+
+def _find_without_outline(
+    observation: Observation, image: Float32Array, setup: Setup, mirror: MirrorInput
+) -> LocatedMirror:
+    """Make a facet from what is seen: the outline from the image, the pose from the reflection and the distance."""
+    rough = outline_from_image(image)
+    screen_map = observation.screen_map(rough.region)
+    evidence = None
+    if mirror.known_pose is not None:
+        pose, source = mirror.known_pose, "given in measurement.toml (no outline given)"
+    elif len(mirror.knowledge.points.points_m):
+        evidence = pose_from_points(setup.camera, mirror.knowledge)
+        pose = evidence.uncertain_pose
+        source = f"{evidence.n_points} known points, residual {evidence.residual_rms_px:.3f} px RMS (no outline given)"
+    else:
+        reflect = partial(rough.pose, screen_map, mirror.knowledge, mirror.design)
+        pose = UncertainPose(*reflect(setup), lambda other: reflect(other)[0])
+        source = "reflection at the middle of the mirror and the measured distance (no outline given)"
+    facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
+    doubts = () if evidence is None else evidence.doubts
+    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence, doubts)
