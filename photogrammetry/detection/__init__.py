@@ -1,7 +1,7 @@
 """Targets and markers found in photos and identified; false codes refused with a reason.
 
 `measure_targets` finds, reads and centres all circular targets of a photo as a `TargetSearch` says, `measure_at` those
-whose places are known, `find_markers` square markers. All give `Detections`.
+whose places are known, `find_markers` square markers, all as `Detections`; `board_corners` the corners of boards.
 """
 
 from typing import TYPE_CHECKING
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from photogrammetry.detection import board_corners as board_corners
     from photogrammetry.detection.detect import SearchLimits as SearchLimits
     from photogrammetry.detection.detect import find_candidates as find_candidates
     from photogrammetry.detection.detect import measure_center as measure_center
@@ -24,6 +25,7 @@ __getattr__, __dir__, __all__ = lazy_face(
         "Detections": "photogrammetry.detection.detections",
         "SearchLimits": "photogrammetry.detection.detect",
         "TargetSearch": "photogrammetry.detection.photo_targets",
+        "board_corners": "photogrammetry.detection.board_corners",
         "find_candidates": "photogrammetry.detection.detect",
         "find_markers": "photogrammetry.detection.markers",
         "measure_at": "photogrammetry.detection.photo_targets",

@@ -23,6 +23,12 @@ class CharucoTargetSection(Section):
     square_mm: Positive
     marker_mm: Positive
 
+    @model_validator(mode="after")
+    def _markers_in_squares(self) -> Self:
+        if self.marker_mm >= self.square_mm:
+            raise ValueError("marker_mm must be smaller than square_mm")
+        return self
+
 
 class TargetsSection(Section):
     """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``), square markers (``DICT_4X4_100``), dots.

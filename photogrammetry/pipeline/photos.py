@@ -13,6 +13,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
 from heliogauge.running.progress import Progress
 from heliogauge.validate import FloatArray
+from photogrammetry.detection.board_corners import find_charuco
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.markers import find_markers
 from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
@@ -194,20 +195,17 @@ def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto
 
 def _and_board(image: Image, markers: Detections, section: TargetsSection) -> Detections:
     """Add the inner corners of a ChArUco board, "board.0", "board.1"... row by row from its top left."""
-    # Packages meet in pipelines only, and this one needs the other for boards only.
-    from calibration.camera.boards import CharucoBoard
-    from calibration.camera.corners.detection import find_charuco
-
     if section.charuco is None or section.dictionary is None:
         return markers
-    stated = section.charuco
-    share = stated.marker_mm / stated.square_mm
-    board = CharucoBoard(stated.columns, stated.rows, section.dictionary, share, 1e-3 * stated.square_mm)
+    board = section.charuco
+    share = board.marker_mm / board.square_mm
     try:
-        corners = find_charuco(markers.photo, image, board)
+        corners = find_charuco(markers.photo, image, board.columns, board.rows, section.dictionary, share)
     except EstimationError:
+        corners = None
+    if corners is None:
         return markers  # a photo without the board, or with too little of it
-    count = corners.n
+    count = corners.index.size
     return Detections(
         markers.photo,
         (*markers.names, *(f"board.{number}" for number in corners.index.tolist())),

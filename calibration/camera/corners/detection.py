@@ -7,15 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.camera.boards import LEAST_POINTS, CharucoBoard, Chessboard, CircleGrid
-from calibration.camera.corners.corner_fit import CornerStart, fit_corners
 from calibration.camera.corners.failures import chessboard_seen, circles_seen, markers_seen
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, IntArray, freeze
-
-#: Half width of the piece of the image a corner is fitted to, in sides of a square.
-REACH = 0.42
-#: Share of the white between a ChArUco board's edges and its markers that is used: the markers' edges are blurred.
-_MARKER_CLEARANCE = 0.8
+from photogrammetry.detection import board_corners
 
 ByteImage = npt.NDArray[np.uint8]
 
@@ -67,14 +62,6 @@ class BoardPoints:
         )
 
 
-def as_bytes(image: npt.NDArray[np.generic]) -> ByteImage:
-    """Return an image as 8 bit for detectors that take nothing else; the brightest pixel becomes 255."""
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image, dtype=np.uint8)
-    values = np.asarray(image, dtype=np.float32)
-    return np.asarray(np.clip(values * (255.0 / max(float(values.max()), 1e-6)), 0, 255), dtype=np.uint8)
-
-
 def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboard) -> BoardPoints:
     """Find a chessboard.
 
@@ -98,7 +85,7 @@ def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboar
         The board was not found.
     """
     size = (board.columns, board.rows)
-    small = as_bytes(image)
+    small = board_corners.as_bytes(image)
     # The quick detector answers in 20 ms on a board of 18 x 23, the thorough one in a second.
     found, corners = cv2.findChessboardCorners(small, size)
     if not found:
@@ -112,8 +99,11 @@ def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboar
             + (f"; {instead}" if instead else " (all of it must be in the photo, sharp)")
         )
     grid = np.asarray(corners, dtype=np.float64).reshape(board.rows, board.columns, 2)
-    grid = _in_order(small, grid)
-    return fitted(photo, image, grid)
+    return _points(photo, board_corners.fit_grid(photo, image, _in_order(small, grid)))
+
+
+def _points(photo: str, found: board_corners.GridCorners) -> BoardPoints:
+    return BoardPoints(photo, found.index, found.pixels_px, found.covariance_px2, found.blur_px)
 
 
 def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard) -> BoardPoints:
@@ -122,22 +112,11 @@ def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard
     image (height, width): Grey values [DN].
     EstimationError: Too few corners were found.
     """
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    layout = cv2.aruco.CharucoBoard((board.columns, board.rows), 1.0, board.marker_share, dictionary)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(layout).detectBoard(as_bytes(image))
-    # OpenCV gives None for none, which its stubs do not know.
-    count = np.size(ids) if np.size(corners) > 1 else 0
-    if count < LEAST_POINTS:
-        raise EstimationError(
-            f"{photo}: {count} corners of the ChArUco board were found, {LEAST_POINTS} are needed; "
-            + markers_seen(as_bytes(image), board)
-        )
-    grid = np.full(((board.rows - 1) * (board.columns - 1), 2), np.nan)
-    index = np.ravel(ids).astype(np.intp)
-    grid[index] = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    shape = (board.rows - 1, board.columns - 1)
-    clear = 0.5 * (1 - board.marker_share) * _MARKER_CLEARANCE
-    return fitted(photo, image, grid.reshape(*shape, 2), clear=clear)
+    found = board_corners.find_charuco(photo, image, board.columns, board.rows, board.dictionary, board.marker_share)
+    if found is None:
+        seen = markers_seen(board_corners.as_bytes(image), board)
+        raise EstimationError(f"{photo}: fewer than {LEAST_POINTS} corners of the ChArUco board were found; {seen}")
+    return _points(photo, found)
 
 
 def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) -> BoardPoints:
@@ -151,7 +130,7 @@ def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) 
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.maxArea = 0.02 * image.size
     parameters.minArea = 20
-    small, size = as_bytes(image), (board.columns, board.rows)
+    small, size = board_corners.as_bytes(image), (board.columns, board.rows)
     detector = cv2.SimpleBlobDetector.create(parameters)
     # Clustering copes with more perspective, the other way with dots around the board; neither finds all.
     for way in (cv2.CALIB_CB_CLUSTERING, 0):
@@ -171,92 +150,9 @@ def find_circles(photo: str, image: npt.NDArray[np.generic], board: CircleGrid) 
     return BoardPoints(photo, np.arange(count), freeze(grid.reshape(-1, 2)), covariance)
 
 
-def fitted(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *, clear: float = np.inf) -> BoardPoints:
-    """Fit all corners of a grid.
-
-    image (height, width): Grey values [DN].
-    grid_px (rows, columns, 2): Rough corners, row by row as the board counts them, NaN where there is none [px].
-    EstimationError: Too few.
-    """
-    along_x, along_y = (_sides(grid_px, axis).reshape(-1, 2) for axis in (1, 0))
-    flat = grid_px.reshape(-1, 2)
-    usable = np.nonzero(np.isfinite(np.hstack([flat, along_x, along_y])).all(axis=1))[0]
-    values = np.asarray(image, dtype=np.float64)
-    start = CornerStart(flat[usable], along_x[usable], along_y[usable], np.zeros((usable.size, 2)))
-    result = fit_corners(values, start, reach=REACH, clear=clear, rough=True)
-    if np.count_nonzero(result.found) < LEAST_POINTS:
-        raise EstimationError(
-            f"{photo}: only {np.count_nonzero(result.found)} of {usable.size} corners are sharp enough to be measured"
-        )
-    # Now that corners are known to a hundredth of a pixel they tell how the edges are bent.
-    fine = np.full_like(flat, np.nan)
-    fine[usable] = result.pixels_px
-    bent = edge_curvatures(fine.reshape(grid_px.shape)).reshape(-1, 2)[usable]
-    second = CornerStart(
-        np.where(result.found[:, None], fine[usable], flat[usable]), start.along_x, start.along_y, bent
-    )
-    result = fit_corners(values, second, reach=REACH, clear=clear)
-    good = result.found
-    return BoardPoints(
-        photo,
-        usable[good],
-        freeze(result.pixels_px[good]),
-        freeze(result.covariance_px2[good]),
-        float(np.median(result.blur_px[good])),
-    )
-
-
-def edge_curvatures(grid_px: FloatArray) -> FloatArray:
-    """Estimate how lens and board bend the edges, from corners.
-
-    grid_px (rows, columns, 2): Corners, NaN where there is none [px].
-    Returns (rows, columns, 2): Curvature of the edges along rows and along columns, positive towards the direction
-        of the edge turned from x to y by a right angle [1/px].
-
-    A view of a straight line is straight whatever the perspective, so the second difference of three corners across
-    the line is bending. What varies from corner to corner is the print (0.1 px on a real board): a quadratic over the
-    board is fitted and only that is used.
-    """
-    rows, columns = np.indices(grid_px.shape[:2])
-    r, c = (2 * index / max(index.max(), 1) - 1 for index in (rows, columns))
-    terms = np.stack([np.ones(r.shape), r, c, r * r, r * c, c * c], axis=-1)
-    found = np.zeros(grid_px.shape)
-    for place, axis in enumerate((1, 0)):
-        low, middle, high = (_shifted(grid_px, axis, step) for step in (-1, 0, 1))
-        chord = 0.5 * (high - low)
-        length = np.linalg.norm(chord, axis=-1)
-        second = high - 2 * middle + low
-        across = (chord[..., 0] * second[..., 1] - chord[..., 1] * second[..., 0]) / length**3
-        good = np.isfinite(across)
-        if np.count_nonzero(good) >= 2 * terms.shape[-1]:
-            found[..., place] = terms @ np.linalg.lstsq(terms[good], across[good], rcond=None)[0]
-    return found
-
-
-def _shifted(grid: FloatArray, axis: int, step: int) -> FloatArray:
-    """Return each corner's neighbour along an axis, NaN beyond the border."""
-    moved = np.full_like(grid, np.nan)
-    count = grid.shape[axis]
-    target, source = [slice(None)] * 3, [slice(None)] * 3
-    target[axis], source[axis] = slice(max(-step, 0), count - max(step, 0)), slice(max(step, 0), count - max(-step, 0))
-    moved[tuple(target)] = grid[tuple(source)]
-    return moved
-
-
-def _sides(grid: FloatArray, axis: int) -> FloatArray:
-    """Mean step to both neighbours along an axis, or to the one that is there, shape (rows, columns, 2)."""
-    steps = np.diff(grid, axis=axis)
-    pad = [(0, 0)] * 3
-    pad[axis] = (1, 1)
-    padded = np.pad(steps, pad, constant_values=np.nan)
-    before, after = (np.take(padded, range(k, k + grid.shape[axis]), axis=axis) for k in (0, 1))
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
-
-
 def _handed(grid: FloatArray) -> FloatArray:
     """Reverse the rows where they would run up as seen from the front: a photo is never mirrored."""
-    across, down = np.nanmean(_sides(grid, 1), axis=(0, 1)), np.nanmean(_sides(grid, 0), axis=(0, 1))
+    across, down = np.diff(grid, axis=1).mean(axis=(0, 1)), np.diff(grid, axis=0).mean(axis=(0, 1))
     return grid if across[0] * down[1] - across[1] * down[0] > 0 else grid[::-1]
 
 
