@@ -201,10 +201,11 @@ def datum_constraints(
     if by_photo:
         parts = ("rotation x", "rotation y", "rotation z", "shift x", "shift y", "shift z")
         text = ", ".join(
-            f"{labels[place]} (position and rotation)" if set(range(6 * place, 6 * place + 6)) <= set(held)
+            f"{labels[place]} (position and rotation)"
+            if set(range(6 * place, 6 * place + 6)) <= set(held)
             else f"{labels[place]} ({', '.join(parts[row % 6] for row in held if row // 6 == place)} of the camera)"
             for place in sorted({row // 6 for row in held})
-        )  # fmt: skip
+        )
     else:
         text = ", ".join(f"{'xyz'[row % 3]} of {labels[row // 3]}" for row in held) + " held"
     return DatumConstraints(columns, poses, f"{datum.kind.value}: {text}{rest}")

@@ -58,9 +58,7 @@ class Pyramid:
                 part = rows[first : first + _ROWS]
                 scale, shift = np.float32(0.5**k), np.float32(0.5 ** (k + 1) - 0.5)
                 at_x, at_y = x_px[part] * scale + shift, y_px[part] * scale + shift
-                values[part] = cv2.remap(
-                    self.levels[k], at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-                )  # fmt: skip
+                values[part] = cv2.remap(self.levels[k], at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return values
 
     def around(self, centers_px: FloatArray, shapes_px2: FloatArray, unit: FloatArray) -> Float32Array:

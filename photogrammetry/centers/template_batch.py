@@ -81,9 +81,14 @@ def stacked_centers(
     """
     count = len(photo)
     found = StackedCenters(
-        np.array(centers_px), np.array(shapes_px2), np.full((count, 2, 2), np.nan), np.zeros(count), np.zeros(count),
-        np.zeros(count), np.zeros(count, dtype=np.bool_),
-    )  # fmt: skip
+        np.array(centers_px),
+        np.array(shapes_px2),
+        np.full((count, 2, 2), np.nan),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, dtype=np.bool_),
+    )
     size = (2 * reach * np.sqrt(np.einsum("nii->ni", shapes_px2).max(initial=1.0)) + 3) ** 2
     at_once = max(1, int(_STACK_PIXELS / size))
     for first in range(0, count, at_once):

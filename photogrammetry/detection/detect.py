@@ -314,10 +314,13 @@ def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candi
     return [
         Candidate(
             Ellipse(spots.centers[k], spots.shapes[k]),
-            float(inside[k]), float(outside[k]), float(rms[k]), polarities[int(spots.dark[k])],
+            float(inside[k]),
+            float(outside[k]),
+            float(rms[k]),
+            polarities[int(spots.dark[k])],
         )
         for k in np.flatnonzero(kept)
-    ]  # fmt: skip
+    ]
 
 
 def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -> BoolArray:

@@ -185,9 +185,13 @@ def measure_at(
         rows = np.flatnonzero((photo == k) & fine)
         outlines = stack.shapes_px2[rows]
         detections = Detections(
-            name, tuple(names[row] for row in rows), stack.centers_px[rows], stack.covariance_px2[rows],
-            np.linalg.det(outlines) ** 0.25, _clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
-        )  # fmt: skip
+            name,
+            tuple(names[row] for row in rows),
+            stack.centers_px[rows],
+            stack.covariance_px2[rows],
+            np.linalg.det(outlines) ** 0.25,
+            _clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
+        )
         found.append((detections, outlines))
     return found
 
@@ -197,8 +201,11 @@ def _measured_one_by_one(
 ) -> tuple[Detections, FloatArray]:
     dots = [Ellipse(*one) for one in zip(starts.centers_px, starts.shapes_px2, strict=True)]
     centers = _centers(image_dn, dots, search)
-    found = [(name, one) for name, one in zip(starts.names, centers, strict=True)
-             if isinstance(one, TargetCenter) and one.misfit < search.most_misfit]  # fmt: skip
+    found = [
+        (name, one)
+        for name, one in zip(starts.names, centers, strict=True)
+        if isinstance(one, TargetCenter) and one.misfit < search.most_misfit
+    ]
     measured = [one for _, one in found]
     shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)
     return _detections(image_dn, photo, [name for name, _ in found], measured), shapes

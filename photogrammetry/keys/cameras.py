@@ -10,11 +10,31 @@ from heliogauge.measurement.models import Count, Intrinsic, Number, Positive, Se
 
 #: Intrinsics of a camera of which nothing is known but its size.
 SELF_CALIBRATED: tuple[Intrinsic, ...] = (
-    "focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
-_PIXEL_KEYS = frozenset({
-    "focal_px", "focal_length_35mm", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "k3", "p1", "p2",
-})  # fmt: skip
+    "focal_px",
+    "aspect",
+    "center_x_px",
+    "center_y_px",
+    "k1",
+    "k2",
+    "p1",
+    "p2",
+    "k3",
+)
+_PIXEL_KEYS = frozenset(
+    {
+        "focal_px",
+        "focal_length_35mm",
+        "aspect",
+        "center_x_px",
+        "center_y_px",
+        "skew",
+        "k1",
+        "k2",
+        "k3",
+        "p1",
+        "p2",
+    }
+)
 
 
 class MillimetreSection(Section):
@@ -82,8 +102,9 @@ class NetworkCameraSection(Section):
         if self.file is not None and self.millimetres is not None:
             raise ValueError("the file gives the camera, and so does [camera.millimetres]; leave one of both out")
         if self.millimetres is not None and own:
-            raise ValueError(f"[camera.millimetres] gives the camera, and so does {', '.join(sorted(own))}; "
-                             "leave one of both out")  # fmt: skip
+            raise ValueError(
+                f"[camera.millimetres] gives the camera, and so does {', '.join(sorted(own))}; leave one of both out"
+            )
         if self.focal_px is not None and self.focal_length_35mm is not None:
             raise ValueError("focal_px and focal_length_35mm say the same; leave one out")
         if self.prior and self.file is None:

@@ -38,8 +38,9 @@ def with_known_files(model: PhotogrammetryModel, folder: Path) -> Photogrammetry
     if files.control_points is not None:
         path = folder / files.control_points
         more["control_point"] = (
-            *model.control_point, *_rows(path, CONTROL_POINT_COLUMNS, _control_point, ControlPointSection),
-        )  # fmt: skip
+            *model.control_point,
+            *_rows(path, CONTROL_POINT_COLUMNS, _control_point, ControlPointSection),
+        )
         names = [one.target for one in more["control_point"]]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
@@ -76,8 +77,11 @@ def _rows(
 
 def _control_point(row: _Cells) -> dict[str, Any]:
     sigmas = [float(row.get(name) or 0.0) for name in CONTROL_POINT_SIGMAS]
-    return {"target": row["target"], "xyz_m": [float(row[name]) for name in CONTROL_POINT_COLUMNS[1:]],
-            "sigma_mm": sigmas}  # fmt: skip
+    return {
+        "target": row["target"],
+        "xyz_m": [float(row[name]) for name in CONTROL_POINT_COLUMNS[1:]],
+        "sigma_mm": sigmas,
+    }
 
 
 def _scale_bar(row: _Cells) -> dict[str, Any]:

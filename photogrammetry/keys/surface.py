@@ -58,8 +58,10 @@ class SurfaceSection(DesignKeys):
             raise ValueError("stable_targets belong to compare_with, which is missing")
         if self.reference and len(self.reference) < 3:
             raise ValueError(f"{len(self.reference)} [[surface.reference]] are too few; three or more place the design")
-        for what, names in (("facets", [one.name for one in self.facet]),
-                            ("references", [one.target for one in self.reference])):  # fmt: skip
+        for what, names in (
+            ("facets", [one.name for one in self.facet]),
+            ("references", [one.target for one in self.reference]),
+        ):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
                 raise ValueError(f'two {what} are called "{twice}"')

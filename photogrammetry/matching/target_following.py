@@ -284,9 +284,9 @@ def _found_near(
     (pose, pixels), (chosen, reach, share) = expected, targets
     if chosen.size < LEAST_TARGETS:
         return None
-    matched = np.array([
-        _match(image, pixels[k], track.patterns[known.names[k]][1], track.radius_px, reach) for k in chosen
-    ])  # fmt: skip
+    matched = np.array(
+        [_match(image, pixels[k], track.patterns[known.names[k]][1], track.radius_px, reach) for k in chosen]
+    )
     points, usable = known.points_m[chosen], np.isfinite(matched[:, 0])
     for _ in range(3):
         if np.count_nonzero(usable) < max(LEAST_TARGETS, share * chosen.size):
@@ -372,9 +372,9 @@ def _match(image: Image, pixel: FloatArray, pattern: Pattern, radius_px: float, 
         return np.full(2, np.nan)
     found = (column + _top(likeness[row], column) + columns // 2, row + _top(likeness[:, column], row) + rows // 2)
     height, width = part.shape
-    return np.array([
-        first[0] + (width // 2) % factor + factor * found[0], first[1] + (height // 2) % factor + factor * found[1]
-    ])  # fmt: skip
+    return np.array(
+        [first[0] + (width // 2) % factor + factor * found[0], first[1] + (height // 2) % factor + factor * found[1]]
+    )
 
 
 def _top(values: Float32Array, index: int) -> float:
@@ -403,10 +403,13 @@ def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: 
         (ax, ay, az), nearness = arms.T, 1 / seen[:, 2]
         by_x, by_y = camera.focal_x_px * nearness, camera.focal_y_px * nearness
         x_by_z, y_by_z = -by_x * nearness * seen[:, 0], -by_y * nearness * seen[:, 1]
-        design = np.concatenate([
-            [ay * x_by_z, az * by_x - ax * x_by_z, -ay * by_x, by_x, none, x_by_z],
-            [ay * y_by_z - az * by_y, -ax * y_by_z, ax * by_y, none, by_y, y_by_z],
-        ], axis=1).T  # fmt: skip
+        design = np.concatenate(
+            [
+                [ay * x_by_z, az * by_x - ax * x_by_z, -ay * by_x, by_x, none, x_by_z],
+                [ay * y_by_z - az * by_y, -ax * y_by_z, ax * by_y, none, by_y, y_by_z],
+            ],
+            axis=1,
+        ).T
         try:
             step = np.linalg.solve(design.T @ design, design.T @ residuals)
         except np.linalg.LinAlgError:

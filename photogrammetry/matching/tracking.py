@@ -112,8 +112,10 @@ def start_track(
     outside = ~((places > -0.5) & (places < np.array([width, height]) - 0.5)).all(axis=1)
     if outside.any():
         k = int(np.argmax(outside))
-        raise InputError(f"marks in {photo}: {names[k]} at ({places[k, 0]:.0f}, {places[k, 1]:.0f}) is outside of "
-                         f"{width} x {height} px")  # fmt: skip
+        raise InputError(
+            f"marks in {photo}: {names[k]} at ({places[k, 0]:.0f}, {places[k, 1]:.0f}) is outside of "
+            f"{width} x {height} px"
+        )
     spots = find_candidates(image_dn, search.limits)
     found, owner = _Found(), dict[int, str]()
     for k, (name, place) in enumerate(zip(names, places, strict=True)):
@@ -231,9 +233,11 @@ def _fitting(
     for index, spot in enumerate(spots):
         far = float(np.linalg.norm(spot.ellipse.center_px - place))
         growth = abs(np.log(spot.ellipse.radius_px / track.radius_px[k]))
-        if far < reach and growth < np.log(track.limits.most_growth) and (
-            (spot.inside_dn < spot.outside_dn) == track.dark[k]
-        ):  # fmt: skip
+        if (
+            far < reach
+            and growth < np.log(track.limits.most_growth)
+            and ((spot.inside_dn < spot.outside_dn) == track.dark[k])
+        ):
             near.append((far, index))
     if not near:
         return f"no round target within {reach:.0f} px of where it should be", 0.0
@@ -283,8 +287,12 @@ def _correlated(
         return place.copy(), 0.0
     scores = cv2.matchTemplate(window, np.ascontiguousarray(template), cv2.TM_CCOEFF_NORMED)
     _, best, _, (column, row) = cv2.minMaxLoc(scores)
-    shift = np.array([first[0] + column + _vertex(scores[row], column) - left,
-                      first[1] + row + _vertex(scores[:, column], row) - top])  # fmt: skip
+    shift = np.array(
+        [
+            first[0] + column + _vertex(scores[row], column) - left,
+            first[1] + row + _vertex(scores[:, column], row) - top,
+        ]
+    )
     return place + shift, float(best)
 
 

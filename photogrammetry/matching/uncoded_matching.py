@@ -176,8 +176,9 @@ class _Search:
         return np.stack([one[first], two[second]], axis=1)
 
     def _in_front(self, photos: Sequence[int], points_m: FloatArray) -> BoolArray:
-        seen = [np.isfinite(self.views.camera(p).project(self.views.poses[p].apply(points_m))).all(axis=1)
-                for p in photos]  # fmt: skip
+        seen = [
+            np.isfinite(self.views.camera(p).project(self.views.poses[p].apply(points_m))).all(axis=1) for p in photos
+        ]
         return np.asarray(np.logical_and.reduce(seen))
 
     def _supported(self, rows: IntArray, points: FloatArray) -> list[_Hypothesis]:

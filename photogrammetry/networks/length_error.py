@@ -206,9 +206,17 @@ def state_length_errors(
             continue
         limit = float("inf") if permissible is None else permissible.at(known.distance_m)
         found.append(
-            LengthCheck(known.name, role, known.distance_m, known.sigma_m, length, float(sigma), bundle.points_m[pair],
-                        permissible_m=limit)
-        )  # fmt: skip
+            LengthCheck(
+                known.name,
+                role,
+                known.distance_m,
+                known.sigma_m,
+                length,
+                float(sigma),
+                bundle.points_m[pair],
+                permissible_m=limit,
+            )
+        )
     if not scale_is_known(bundle):
         # Lengths in an arbitrary unit have no error.
         return LengthStatement((), tuple(one.name + ": the network has no scale" for one in found), permissible)

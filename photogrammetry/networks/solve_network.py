@@ -226,8 +226,11 @@ def _problem(
         else:
             constraints.append(one)
     fixed = tuple(name for name in knowledge.fixed_m if name in seen)
-    unused += [LeftOut(f"control point {name}", "not used: not in the network") for name in knowledge.fixed_m
-               if name not in seen]  # fmt: skip
+    unused += [
+        LeftOut(f"control point {name}", "not used: not in the network")
+        for name in knowledge.fixed_m
+        if name not in seen
+    ]
     datum = knowledge.datum
     lost = tuple(name for name in datum.targets if name not in seen)
     if lost and datum.kind is DatumKind.INNER and len(lost) < len(datum.targets):

@@ -119,8 +119,9 @@ def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict
     rows = np.nonzero(index >= 0)[0]
     # Dots are measured as the coded targets are: what their residuals say of the sigmas holds for both.
     scale = solved.image_sigma_factor**2
-    dots = Dots(index[rows], loose.dots.pixels_px[rows], scale * loose.dots.covariance_px2[rows],
-                loose.dots.ellipses_px2[rows])  # fmt: skip
+    dots = Dots(
+        index[rows], loose.dots.pixels_px[rows], scale * loose.dots.covariance_px2[rows], loose.dots.ellipses_px2[rows]
+    )
     raw = match_dots(dots, known_views(bundle))
     single, split = _without_split(raw, dots, bundle)
     found, unread = _without_coded(single, bundle, coded)

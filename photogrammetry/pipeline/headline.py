@@ -41,18 +41,24 @@ def _surface_lines(summary: Summary) -> list[str]:
 
     numbers, lines = summary.numbers, []
     if "deviation_rms_m" in numbers:
-        lines.append(f"  surface          {summary.texts['surface']}; deviation RMS "
-                     f"{said('deviation_rms_m', 'm', 'sigma_deviation_rms_m')}, "
-                     f"{numbers['surface_outliers_count']} points not used")  # fmt: skip
+        lines.append(
+            f"  surface          {summary.texts['surface']}; deviation RMS "
+            f"{said('deviation_rms_m', 'm', 'sigma_deviation_rms_m')}, "
+            f"{numbers['surface_outliers_count']} points not used"
+        )
     for key in (one for one in numbers if one.startswith("best_fit_")):
         name = key.removeprefix("best_fit_").removesuffix("_m").replace("_", " ")
         lines.append(f"  best fit         {name} {said(key, 'm', f'sigma_{key}')}")
     if "sdx_rad" in numbers:
-        lines.append(f"  slope deviation  SDx {said('sdx_rad', 'rad', 'sigma_sdx_rad')}, "
-                     f"SDy {said('sdy_rad', 'rad', 'sigma_sdy_rad')} of the normal")  # fmt: skip
+        lines.append(
+            f"  slope deviation  SDx {said('sdx_rad', 'rad', 'sigma_sdx_rad')}, "
+            f"SDy {said('sdy_rad', 'rad', 'sigma_sdy_rad')} of the normal"
+        )
     if "facets_count" in numbers:
-        lines.append(f"  canting          {numbers['facets_count']} facets, RMS x {said('canting_rms_x_rad', 'rad')}, "
-                     f"y {said('canting_rms_y_rad', 'rad')} of the normal")  # fmt: skip
+        lines.append(
+            f"  canting          {numbers['facets_count']} facets, RMS x {said('canting_rms_x_rad', 'rad')}, "
+            f"y {said('canting_rms_y_rad', 'rad')} of the normal"
+        )
     if "moved_count" in numbers:
         lines.append(f"  other date       {numbers['moved_count']} of {numbers['compared_count']} targets moved")
     return lines

@@ -208,8 +208,9 @@ def run(
         measured, solved = replace(measured, points=weighed.points, loose=loose), weighed.solved
     with progress.stage("match targets without a code"):
         measured, solved = with_uncoded(measured, solved, listed, cameras, knowledge, how)
-    checks = tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar
-                   if bar.check_only)  # fmt: skip
+    checks = tuple(
+        Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar if bar.check_only
+    )
     sensors = sensors_of(measurement, cameras)
     with progress.stage("statistics"):
         limit = model.permissible_length_error
@@ -334,8 +335,10 @@ def _constraint_columns(result: Result) -> dict[str, Any]:
 
 
 def _length_columns(result: Result) -> dict[str, Any]:
-    names = ("name", "role", "line", "known_m", "sigma_known_m", "measured_m", "sigma_measured_m", "error_m",
-             "sigma_error_m", "permissible_m", "verdict")  # fmt: skip
+    names = (
+        "name role line known_m sigma_known_m measured_m "
+        "sigma_measured_m error_m sigma_error_m permissible_m verdict"
+    ).split()
     columns = {name: [getattr(one, name) for one in result.lengths.checks] for name in names}
     return columns | {"permissible_m": [v if np.isfinite(v) else np.nan for v in columns["permissible_m"]]}
 

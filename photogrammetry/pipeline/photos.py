@@ -166,8 +166,9 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
     dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
     if found is not None:
         return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
-    mirrored = [Refused(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in
-                rings.mirrored]  # fmt: skip
+    mirrored = [
+        Refused(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in rings.mirrored
+    ]
     # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
     mirrored += [Refused(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
     coded = rings.detections.chosen(np.arange(count))
@@ -268,9 +269,12 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     if not names:
         raise EstimationError(
             f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; "
-            + (said[0] if said else "is it the right one, and are the targets large enough ([targets] smallest_px, "
-               "largest_px)?")
-        )  # fmt: skip
+            + (
+                said[0]
+                if said
+                else "is it the right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
+            )
+        )
     empty = [bad.name for bad in refused if bad.reason == _NO_TARGET]
     if empty:
         listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")

@@ -160,8 +160,11 @@ def _expanded(patterns: Sequence[str], ids: Sequence[str], where: str) -> list[s
         span = fullmatch(r"(.*?)(\d+)\.\.(.*?)(\d+)", pattern)
         if span and span[1] == span[3]:
             inside = range(int(span[2]), int(span[4]) + 1)
-            own = [name for name in ids if (one := fullmatch(r"(.*?)(\d+)", name)) and one[1] == span[1]
-                   and int(one[2]) in inside]  # fmt: skip
+            own = [
+                name
+                for name in ids
+                if (one := fullmatch(r"(.*?)(\d+)", name)) and one[1] == span[1] and int(one[2]) in inside
+            ]
         else:
             own = [name for name in ids if fnmatchcase(name, pattern)]
         if not own:

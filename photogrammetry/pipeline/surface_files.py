@@ -122,11 +122,14 @@ def surface_numbers(result: SurfaceResult) -> tuple[Numbers, dict[str, str], dic
     if result.slopes is not None:
         found = statistics(result.slopes.whole)
         numbers |= {
-            "sdx_rad": found.sdx_rad, "sigma_sdx_rad": found.sigma_sdx_rad,
-            "sdy_rad": found.sdy_rad, "sigma_sdy_rad": found.sigma_sdy_rad,
-            "noise_sdx_rad": found.noise_rms_x_rad, "noise_sdy_rad": found.noise_rms_y_rad,
+            "sdx_rad": found.sdx_rad,
+            "sigma_sdx_rad": found.sigma_sdx_rad,
+            "sdy_rad": found.sdy_rad,
+            "sigma_sdy_rad": found.sigma_sdy_rad,
+            "noise_sdx_rad": found.noise_rms_x_rad,
+            "noise_sdy_rad": found.noise_rms_y_rad,
             "measured_share": found.measured_share,
-        }  # fmt: skip
+        }
         texts |= {"slope map removed": result.slopes.whole.removed, "slope map reference": found.reference}
     if result.cantings:
         turns = np.array([one.canting for one in result.cantings])
@@ -164,7 +167,10 @@ def _add_fit(fit: SurfaceFit, how: str, numbers: Numbers, texts: dict[str, str])
         "surface_variance_factor": fit.variance_factor,
     }
     for name, (length, sigma, measured) in fit.parameters.lengths().items():
-        numbers |= {f"best_fit_{name}": length, f"sigma_best_fit_{name}": sigma,
-                    f"measurement_sigma_best_fit_{name}": measured}  # fmt: skip
+        numbers |= {
+            f"best_fit_{name}": length,
+            f"sigma_best_fit_{name}": sigma,
+            f"measurement_sigma_best_fit_{name}": measured,
+        }
     texts["surface"] = fit.reference.describe()
     texts["surface placed by"] = how + (f"; not felt and held: {'; '.join(fit.held)}" if fit.held else "")

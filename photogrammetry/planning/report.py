@@ -111,12 +111,18 @@ def network(results: PlanResults) -> Html:
     stations = [f"{name}: turned by {turn:.0f} deg" for name, turn in zip(results.poses, roll, strict=True)]
     groups = [
         SceneGroup("targets", points[known], hex_colors(sigma_mm), labels=labels, size_px=6),
-        SceneGroup(f"error ellipsoids (1 sigma, {grouped(factor)} times)", vertices, [LINE_Y], lengths=counts,
-                   size_px=0.7),
-        SceneGroup("cameras", np.concatenate([lines for lines, _ in pyramids]), [FAINT],
-                   lengths=[n for _, lengths in pyramids for n in lengths], size_px=1.0),
+        SceneGroup(
+            f"error ellipsoids (1 sigma, {grouped(factor)} times)", vertices, [LINE_Y], lengths=counts, size_px=0.7
+        ),
+        SceneGroup(
+            "cameras",
+            np.concatenate([lines for lines, _ in pyramids]),
+            [FAINT],
+            lengths=[n for _, lengths in pyramids for n in lengths],
+            size_px=1.0,
+        ),
         SceneGroup("projection centres", centers, [INK], labels=stations, size_px=5),
-    ]  # fmt: skip
+    ]
     note = (
         f"Targets coloured from {sigma_mm.min():.3g} mm (dark) to {sigma_mm.max():.3g} mm (yellow). A camera's roof is "
         "over the top edge of its image; it shows which cameras are turned."
@@ -127,9 +133,12 @@ def network(results: PlanResults) -> Html:
 def search(results: PlanResults) -> Html:
     """Return sigma against the number of photos for every layout that was tried."""
     figure, axes = chart_figure(
-        "Sigma against the number of photos", "of all layouts that were tried",
-        "photos", "RMS sigma of all coordinates [mm]", height_in=4.4,
-    )  # fmt: skip
+        "Sigma against the number of photos",
+        "of all layouts that were tried",
+        "photos",
+        "RMS sigma of all coordinates [mm]",
+        height_in=4.4,
+    )
     layouts = np.array(results.tables["trials"]["layout"])
     count, sigma = results.column("trials", "photos_count"), 1e3 * results.column("trials", "sigma_rms_m")
     colors = (
@@ -197,18 +206,24 @@ def sigmas(results: PlanResults) -> Html:
 
     sigma_mm = 1e3 * np.sqrt((results.points.sigma_m**2).mean(axis=1))
     figure, axes = chart_figure(
-        "Expected sigma and number of rays", "RMS of the three coordinates; one dot for each target",
-        "photos that see the target", "sigma [mm]",
-    )  # fmt: skip
+        "Expected sigma and number of rays",
+        "RMS of the three coordinates; one dot for each target",
+        "photos that see the target",
+        "sigma [mm]",
+    )
     axes.plot(results.points.n_rays, sigma_mm, ".", color=LINE_X, markersize=5, alpha=0.6, linestyle="none")
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     order = np.argsort(-np.nan_to_num(sigma_mm, nan=np.inf), kind="stable")
     rows = [
-        (results.points.ids[i], *(f"{value:.3f}" for value in results.points.xyz_m[i]),
-         *(f"{1e3 * value:.4f}" for value in results.points.sigma_m[i]), str(results.points.n_rays[i]))
+        (
+            results.points.ids[i],
+            *(f"{value:.3f}" for value in results.points.xyz_m[i]),
+            *(f"{1e3 * value:.4f}" for value in results.points.sigma_m[i]),
+            str(results.points.n_rays[i]),
+        )
         for i in order
-    ]  # fmt: skip
+    ]
     head_line = ("target", "x [m]", "y [m]", "z [m]", "sigma x [mm]", "sigma y [mm]", "sigma z [mm]", "rays")
     return join(show(figure), folded_table(head_line, rows, numbers=range(1, 8), what="targets, least certain first"))
 
@@ -221,8 +236,17 @@ def stations(results: PlanResults) -> Html:
         name, *numbers, seen = row
         values = [float(cell) for cell in numbers]
         place, look, (roll, ring, azimuth) = values[:3], values[3:6], values[6:]
-        rows.append((name, *(f"{v:.2f}" for v in place), ", ".join(f"{v:+.3f}" for v in look), f"{roll:.0f}",
-                     f"{ring:.0f}", f"{azimuth:.0f}", seen))  # fmt: skip
+        rows.append(
+            (
+                name,
+                *(f"{v:.2f}" for v in place),
+                ", ".join(f"{v:+.3f}" for v in look),
+                f"{roll:.0f}",
+                f"{ring:.0f}",
+                f"{azimuth:.0f}",
+                seen,
+            )
+        )
     head_line = (
         "photo",
         "x [m]",

@@ -99,9 +99,12 @@ def ray_figure(results: NetworkResults) -> "Figure":
     sigma_mm = 1e3 * np.sqrt((results.points.sigma_m[results.known] ** 2).mean(axis=1))
     rays = results.points.n_rays[results.known]
     figure, axes = chart_figure(
-        "Standard deviation and number of rays", "RMS of the three coordinates; one dot for each point",
-        "photos that see the point", "sigma [mm]", height_in=4.0,
-    )  # fmt: skip
+        "Standard deviation and number of rays",
+        "RMS of the three coordinates; one dot for each point",
+        "photos that see the point",
+        "sigma [mm]",
+        height_in=4.0,
+    )
     axes.plot(rays, sigma_mm, ".", color=LINE_X, markersize=5, alpha=0.6, linestyle="none")
     if len(rays):
         span = np.linspace(rays.min(), rays.max(), 50)
@@ -125,13 +128,28 @@ def length_figure(results: NetworkResults) -> "Figure | None":
     for role, color, marker in (("kept apart", LINE_X, "o"), ("left out", LINE_Y, "s")):
         own = roles == role
         if own.any():
-            axes.errorbar(known[own], 1e3 * error[own], 1e3 * sigma[own], fmt=marker, color=color, markersize=4,
-                          linewidth=0.9, capsize=2, label=f"{role} ({int(own.sum())})")  # fmt: skip
+            axes.errorbar(
+                known[own],
+                1e3 * error[own],
+                1e3 * sigma[own],
+                fmt=marker,
+                color=color,
+                markersize=4,
+                linewidth=0.9,
+                capsize=2,
+                label=f"{role} ({int(own.sum())})",
+            )
     if np.isfinite(limit).any():
         order = np.argsort(known)
         for sign in (-1, 1):
-            axes.plot(known[order], 1e3 * sign * limit[order], color=INK, linewidth=0.9, linestyle="--",
-                      label="permissible" if sign == 1 else None)  # fmt: skip
+            axes.plot(
+                known[order],
+                1e3 * sign * limit[order],
+                color=INK,
+                linewidth=0.9,
+                linestyle="--",
+                label="permissible" if sign == 1 else None,
+            )
     axes.axhline(0, color=FAINT, linewidth=0.6)
     add_legend(axes, loc="best")
     return figure
@@ -171,8 +189,17 @@ def residual_sheets(results: NetworkResults) -> list["Figure"]:
                 figure, 0.1 + column * width, 0.12 + (lines - 1 - line) * (height + 0.28), width - 0.1, height
             )
             own = rows[name]
-            axes.quiver(x[own], y[own], scale * dx[own], scale * dy[own], angles="xy", scale_units="xy", scale=1,
-                        color=LINE_X, width=0.006)  # fmt: skip
+            axes.quiver(
+                x[own],
+                y[own],
+                scale * dx[own],
+                scale * dy[own],
+                angles="xy",
+                scale_units="xy",
+                scale=1,
+                color=LINE_X,
+                width=0.006,
+            )
             _image_axes(axes, results)
             axes.set(xticks=[], yticks=[])
             label = name if len(name) <= 22 else f"...{name[-19:]}"
@@ -249,12 +276,16 @@ def radius_figure(results: NetworkResults) -> "Figure":
 
 def histogram_figure(results: NetworkResults) -> "Figure":
     """Draw the residuals over their own sigma against the normal distribution."""
-    values = np.concatenate([
-        results.column("residuals", f"residual_{axis}_px")
-        / (results.column("residuals", f"sigma_{axis}_px")
-           * np.sqrt(np.maximum(results.column("residuals", f"redundancy_{axis}"), np.finfo(float).tiny)))
-        for axis in "xy"
-    ])  # fmt: skip
+    values = np.concatenate(
+        [
+            results.column("residuals", f"residual_{axis}_px")
+            / (
+                results.column("residuals", f"sigma_{axis}_px")
+                * np.sqrt(np.maximum(results.column("residuals", f"redundancy_{axis}"), np.finfo(float).tiny))
+            )
+            for axis in "xy"
+        ]
+    )
     values = values[np.isfinite(values) & (np.abs(values) < 1e6)]
     beyond = float((np.abs(values) > 3).mean()) if values.size else 0.0
     note = f"RMS {np.sqrt((values**2).mean()):.3f} (1 expected); {beyond:.2%} beyond 3 (0.27 % expected)"

@@ -186,9 +186,13 @@ def photo_table(results: NetworkResults) -> Html:
         count = len(results.photo_rows[name])
         rows.append((name, str(count), f"{pose.residual_rms_px or 0.0:.4f}", place, spread, turn))
     head = (
-        "photo", "image points", "RMS residual [px]", "position [m]", "sigma of translation, camera axes [mm]",
+        "photo",
+        "image points",
+        "RMS residual [px]",
+        "position [m]",
+        "sigma of translation, camera axes [mm]",
         "sigma of rotation [mrad]",
-    )  # fmt: skip
+    )
     return folded_table(head, rows, numbers=(1, 2), what="photos, worst first")
 
 
@@ -235,8 +239,20 @@ def length_table(results: NetworkResults) -> Html:
             columns["name"], columns["role"], columns["line"], values, columns["verdict"], strict=True
         )
     ]
-    head = ("length", "network", "line", "known [mm]", "sigma", "measured [mm]", "sigma", "error [mm]", "sigma",
-            "error / sigma", "permissible", "verdict")  # fmt: skip
+    head = (
+        "length",
+        "network",
+        "line",
+        "known [mm]",
+        "sigma",
+        "measured [mm]",
+        "sigma",
+        "error [mm]",
+        "sigma",
+        "error / sigma",
+        "permissible",
+        "verdict",
+    )
     return folded_table(head, rows, numbers=range(2, 11), what="lengths") if rows else Html("<p>None.</p>")
 
 

@@ -80,10 +80,11 @@ def network_scene(results: NetworkResults) -> Html:
     vertices, counts = ellipsoid_lines(points, covariances, factor)
     groups = [
         SceneGroup("points", points, hex_colors(sigma_mm), labels=labels, size_px=6),
-        SceneGroup(f"error ellipsoids (1 sigma, {grouped(factor)} times)", vertices, [LINE_Y],
-                   lengths=counts, size_px=0.7),
+        SceneGroup(
+            f"error ellipsoids (1 sigma, {grouped(factor)} times)", vertices, [LINE_Y], lengths=counts, size_px=0.7
+        ),
         *camera_groups(results, _CAMERA_SHARE * extent),
-    ]  # fmt: skip
+    ]
     note = (
         f"Points coloured from {sigma_mm.min():.3g} mm (dark) to {sigma_mm.max():.3g} mm (yellow), "
         "square root of the trace of the covariance. A camera's roof is over the top edge of its image."

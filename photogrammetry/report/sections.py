@@ -35,8 +35,13 @@ def lengths(results: NetworkResults) -> Html:
     drawn = show(figures.length_figure(results))
     compared = network.length_table(results)
     used = network.csv_table(results, "constraints", "distances")
-    return join(drawn, Html("<h3>Without the length itself</h3>"), compared,
-                Html("<h3>As adjusted (used = 1) and kept apart (used = 0)</h3>"), used)  # fmt: skip
+    return join(
+        drawn,
+        Html("<h3>Without the length itself</h3>"),
+        compared,
+        Html("<h3>As adjusted (used = 1) and kept apart (used = 0)</h3>"),
+        used,
+    )
 
 
 def residuals(results: NetworkResults) -> Html:

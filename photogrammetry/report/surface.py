@@ -79,9 +79,17 @@ def deviation_figure(columns: Columns) -> "Figure":
     )
     figure, axes = chart_figure("Deviation of the points from the surface [mm]", note, "x [m]", "y [m]", _HEIGHT_IN)
     dots = axes.scatter(
-        xy[used, 0], xy[used, 1], s=26, c=deviation[used], cmap=DIVERGING, vmin=-limit, vmax=limit, zorder=3,
-        edgecolors=FAINT, linewidths=0.4,
-    )  # fmt: skip
+        xy[used, 0],
+        xy[used, 1],
+        s=26,
+        c=deviation[used],
+        cmap=DIVERGING,
+        vmin=-limit,
+        vmax=limit,
+        zorder=3,
+        edgecolors=FAINT,
+        linewidths=0.4,
+    )
     axes.plot(*xy[~used].T, "x", color=LINE_Y, markersize=6, linestyle="none")
     set_equal_limits(axes, *xy.T)
     figure.colorbar(dots, ax=axes).ax.tick_params(labelsize=8, colors=INK)
@@ -96,9 +104,12 @@ def _slopes(results: NetworkResults) -> Html:
 
     whole = read_slope_map(path)
     drawn = show(
-        figures.slope_error_map(whole, "x"), figures.slope_error_map(whole, "y"),
-        figures.sigma_map(whole, "x"), figures.sigma_map(whole, "y"), figures.flag_map(whole),
-    )  # fmt: skip
+        figures.slope_error_map(whole, "x"),
+        figures.slope_error_map(whole, "y"),
+        figures.sigma_map(whole, "x"),
+        figures.sigma_map(whole, "y"),
+        figures.flag_map(whole),
+    )
     names = facet_names(path)
     words = f"<p>Taken out: {whole.removed}.</p>" + (f"<p>Maps of {len(names)} facets in one.</p>" if names else "")
     return join(Html("<h3>Slope error</h3>" + words), drawn)
@@ -109,8 +120,17 @@ def _canting(results: NetworkResults) -> Html:
     points = _columns(results, "surface.csv")
     if columns is None or points is None:
         return Html("")
-    values = _numbers(columns, "canting_x_rad", "canting_y_rad", "sigma_canting_x_rad", "sigma_canting_y_rad",
-                      "piston_m", "sigma_piston_m", "length_m", "sigma_length_m")  # fmt: skip
+    values = _numbers(
+        columns,
+        "canting_x_rad",
+        "canting_y_rad",
+        "sigma_canting_x_rad",
+        "sigma_canting_y_rad",
+        "piston_m",
+        "sigma_piston_m",
+        "length_m",
+        "sigma_length_m",
+    )
     rows = [
         (
             name,
@@ -143,8 +163,9 @@ def canting_figure(columns: Columns, points: Columns) -> "Figure":
     axes.plot(*xy.T, ".", color=FAINT, markersize=2, linestyle="none")
     axes.quiver(*centers.T, *(scale * turns).T, angles="xy", scale_units="xy", scale=1, color=LINE_Y, width=0.004)
     for name, center in zip(columns["facet"], centers, strict=True):
-        axes.annotate(name, center, fontsize=7, color=INK, ha="center", va="top", xytext=(0, -4),
-                      textcoords="offset points")  # fmt: skip
+        axes.annotate(
+            name, center, fontsize=7, color=INK, ha="center", va="top", xytext=(0, -4), textcoords="offset points"
+        )
     set_equal_limits(axes, *xy.T)
     return figure
 
@@ -157,9 +178,13 @@ def _comparison(results: NetworkResults) -> Html:
     moved = _numbers(columns, "moved")[:, 0] > 0
     order = [int(i) for i in np.argsort(-np.linalg.norm(values[:, :3], axis=1)) if moved[i]]
     rows = [
-        (columns["id"][i], *(_text(values[i, k], values[i, 3 + k]) for k in range(3)),
-         f"{float(columns['probability'][i]):.2g}") for i in order
-    ]  # fmt: skip
+        (
+            columns["id"][i],
+            *(_text(values[i, k], values[i, 3 + k]) for k in range(3)),
+            f"{float(columns['probability'][i]):.2g}",
+        )
+        for i in order
+    ]
     head = ("moved", "dx [mm]", "dy [mm]", "dz [mm]", "by chance")
     found = table(head, rows, numbers=range(1, 5)) if rows else Html("<p>No target moved significantly.</p>")
     drawn = show(displacement_figure(results, columns, 0, 1), displacement_figure(results, columns, 0, 2))
@@ -184,8 +209,15 @@ def displacement_figure(results: NetworkResults, columns: Columns, first: int, s
     labels = f"{'xyz'[first]} [m]", f"{'xyz'[second]} [m]"
     figure, axes = chart_figure(title, note, *labels, _HEIGHT_IN)
     for which, color in ((~moved, FAINT), (moved, LINE_Y)):
-        axes.quiver(*points[which].T, *(scale * steps[which]).T, angles="xy", scale_units="xy", scale=1, color=color,
-                    width=0.003)  # fmt: skip
+        axes.quiver(
+            *points[which].T,
+            *(scale * steps[which]).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            color=color,
+            width=0.003,
+        )
         axes.plot(*points[which].T, ".", color=color, markersize=4, linestyle="none")
     set_equal_limits(axes, *points.T)
     return figure

@@ -111,12 +111,23 @@ def surface_slopes(fit: SurfaceFit, patches: Sequence[Patch], step_m: float | No
     for field, extra in zip((fields.sigma_x, fields.sigma_y), bend, strict=True):
         field[...] = np.hypot(field, extra)
     whole = SlopeMap(
-        x_m=x_m, y_m=y_m, slope_x=fields.slope_x, slope_y=fields.slope_y,
-        design_slope_x=fields.design_x, design_slope_y=fields.design_y,
-        sigma_random_x=fields.sigma_x, sigma_random_y=fields.sigma_y, noise_correlation=correlation, common=common,
-        height_m=fields.height, flags=flags, aperture=owner >= 0, design=fit.reference.describe(),
-        frame="design frame: x across, y up, seen from the front, z out of the mirror [m]", removed=_removed(fit),
-    )  # fmt: skip
+        x_m=x_m,
+        y_m=y_m,
+        slope_x=fields.slope_x,
+        slope_y=fields.slope_y,
+        design_slope_x=fields.design_x,
+        design_slope_y=fields.design_y,
+        sigma_random_x=fields.sigma_x,
+        sigma_random_y=fields.sigma_y,
+        noise_correlation=correlation,
+        common=common,
+        height_m=fields.height,
+        flags=flags,
+        aperture=owner >= 0,
+        design=fit.reference.describe(),
+        frame="design frame: x across, y up, seen from the front, z out of the mirror [m]",
+        removed=_removed(fit),
+    )
     parts = {patch.facet.name: _part(whole, owner == place, patch) for place, patch in enumerate(patches)}
     return SurfaceSlopes(whole, parts, spacing, scatter, bend)
 
@@ -182,9 +193,9 @@ def _removed(fit: SurfaceFit) -> str:
     if not fit.parameters.covariance.any():
         return "nothing"
     lengths = "; ".join(
-        f"{name.removesuffix('_m').replace('_', ' ')} {length:.6g} m" for name, (length, _, _) in
-        fit.parameters.lengths().items()
-    )  # fmt: skip
+        f"{name.removesuffix('_m').replace('_', ' ')} {length:.6g} m"
+        for name, (length, _, _) in fit.parameters.lengths().items()
+    )
     return "position and rotation by the best fit of the points to the design" + (
         f", with {lengths}" if lengths else ""
     )
@@ -316,13 +327,23 @@ def _part(whole: SlopeMap, own: BoolArray, patch: Patch) -> SlopeMap:
         return np.where(own[cut], values[cut], np.nan)
 
     return SlopeMap(
-        x_m=whole.x_m[cut[1]], y_m=whole.y_m[cut[0]], slope_x=field(whole.slope_x), slope_y=field(whole.slope_y),
-        design_slope_x=field(whole.design_slope_x), design_slope_y=field(whole.design_slope_y),
-        sigma_random_x=field(whole.sigma_random_x), sigma_random_y=field(whole.sigma_random_y),
-        noise_correlation=whole.noise_correlation, common=whole.common, height_m=field(whole.height_m),
-        flags=np.where(own[cut], whole.flags[cut], np.uint32(SampleFlag.OUTSIDE_MIRROR)), aperture=own[cut],
-        design=patch.facet.design.describe(), frame=whole.frame, removed=whole.removed,
-    )  # fmt: skip
+        x_m=whole.x_m[cut[1]],
+        y_m=whole.y_m[cut[0]],
+        slope_x=field(whole.slope_x),
+        slope_y=field(whole.slope_y),
+        design_slope_x=field(whole.design_slope_x),
+        design_slope_y=field(whole.design_slope_y),
+        sigma_random_x=field(whole.sigma_random_x),
+        sigma_random_y=field(whole.sigma_random_y),
+        noise_correlation=whole.noise_correlation,
+        common=whole.common,
+        height_m=field(whole.height_m),
+        flags=np.where(own[cut], whole.flags[cut], np.uint32(SampleFlag.OUTSIDE_MIRROR)),
+        aperture=own[cut],
+        design=patch.facet.design.describe(),
+        frame=whole.frame,
+        removed=whole.removed,
+    )
 
 
 def hull_outline(xy_m: FloatArray) -> FloatArray:

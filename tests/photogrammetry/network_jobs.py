@@ -57,8 +57,9 @@ def length(truth, a: int, b: int) -> float:
 
 def views(rng, centers, points_m, cameras) -> BundleState:
     """Photos from given places, each with its own roll, towards the middle."""
-    poses = [look_at(np.array(center), rng.uniform(-0.3, 0.3, 3), (i % 4) * np.pi / 2)
-             for i, center in enumerate(centers)]  # fmt: skip
+    poses = [
+        look_at(np.array(center), rng.uniform(-0.3, 0.3, 3), (i % 4) * np.pi / 2) for i, center in enumerate(centers)
+    ]
     rotations, shifts = np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
     return BundleState(tuple(cameras), rotations, shifts, points_m)
 

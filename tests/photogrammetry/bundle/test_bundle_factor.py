@@ -88,8 +88,9 @@ def test_adjustment_by_blocks_is_the_same(case, monkeypatch):
 def test_many_photos_of_few_targets_take_blocks_and_name_what_is_lost():
     rng = np.random.default_rng(3)
     truth, points = network(rng, n_photos=60, n_points=12)
-    listed = [Coordinate(f"t{i}", axis, float(truth.points_m[i, k]), 1e-3)
-              for i in range(12) for k, axis in enumerate("xyz")]  # fmt: skip
+    listed = [
+        Coordinate(f"t{i}", axis, float(truth.points_m[i, k]), 1e-3) for i in range(12) for k, axis in enumerate("xyz")
+    ]
     bar = Distance("t0", "t5", float(np.linalg.norm(truth.points_m[5] - truth.points_m[0])), 1e-3)
     free = BundleProblem(points, (CameraModel("c", ()),))
     held = BundleProblem(points, (CameraModel("c", ()),), constraints=(*listed, bar))

@@ -31,8 +31,7 @@ def test_same_centres_as_one_by_one(diameter):
     index = np.repeat(np.arange(3), 4)
     truth, outlines = np.concatenate(centers), np.concatenate(shapes)
     found = stacked_centers(images, index, truth, outlines, 1.65)
-    alone = [template_centers(images[k], [Ellipse(p, s)])[0]
-             for k, p, s in zip(index, truth, outlines, strict=True)]  # fmt: skip
+    alone = [template_centers(images[k], [Ellipse(p, s)])[0] for k, p, s in zip(index, truth, outlines, strict=True)]
     assert found.settled.all()
     assert all(isinstance(one, TargetCenter) for one in alone)
     sigma = np.sqrt(np.einsum("nii->ni", found.covariance_px2))
@@ -71,8 +70,10 @@ def test_several_photos_are_measured_at_once_and_apart():
     _, centers, shapes = photo(5)
     starts = NamedEllipses(tuple(f"t{k}" for k in range(len(centers))), centers, shapes)
     some = NamedEllipses(
-        ("t3", "t1", "gone"), np.array([centers[3], centers[1], [60.0, 60.0]]), shapes[[3, 1, 0]],
-    )  # fmt: skip
+        ("t3", "t1", "gone"),
+        np.array([centers[3], centers[1], [60.0, 60.0]]),
+        shapes[[3, 1, 0]],
+    )
     together = measure_at(both, ["a", "b"], [starts, some], TargetSearch())
     assert together[0][0].names == starts.names
     assert together[1][0].names == ("t3", "t1")

@@ -22,8 +22,18 @@ from photogrammetry.pipeline.measure import run, write
 from tests.photogrammetry.bundle_networks import look_at
 
 #: Values of every parameter any model has; k4 to k6 must be zero.
-VALUES = {"f": 812.5, "fx": 812.5, "fy": 811.25, "cx": 401.0, "cy": 299.5, "k1": -0.11, "k2": 0.04, "p1": 1e-3,
-          "p2": -2e-3, "k3": 0.01}  # fmt: skip
+VALUES = {
+    "f": 812.5,
+    "fx": 812.5,
+    "fy": 811.25,
+    "cx": 401.0,
+    "cy": 299.5,
+    "k1": -0.11,
+    "k2": 0.04,
+    "p1": 1e-3,
+    "p2": -2e-3,
+    "k3": 0.01,
+}
 
 
 def model_of(cameras: dict[int, Camera], n_points: int = 12) -> ColmapModel:
@@ -130,7 +140,7 @@ def no_points(folder: Path) -> None:
         (lambda f: (f / "points3D.txt").write_text("3 0 0\n"), "points3D.txt, line 1: 8 or more values"),
         (cut, "images.bin: the file is cut"),
     ],
-)  # fmt: skip
+)
 def test_bad_models(tmp_path: Path, change, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_colmap(with_pose(tmp_path, change))

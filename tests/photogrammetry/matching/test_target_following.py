@@ -23,10 +23,15 @@ from photogrammetry.targets.coded_targets import aicon_dictionary
 from photogrammetry.targets.ring_codes import Polarity
 
 CAMERA = Camera(
-    SMALL_CAMERA.width_px, SMALL_CAMERA.height_px, SMALL_CAMERA.focal_x_px, SMALL_CAMERA.focal_y_px,
-    SMALL_CAMERA.center_x_px, SMALL_CAMERA.center_y_px, 0.0,
+    SMALL_CAMERA.width_px,
+    SMALL_CAMERA.height_px,
+    SMALL_CAMERA.focal_x_px,
+    SMALL_CAMERA.focal_y_px,
+    SMALL_CAMERA.center_x_px,
+    SMALL_CAMERA.center_y_px,
+    0.0,
     BrownDistortion(SMALL_CAMERA.k1, SMALL_CAMERA.k2, SMALL_CAMERA.k3, SMALL_CAMERA.p1, SMALL_CAMERA.p2),
-)  # fmt: skip
+)
 SEARCH = TargetSearch(
     aicon_dictionary(12), SearchLimits(6.0, 40.0, polarities=(Polarity.BLACK_ON_WHITE,)), with_uncoded=False
 )

@@ -84,8 +84,11 @@ def test_too_large_a_step_loses_targets_instead_of_taking_others(photos) -> None
     _, seen = follow(track, images[5], "walk_5")
     true = dots(scene, 5)
     good = seen.detections.usable
-    off = [np.linalg.norm(p - true[n]) for p, n, g in zip(seen.detections.pixels_px, seen.detections.names, good,
-                                                           strict=True) if g]  # fmt: skip
+    off = [
+        np.linalg.norm(p - true[n])
+        for p, n, g in zip(seen.detections.pixels_px, seen.detections.names, good, strict=True)
+        if g
+    ]
     assert len(seen.lost) >= 8
     assert all(far < 0.1 for far in off)
 

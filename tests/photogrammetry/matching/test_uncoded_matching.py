@@ -134,10 +134,12 @@ def test_a_dot_displaced_in_some_photos_is_no_second_point() -> None:
     real, _ = drawn(truth, points, np.random.default_rng(5))
     moved, _ = drawn(truth, points[:1] + shift, np.random.default_rng(6))
     odd = real.photo_index < 3
-    nearest = np.array([
-        np.argmin(np.linalg.norm(real.pixels_px - moved.pixels_px[k], axis=1) + 1e9 * (real.photo_index != photo))
-        for k, photo in enumerate(moved.photo_index)
-    ])  # fmt: skip
+    nearest = np.array(
+        [
+            np.argmin(np.linalg.norm(real.pixels_px - moved.pixels_px[k], axis=1) + 1e9 * (real.photo_index != photo))
+            for k, photo in enumerate(moved.photo_index)
+        ]
+    )
     pixels = np.array(real.pixels_px)
     for k, row in enumerate(nearest):
         if odd[row]:
@@ -151,8 +153,14 @@ def test_a_dot_displaced_in_some_photos_is_no_second_point() -> None:
     # In the network's own unit of length, radii are the same share of everything.
     found = add_dots(first, (table, nothing), LooseDots(table.photos, dots), cameras, knowledge, SolveOptions())
     assert found.names == ("u1", "u2", "u3")
-    rays = dict(zip(found.solved.bundle.problem.observations.targets,
-                    found.solved.bundle.problem.observations.n_rays.tolist(), strict=True))  # fmt: skip
+    rays = dict(
+        zip(
+            found.solved.bundle.problem.observations.targets,
+            found.solved.bundle.problem.observations.n_rays.tolist(),
+            strict=True,
+        )
+    )
     assert sorted(rays[name] for name in found.names) == [5, 8, 8]
-    assert any("contradict those in 5 others" in one.reason and "covered or in glare" in one.reason
-               for one in found.left)  # fmt: skip
+    assert any(
+        "contradict those in 5 others" in one.reason and "covered or in glare" in one.reason for one in found.left
+    )

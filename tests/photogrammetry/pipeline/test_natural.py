@@ -249,8 +249,10 @@ def share_of_sigma(result: Result) -> float:
     """Sigma of the image points of dots without a code, in those of coded targets."""
     table = result.solved.bundle.problem.observations
     sigma = np.sqrt(table.covariance_px2[:, 0, 0])
-    dots, coded = (np.array([name.startswith(first) for name in table.targets])[table.target_index] for first in
-                   ("u", tuple("0123456789")))  # fmt: skip
+    dots, coded = (
+        np.array([name.startswith(first) for name in table.targets])[table.target_index]
+        for first in ("u", tuple("0123456789"))
+    )
     return float(np.median(sigma[dots]) / np.median(sigma[coded]))
 
 
@@ -337,8 +339,13 @@ def test_photos_without_texture(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_in_the_file(change, message: str) -> None:
-    content = {"kind": "photogrammetry", "name": "a", "natural": {}, "images": {"photos": "*.png"},
-               "camera": {"width_px": 10, "height_px": 10}}  # fmt: skip
+    content = {
+        "kind": "photogrammetry",
+        "name": "a",
+        "natural": {},
+        "images": {"photos": "*.png"},
+        "camera": {"width_px": 10, "height_px": 10},
+    }
     change(content)
     with pytest.raises(InputError, match=message):
         parse_measurement(content, Path("measurement.toml"))

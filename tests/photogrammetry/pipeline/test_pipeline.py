@@ -198,8 +198,10 @@ def test_false_image_point_is_rejected_by_name(points_folder: Path, tmp_path: Pa
 def test_a_network_that_lost_many_image_points_says_so(points_folder: Path) -> None:
     solved = run(load_photogrammetry(points_folder)).solved
     total = solved.bundle.problem.observations.n
-    few, many = (replace(solved, rejected=(Rejected(0, "target 1 in photo a", 1.0, "far off"),) * n)
-                 for n in (total // 20, total // 5))  # fmt: skip
+    few, many = (
+        replace(solved, rejected=(Rejected(0, "target 1 in photo a", 1.0, "far off"),) * n)
+        for n in (total // 20, total // 5)
+    )
     assert any("too many for chance: a camera that started far off" in text for text in doubts(many))
     assert not any("too many for chance" in text for text in doubts(few))
 
@@ -217,8 +219,11 @@ def test_many_doubtful_targets_are_all_counted(points_folder: Path) -> None:
 def test_photos_of_another_size_are_refused(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
     camera = (measurement.model.camera[0].model_copy(update={"width_px": 1601}),)
-    other = replace(measurement, model=measurement.model.model_copy(update={"camera": camera}),
-                    photo_files=measurement.photo_files[:2])  # fmt: skip
+    other = replace(
+        measurement,
+        model=measurement.model.model_copy(update={"camera": camera}),
+        photo_files=measurement.photo_files[:2],
+    )
     with pytest.raises(InputError, match="the photos have 1600 x 1200 px, but the camera 1601 x 1200"):
         run(other)
 
@@ -236,8 +241,11 @@ def test_a_photo_that_is_there_twice_is_refused(photo_folder: Path, tmp_path: Pa
 def test_two_photos_of_the_wrong_dictionary(photo_folder: Path) -> None:
     measurement = load_photogrammetry(photo_folder)
     targets = measurement.model.targets.model_copy(update={"dictionary": "DICT_6X6_50"})
-    other = replace(measurement, model=measurement.model.model_copy(update={"targets": targets}),
-                    photo_files=measurement.photo_files[:2])  # fmt: skip
+    other = replace(
+        measurement,
+        model=measurement.model.model_copy(update={"targets": targets}),
+        photo_files=measurement.photo_files[:2],
+    )
     with pytest.raises(EstimationError, match="none of 2 photos shows a target of the dictionary"):
         run(other)
 
@@ -293,14 +301,17 @@ def test_published_calibration(shared_data: Path, tmp_path: Path) -> None:
         "kind": "photogrammetry",
         "name": "camcal",
         "camera": {
-            "width_px": 2272, "height_px": 1704, "focal_px": 2350.0, "distortion_direction": "measured_to_ideal",
+            "width_px": 2272,
+            "height_px": 1704,
+            "focal_px": 2350.0,
+            "distortion_direction": "measured_to_ideal",
             "residuals": "corrected",
             "free": ["focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "k3", "p1", "p2"],
         },
         "image_points": {"pixel_origin": "corner"},
         "adjustment": {"reject": False},
         "control_point": [{"target": name, "xyz_m": xyz} for name, xyz in control.items()],
-    }  # fmt: skip
+    }
     (tmp_path / "measurement.toml").write_text(dump_toml(content))
     result = run(load_photogrammetry(tmp_path))
     assert result.solved.bundle.redundancy == 3725

@@ -60,8 +60,10 @@ def size(camera):
 
 def test_two_cameras_each_with_its_own_intrinsics(tmp_path):
     truth, points = two_cameras(np.random.default_rng(3))
-    cameras = [{"name": "wide", "photos": ["a*"], **size(WIDE)}, {"name": "small", "focal_px": 2450.0, **size(SMALL),
-               "free": ["focal_px", "center_x_px", "center_y_px", "k1"]}]  # fmt: skip
+    cameras = [
+        {"name": "wide", "photos": ["a*"], **size(WIDE)},
+        {"name": "small", "focal_px": 2450.0, **size(SMALL), "free": ["focal_px", "center_x_px", "center_y_px", "k1"]},
+    ]
     folder = write_job(tmp_path / "in", points, camera=cameras, scale_bar=[bar(truth, 0, 1), bar(truth, 2, 3)])
     assert command(folder, tmp_path / "out") == 0
     summary = summary_of(tmp_path / "out")
@@ -98,14 +100,16 @@ def test_a_known_camera_beside_an_unknown_one(tmp_path):
     ("cameras", "message"),
     [
         ([{"name": "x", "photos": ["a*"], **size(WIDE)}], "photo b0.jpg is of no camera"),
-        ([{"name": "x", "photos": ["a*", "b*"], **size(WIDE)}, {"name": "y", "photos": ["b*"], **size(SMALL)}],
-         "photo b0.jpg is named by x and y"),
+        (
+            [{"name": "x", "photos": ["a*", "b*"], **size(WIDE)}, {"name": "y", "photos": ["b*"], **size(SMALL)}],
+            "photo b0.jpg is named by x and y",
+        ),
         ([{"name": "x", **size(WIDE)}, {"name": "y", **size(SMALL)}], "say which photos x, y took"),
         ([{"name": "x", "photos": ["a*"], **size(WIDE)}, {"name": "x", **size(SMALL)}], "2 cameras are called 'x'"),
         ([{"name": "x", "photos": ["c*"], **size(WIDE)}, {"name": "y", **size(WIDE)}], "no photo fits photos = c"),
         ([{"name": "x", **size(SMALL)}], "outside the image of 3000 x 2000 px"),
     ],
-)  # fmt: skip
+)
 def test_cameras_that_do_not_fit_their_photos(tmp_path, capsys, cameras, message):
     _, points = two_cameras(np.random.default_rng(5), 4, 20)
     assert command(write_job(tmp_path / "in", points, camera=cameras), tmp_path / "out") == 2
@@ -160,12 +164,21 @@ def test_millimetres_in_are_millimetres_out(tmp_path, form):
     zero = 12.0 if form == "aicon" else 0.0
     given = sensor_parameters(camera, Sensor(6000, 4000, pixel, LensForm(form), zero)).values.tolist()
     said = {
-        "form": form, "pixel_mm": pixel, "focal_mm": given[0], "principal_mm": given[1:3], "radial": given[3:6],
-        "tangential": given[6:8], "affine": given[8:10],
-    }  # fmt: skip
+        "form": form,
+        "pixel_mm": pixel,
+        "focal_mm": given[0],
+        "principal_mm": given[1:3],
+        "radial": given[3:6],
+        "tangential": given[6:8],
+        "affine": given[8:10],
+    }
     said |= {"zero_radius_mm": zero} if zero else {}
-    job = write_job(tmp_path / "in", points, camera={"width_px": 6000, "height_px": 4000, "millimetres": said},
-                    scale_bar=[bar(truth, 0, 1)])  # fmt: skip
+    job = write_job(
+        tmp_path / "in",
+        points,
+        camera={"width_px": 6000, "height_px": 4000, "millimetres": said},
+        scale_bar=[bar(truth, 0, 1)],
+    )
     assert command(job, tmp_path / "out") == 0
     table = read_table_csv(tmp_path / "out" / "camera_millimetres.csv")
     assert tuple(table["name"]) == SENSOR_NAMES[LensForm(form)]

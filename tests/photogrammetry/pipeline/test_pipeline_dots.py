@@ -19,9 +19,17 @@ from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.pipeline.measure import Result, run
 
 CAMERA = {
-    "width_px": 1600, "height_px": 1200, "focal_px": 1508.0, "aspect": 1508.0 / 1510.0 - 1, "center_x_px": 806.0,
-    "center_y_px": 593.0, "k1": -0.08, "k2": 0.06, "p1": 2e-4, "p2": -3e-4,
-}  # fmt: skip
+    "width_px": 1600,
+    "height_px": 1200,
+    "focal_px": 1508.0,
+    "aspect": 1508.0 / 1510.0 - 1,
+    "center_x_px": 806.0,
+    "center_y_px": 593.0,
+    "k1": -0.08,
+    "k2": 0.06,
+    "p1": 2e-4,
+    "p2": -3e-4,
+}
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +47,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_target_dataset(made, scene, photogrammetry_content(scene), PhotoOptions(3, None))
     true = read_table_csv(made / "image_points_true.csv")
     rng = np.random.default_rng(0)
-    rows = [f"{image},{target},{float(x) + rng.uniform(-2, 2):.1f},{float(y) + rng.uniform(-2, 2):.1f}"
-            for image, target, x, y in zip(true["image"], true["target"], true["x_px"], true["y_px"], strict=True)
-            if image == "photo_003.png"]  # fmt: skip
+    rows = [
+        f"{image},{target},{float(x) + rng.uniform(-2, 2):.1f},{float(y) + rng.uniform(-2, 2):.1f}"
+        for image, target, x, y in zip(true["image"], true["target"], true["x_px"], true["y_px"], strict=True)
+        if image == "photo_003.png"
+    ]
     (made / "marks.csv").write_text("\n".join(["image,target,x_px,y_px", *rows]) + "\n")
     places = json.loads((made / "truth.json").read_text())["points_m"]
-    lines = [f"rim-{name}," + ",".join(f"{v + 0.003 * rng.standard_normal():.4f}" for v in place) + ",3.0"
-             for name, place in places.items()]  # fmt: skip
+    lines = [
+        f"rim-{name}," + ",".join(f"{v + 0.003 * rng.standard_normal():.4f}" for v in place) + ",3.0"
+        for name, place in places.items()
+    ]
     (made / "rim.csv").write_text("\n".join(["id,x_m,y_m,z_m,sigma_mm", *lines]) + "\n")
     return made
 

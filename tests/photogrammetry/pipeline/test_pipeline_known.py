@@ -26,16 +26,22 @@ def job():
     truth, points = network(np.random.default_rng(11), 10, 30, size_m=1.0)
     camera = truth.cameras[0]
     lens = {name: getattr(camera.distortion, name) for name in ("k1", "k2", "k3", "p1", "p2")}
-    own = {"focal_px": camera.focal_y_px, "aspect": camera.focal_y_px / camera.focal_x_px - 1,
-           "center_x_px": camera.center_x_px, "center_y_px": camera.center_y_px}  # fmt: skip
+    own = {
+        "focal_px": camera.focal_y_px,
+        "aspect": camera.focal_y_px / camera.focal_x_px - 1,
+        "center_x_px": camera.center_x_px,
+        "center_y_px": camera.center_y_px,
+    }
     return truth, points, {**SIZE, **own, **lens}
 
 
 def bars(truth, *pairs, sigma_mm=0.005):
     return {
-        "a": [f"t{a}" for a, _ in pairs], "b": [f"t{b}" for _, b in pairs],
-        "length_m": [length(truth, a, b) for a, b in pairs], "sigma_mm": [sigma_mm] * len(pairs),
-    }  # fmt: skip
+        "a": [f"t{a}" for a, _ in pairs],
+        "b": [f"t{b}" for _, b in pairs],
+        "length_m": [length(truth, a, b) for a, b in pairs],
+        "sigma_mm": [sigma_mm] * len(pairs),
+    }
 
 
 def control(truth, numbers, sigma_mm=None):
@@ -47,8 +53,9 @@ def control(truth, numbers, sigma_mm=None):
 @pytest.mark.parametrize("sigma_mm", [None, 0.05])
 def test_control_points_from_a_table(job, tmp_path, sigma_mm):
     truth, points, camera = job
-    folder = write_job(tmp_path / "in", points, camera=camera, files={"control_points": "control.csv"},
-                       datum={"kind": "control"})  # fmt: skip
+    folder = write_job(
+        tmp_path / "in", points, camera=camera, files={"control_points": "control.csv"}, datum={"kind": "control"}
+    )
     write_table_csv(folder / "control.csv", control(truth, [0, 5, 9, 14], sigma_mm))
     assert command(folder, tmp_path / "out") == 0
     found, sigmas = points_of(tmp_path / "out"), sigmas_of(tmp_path / "out")
@@ -62,8 +69,9 @@ def test_control_points_from_a_table(job, tmp_path, sigma_mm):
 
 def test_control_that_leaves_something_open_is_an_error(job, tmp_path, capsys):
     truth, points, camera = job
-    folder = write_job(tmp_path / "in", points, camera=camera, files={"scale_bars": "bars.csv"},
-                       datum={"kind": "control"})  # fmt: skip
+    folder = write_job(
+        tmp_path / "in", points, camera=camera, files={"scale_bars": "bars.csv"}, datum={"kind": "control"}
+    )
     write_table_csv(folder / "bars.csv", bars(truth, (0, 1)))
     assert command(folder, tmp_path / "out") == 2
     assert "leave 3 of position, 3 of rotation open" in " ".join(capsys.readouterr().err.split())
@@ -98,8 +106,9 @@ def test_inner_datum_takes_over_start_coordinates(job, tmp_path):
     """The frame is that of the coordinates in the file: best fit over the datum's targets, the scale from the bar."""
     truth, points, camera = job
     given = truth.points_m * 1.002 + np.random.default_rng(0).normal(0, 1e-3, truth.points_m.shape) + [5.0, -3.0, 1.0]
-    folder = write_job(tmp_path / "in", points, camera=camera, files={"scale_bars": "bars.csv"},
-                       start={"points": "start.csv"})  # fmt: skip
+    folder = write_job(
+        tmp_path / "in", points, camera=camera, files={"scale_bars": "bars.csv"}, start={"points": "start.csv"}
+    )
     write_table_csv(folder / "bars.csv", bars(truth, (0, 1)))
     columns = {f"{axis}_m": given[:, i] for i, axis in enumerate("xyz")}
     write_table_csv(folder / "start.csv", {"id": [f"t{k}" for k in range(30)], **columns})
@@ -153,15 +162,26 @@ def test_collector_recipe(tmp_path):
     built = np.concatenate([left, right]) + rng.normal(0, 5e-4, (14, 3)) * [1, 1, 1]
     truth, _ = network(np.random.default_rng(1), 4, 8)
     centers = [(9 * np.cos(a), long / 2 + 11 * np.sin(a), 5 + i % 3) for i, a in enumerate(np.linspace(0, 6.0, 12))]
-    state = views(rng, [np.array(c) - [0, long / 2, 0] for c in centers],
-                  np.concatenate([built, ground]) - [0, long / 2, 0], truth.cameras)  # fmt: skip
+    state = views(
+        rng,
+        [np.array(c) - [0, long / 2, 0] for c in centers],
+        np.concatenate([built, ground]) - [0, long / 2, 0],
+        truth.cameras,
+    )
     moved = BundleState(state.cameras, state.rotations, state.translations_m, state.points_m)
     points = observe(moved, rng, 0.1)
     names = [f"t{k}" for k in range(7)], [f"t{k}" for k in range(7, 14)]
     collector = {
-        "width_m": width, "focal_length_m": focal, "left": names[0], "right": names[1], "end": ["t0", "t7"],
-        "along": [["t0", "t6"], ["t7", "t13"]], "length_m": long, "sigma_mm": 0.5, "length_sigma_mm": 1.0,
-    }  # fmt: skip
+        "width_m": width,
+        "focal_length_m": focal,
+        "left": names[0],
+        "right": names[1],
+        "end": ["t0", "t7"],
+        "along": [["t0", "t6"], ["t7", "t13"]],
+        "length_m": long,
+        "sigma_mm": 0.5,
+        "length_sigma_mm": 1.0,
+    }
     folder = write_job(tmp_path / "in", points, camera={**SIZE, "focal_length_35mm": 36.0}, collector=collector)
     assert command(folder, tmp_path / "out") == 0
     found, sigmas = points_of(tmp_path / "out"), sigmas_of(tmp_path / "out")

@@ -81,9 +81,14 @@ def measured(adjusted: Result, folder: Path, **keys):
 def test_facets_show_their_canting_and_the_map_shows_it_too(adjusted, folder, truth) -> None:
     names = {side: [n for n, p in truth.items() if inside(*p[:2])] for side, inside in FACETS.items()}
     found = measured(
-        adjusted, folder, design="paraboloid", focal_length_m=FOCAL_M, fit="none", reference=references(truth),
+        adjusted,
+        folder,
+        design="paraboloid",
+        focal_length_m=FOCAL_M,
+        fit="none",
+        reference=references(truth),
         facet=[{"name": side, "targets": targets} for side, targets in names.items()],
-    )  # fmt: skip
+    )
     canting = {one.name: one for one in found.cantings}
     for side, expected in (("low", 0.0), ("high", TILT_RAD)):
         one = canting[side]
@@ -104,8 +109,11 @@ def test_facets_show_their_canting_and_the_map_shows_it_too(adjusted, folder, tr
 def test_facets_with_designs_of_their_own_are_placed_by_their_pose(adjusted, folder, truth) -> None:
     # The same paraboloid, said as two designs: once in the frame of the whole, once seen from half a metre aside.
     shift = [0.5, 0.0, 0.5**2 / (4 * FOCAL_M)]
-    aside = {"design": "quadric", "position_m": shift,
-             "coefficients": [1 / (4 * FOCAL_M), 1 / (4 * FOCAL_M), 0.5 / (2 * FOCAL_M), 0.0, 0.0, 0.0]}  # fmt: skip
+    aside = {
+        "design": "quadric",
+        "position_m": shift,
+        "coefficients": [1 / (4 * FOCAL_M), 1 / (4 * FOCAL_M), 0.5 / (2 * FOCAL_M), 0.0, 0.0, 0.0],
+    }
     own = {"design": "paraboloid", "focal_length_m": FOCAL_M}
     names = {side: [n for n, p in truth.items() if inside(*p[:2])] for side, inside in FACETS.items()}
     facets = [{"name": "low", "targets": names["low"], **own}, {"name": "high", "targets": names["high"], **aside}]
@@ -131,9 +139,12 @@ def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     content = tomllib.loads((folder / "measurement.toml").read_text())
     names = {side: [n for n, p in truth.items() if inside(*p[:2])] for side, inside in FACETS.items()}
     content["surface"] = {
-        "design": "paraboloid", "focal_length_m": FOCAL_M, "reference": references(truth), "grid_step_mm": 50.0,
+        "design": "paraboloid",
+        "focal_length_m": FOCAL_M,
+        "reference": references(truth),
+        "grid_step_mm": 50.0,
         "facet": [{"name": side, "targets": targets} for side, targets in names.items()],
-    }  # fmt: skip
+    }
     own = tmp_path / "own"
     own.mkdir()
     (own / "measurement.toml").write_text(dump_toml(content))
@@ -182,14 +193,18 @@ def test_two_dates_show_what_moved(adjusted, folder, truth, tmp_path: Path) -> N
     ("keys", "words"),
     [
         ({"design": "plane", "targets": ["nothing*"]}, "'nothing\\*' is no measured target"),
-        ({"design": "plane", "facet": [{"name": "a", "targets": ["1..9"]}, {"name": "b", "targets": ["9"]}]},
-         'target 9 is in "a" and in "b"'),
+        (
+            {"design": "plane", "facet": [{"name": "a", "targets": ["1..9"]}, {"name": "b", "targets": ["9"]}]},
+            'target 9 is in "a" and in "b"',
+        ),
         ({"compare_with": "elsewhere"}, "must be a folder of results"),
         ({"mesh": "part.stl"}, "no such mesh"),
-        ({"design": "plane", "reference": [{"target": t, "xyz_m": [0.0, 0.0, 0.0]} for t in ("1", "2", "absent")]},
-         "absent are not among"),
+        (
+            {"design": "plane", "reference": [{"target": t, "xyz_m": [0.0, 0.0, 0.0]} for t in ("1", "2", "absent")]},
+            "absent are not among",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_asked_wrongly_is_refused(adjusted, folder, keys, words) -> None:
     with pytest.raises(InputError, match=words):
         measured(adjusted, folder, **keys)

@@ -36,8 +36,10 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def panel(columns=7, rows=5, width=2.0, height=1.4, diameter_m=0.0):
     """A curved panel with its normals."""
-    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.5, 0.5, columns) * width,
-                                                 np.linspace(-0.5, 0.5, rows) * height))  # fmt: skip
+    x, y = (
+        axis.ravel()
+        for axis in np.meshgrid(np.linspace(-0.5, 0.5, columns) * width, np.linspace(-0.5, 0.5, rows) * height)
+    )
     points = np.stack([x, y, x**2 / 8], axis=1)
     normals = np.stack([-x / 4, 0 * x, np.ones_like(x)], axis=1)
     return PlannedObject(tuple(str(i + 1) for i in range(x.size)), points, normals, diameter_m)
@@ -273,8 +275,12 @@ def test_listed_targets_with_faces(tmp_path: Path) -> None:
 def test_mistakes_in_a_plan(section, message) -> None:
     import tomllib
 
-    content = {"kind": "photogrammetry-plan", "name": "a", "goal": {"sigma_mm": 0.1},
-               "camera": {"width_px": 10, "height_px": 10, "focal_px": 10.0, "sigma_px": 0.1}}  # fmt: skip
+    content = {
+        "kind": "photogrammetry-plan",
+        "name": "a",
+        "goal": {"sigma_mm": 0.1},
+        "camera": {"width_px": 10, "height_px": 10, "focal_px": 10.0, "sigma_px": 0.1},
+    }
     with pytest.raises(InputError, match=message):
         parse_measurement(content | tomllib.loads(section), Path("measurement.toml"))
 

@@ -21,8 +21,13 @@ from tests.photogrammetry.surfaces_synthetic import (
     on_surface,
 )
 
-DESIGNS = [design(plane), design(sphere, 8.0), design(paraboloid, 4.0), design(paraboloid_xy, 4.0, 6.0),
-           design(trough, 3.0)]  # fmt: skip
+DESIGNS = [
+    design(plane),
+    design(sphere, 8.0),
+    design(paraboloid, 4.0),
+    design(paraboloid_xy, 4.0, 6.0),
+    design(trough, 3.0),
+]
 
 
 def test_distances_of_a_sphere_are_closed_form() -> None:
@@ -106,8 +111,9 @@ def test_weighted_fit_agrees_with_scipy() -> None:
         return ((points.points_m - rotation.apply(np.column_stack([feet, z]))).ravel()) / weights
 
     weights = np.sqrt(sigma**2 + fit.shape_sigma_m**2)
-    start = np.concatenate([WORLD_FROM_DESIGN.rotation_vector_rad, WORLD_FROM_DESIGN.translation_m, [4.0, 6.0],
-                            grid_xy(6).ravel()])  # fmt: skip
+    start = np.concatenate(
+        [WORLD_FROM_DESIGN.rotation_vector_rad, WORLD_FROM_DESIGN.translation_m, [4.0, 6.0], grid_xy(6).ravel()]
+    )
     found = least_squares(residuals, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x
     lengths = fit.parameters.lengths()
     sigmas = {name: values[1] for name, values in lengths.items()}
@@ -211,8 +217,12 @@ def test_what_is_not_determined_is_refused(xy, surface, choices, error, words) -
     points = on_surface(surface, xy)
     count = len(points)
     with pytest.raises(error, match=words):
-        fit_surface(SurfacePoints(tuple(map(str, range(count))), points, 1e-8 * np.eye(3 * count)), surface,
-                    RigidTransform.identity(), choices)  # fmt: skip
+        fit_surface(
+            SurfacePoints(tuple(map(str, range(count))), points, 1e-8 * np.eye(3 * count)),
+            surface,
+            RigidTransform.identity(),
+            choices,
+        )
 
 
 def test_start_says_when_the_orientation_is_open() -> None:
@@ -232,6 +242,9 @@ def test_shallow_bowl_keeps_its_place_where_it_cannot_be_felt() -> None:
     # Turns about the centre of curvature slide the bowl along itself: two of them beside its own symmetry.
     assert len(fit.held) == 3
     assert np.abs(fit.points.points_m[:, :2] - points.points_m[:, :2]).max() < 1e-3
-    deep = fit_surface(drawn(on_surface(design(paraboloid, 2.0), grid_xy(6)), 5e-5 * np.eye(108), rng),
-                       design(paraboloid, 2.0), RigidTransform.identity())  # fmt: skip
+    deep = fit_surface(
+        drawn(on_surface(design(paraboloid, 2.0), grid_xy(6)), 5e-5 * np.eye(108), rng),
+        design(paraboloid, 2.0),
+        RigidTransform.identity(),
+    )
     assert deep.held == ("rotation about z",)
