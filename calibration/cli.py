@@ -17,7 +17,7 @@ from heliogauge.running.commands import (
     Verbose,
     deliver,
     make_app,
-    tell,
+    say_ending,
 )
 
 app = make_app("Calibration: heliostats; camera; response of camera and display.")
@@ -132,14 +132,14 @@ def heliostat_command(
     An interrupted field is continued by the same command; --force begins anew.
     """
     from calibration.heliostat.keys import load_heliostat
-    from calibration.heliostat.pipeline.field import headline_text, run_into
+    from calibration.heliostat.pipeline.field import run_into
     from calibration.heliostat.pipeline.measure import Options
     from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(split, model, label, only, thorough, jobs, scheduler)
     result = run_into(load_heliostat(folder), out, options, progress, force=force, report=not no_report)
-    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    say_ending(result.doubts, result.headline(), f"results: {out}", quiet=quiet)
 
 
 @app.command("heliostat-export")

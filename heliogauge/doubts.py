@@ -1,7 +1,7 @@
 """What makes a result doubtful, as values: made where it is found, part of the result, shown by terminal and report."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite, nan
 from typing import Any
@@ -55,6 +55,10 @@ class Doubt:
     def __str__(self) -> str:
         """Return the sentence."""
         return self.text
+
+    def prefixed(self, where: str) -> "Doubt":
+        """Return the doubt with where it was found in front of the sentence."""
+        return replace(self, text=f"{where}: {self.text}")
 
 
 def gather_doubts(*doubts: Doubt | Iterable[Doubt] | None) -> tuple[Doubt, ...]:

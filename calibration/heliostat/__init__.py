@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from calibration.heliostat.pipeline.measure import Options as Options
     from calibration.heliostat.pipeline.measure import Result as Result
     from calibration.heliostat.pipeline.measure import run as run
-    from calibration.heliostat.pipeline.measure import write as write
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
@@ -32,6 +31,5 @@ __getattr__, __dir__, __all__ = lazy_face(
         "observations": "calibration.heliostat.observations",
         "planning": "calibration.heliostat.planning",
         "run": "calibration.heliostat.pipeline.measure",
-        "write": "calibration.heliostat.pipeline.measure",
     },
 )

@@ -54,7 +54,7 @@ def check_screen_points(screen: TabulatedScreen, name: str) -> Doubt | None:
         "screen_points_stand_out",
         f"{name}: {wrong.size} of {away.size} points stand out of the smooth surface of all, the worst in line "
         f"{worst + 2} (u = {screen.u[worst]:g}, v = {screen.v[worst]:g}) by {1e3 * away[worst]:.3g} mm",
-        {"points_count": wrong.size, "line_count": worst + 2, "largest_departure_m": float(away[worst])},
+        {"points_count": wrong.size, "line_number": worst + 2, "largest_departure_m": float(away[worst])},
     )
 
 

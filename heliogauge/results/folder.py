@@ -91,6 +91,7 @@ UNITS: dict[str, str] = {
     "_share": "",
     "_ratio": "",
     "_count": "",
+    "_number": "",
     "_factor": "",
     "_probability": "",
 }

@@ -92,7 +92,7 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
         options = heliostats.Options(thorough=False, jobs=1)
         result = heliostats.run(load(place), options, SilentProgress())
     with progress.stage("write results"):
-        heliostats.write(result, folder)
+        result.write(folder)
     if report:
         from heliogauge.reporting.build import build_report
 
@@ -100,14 +100,14 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
             build_report(folder)
     truth = read_heliostat_truth(place)
     lines = []
-    for place, one in enumerate(result.heliostats):
+    for number, one in enumerate(result.heliostats):
         held = "" if one.main is None else f"beam predicted to {1e3 * one.main.test.beam_rms_rad:.2f} mrad RMS; "
-        lines.append(f"heliostat {one.name}: {held}{_against_truth(result, place, truth)}")
+        lines.append(f"heliostat {one.name}: {held}{_against_truth(result, number, truth)}")
     return "\n".join(lines)
 
 
-def _against_truth(result: heliostats.Result, place: int, truth: HeliostatTruth) -> str:
-    one = result.heliostats[place]
+def _against_truth(result: heliostats.Result, number: int, truth: HeliostatTruth) -> str:
+    one = result.heliostats[number]
     design, (target, *_) = one.fit.design, result.shared.plant.targets.values()
     known = {name: value for name, value in truth.values(one.name).items() if name in design.parameters.names}
     missed = commanded_offsets(design.with_value(known), design, one.seen.suns, target)

@@ -7,6 +7,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge import doubts
+from heliogauge.doubts import Doubt
+
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
 #: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), or the
 #: observations are too few to tell ("doubt").
@@ -71,6 +74,12 @@ class Finding:
         """What to do, in one sentence."""
         return REMEDIES[self.kind]
 
+    @property
+    def doubt(self) -> Doubt:
+        """The finding as a doubt: its kind is the code."""
+        weight = doubts.Severity.SERIOUS if self.severity == "fault" else doubts.Severity.DOUBT
+        return Doubt(self.kind, f"{self.text} {self.remedy}", self.evidence, weight)
+
     def content(self) -> dict[str, Any]:
         """Return the finding as JSON has it."""
         return {
@@ -129,9 +138,9 @@ class Diagnosis:
         return tuple(dict.fromkeys(one.kind for one in self.findings if one.severity in ("fault", "doubt")))
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Faults, wrong rows and doubts as sentences with their remedy."""
-        return tuple(f"{one.text} {one.remedy}" for one in self.findings if one.severity != "hint")
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Faults, wrong rows and doubts, with their remedy."""
+        return tuple(one.doubt for one in self.findings if one.severity != "hint")
 
     def content(self) -> dict[str, Any]:
         """Return the diagnosis as JSON has it."""

@@ -153,5 +153,5 @@ def _too_few(fit: HeliostatFit) -> Finding | None:
         else "nothing is left to judge it by"
     )
     text = f"{count} usable observations for {fit.n_free} free numbers: {what}."
-    evidence = {"observations": float(count), "free": float(fit.n_free), "rank": float(decided)}
+    evidence = {"observations_count": float(count), "free_count": float(fit.n_free), "rank_count": float(decided)}
     return Finding("too_few", "doubt", text, evidence, rows=tuple(fit.observations.row[np.asarray(fit.used)].tolist()))

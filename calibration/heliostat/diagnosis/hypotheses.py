@@ -225,7 +225,7 @@ def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
             f"Axis {axis + 1} runs the other way than said",
             _inverted(fit.nominal, axis),
             lambda seen: seen,
-            {"axis": axis + 1.0},
+            {"axis_number": axis + 1.0},
         )
     drive = fit.nominal.drives[0]
     if isinstance(drive, RotaryDrive):
@@ -237,7 +237,7 @@ def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
                 f"Axis 1 is read half a turn off{also} (an azimuth from the south?)",
                 design,
                 partial(_with_readings, change=partial(np.add, half)),
-                {"axis": 1.0},
+                {"axis_number": 1.0},
             )
 
 

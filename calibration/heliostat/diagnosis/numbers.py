@@ -134,7 +134,7 @@ def _beyond(fit: HeliostatFit) -> list[Finding]:
         f"The triangle of an actuator does not close at {count} of {len(lost)} readings: its numbers (stroke, offset, "
         "pivot radius, increment) are not this heliostat's."
     )
-    evidence = {"readings_beyond": float(count), "readings": float(len(lost))}
+    evidence = {"readings_beyond_count": float(count), "readings_count": float(len(lost))}
     rows = tuple(seen.row[lost].tolist())
     return [Finding("actuator_numbers", "fault", text, evidence, rows=rows, dates=dates_of(seen.time[lost]))]
 

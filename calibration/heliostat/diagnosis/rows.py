@@ -163,7 +163,7 @@ def _constants(fit: HeliostatFit) -> list[Finding]:
         if most >= 5 and most > 0.5 * readings.size:
             value = values[np.argmax(counts)]
             text = f"Axis {axis + 1} reads {value:g} in {most} of {readings.size} rows, although the sun moved."
-            evidence = {"axis": axis + 1.0, "rows": float(most)}
+            evidence = {"axis_number": axis + 1.0, "rows_count": float(most)}
             stuck = readings == value
             found = _row_finding(fit, stuck, "constant_column", "fault", text)
             findings.append(replace(found, evidence=evidence))
@@ -186,7 +186,7 @@ def _constant_spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> li
     )
     # Beams are steered to a point, and hardly to a line; and then they fit as well as others.
     steered = len(same) == 2 and float(np.nanmedian(fit.residuals.beam_angle_rad)) < _STEERED_RAD
-    return [Finding("constant_column", "hint" if steered else "doubt", text, {"rows": float(len(xy))})]
+    return [Finding("constant_column", "hint" if steered else "doubt", text, {"rows_count": float(len(xy))})]
 
 
 # --- other ways to read a row -----------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def _row_finding(
     images: Sequence[str] = (),
 ) -> Finding:
     seen = fit.observations
-    numbers = {"rows": float(rows.sum()), "share": float(rows.mean())}
+    numbers = {"rows_count": float(rows.sum()), "rows_share": float(rows.mean())}
     photos = tuple(images[i] for i in np.flatnonzero(rows).tolist() if images[i]) if images else ()
     chosen = tuple(seen.row[rows].tolist())
     return Finding(kind, severity, text, numbers, rows=chosen, dates=dates_of(seen.time[rows]), images=photos)

@@ -14,6 +14,7 @@ from calibration.heliostat.keys import HeliostatModel
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.plant import Plant
+from heliogauge.doubts import Doubt
 from heliogauge.validate import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -98,8 +99,8 @@ class HeliostatResult:
     not_split: Mapping[str, str] = field(default_factory=dict)
     sky: SkyMap | None = None
     beams: "BeamMeasurements | None" = None
-    doubts: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+    notes: tuple[Doubt, ...] = ()
     properties: str = ""
     duration_s: float = 0.0
 

@@ -13,6 +13,7 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.splits import AngleSummary, HeldOut
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.store_design import design_content
+from heliogauge.doubts import Doubt, doubt_content
 from heliogauge.results.folder import Summary, write_json, write_table_csv
 from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
@@ -91,8 +92,8 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
             for name, one in plant.targets.items()
         },
         "diagnosis": result.diagnosis.content(),
-        "warnings": list(result.doubts),
-        "notes": list(result.notes),
+        "doubts": [doubt_content(one) for one in result.doubts],
+        "notes": [doubt_content(one) for one in result.notes],
         "paint_properties": _properties(result),
     }
 
@@ -206,7 +207,7 @@ def _split_content(held: HeldOut) -> dict[str, Any]:
     prediction = held.prediction
     # What must be known before the numbers are read stands before them.
     return {
-        "warnings": list(held.doubts),
+        "doubts": [doubt_content(one) for one in held.doubts],
         "note": held.split.note,
         "extrapolated_count": int(np.count_nonzero(prediction.extrapolated)),
         "predicted_sigma_median_mrad": _plain(1e3 * _median(prediction.sigma_beam_rad)),
@@ -274,13 +275,13 @@ def heliostat_summary(
 
     durations_s: Time of each stage [s].
     input_sha256: Hashes of what was read.
-    Returns: Headline numbers, the splits, warnings.
+    Returns: Headline numbers, the splits, doubts.
     """
     numbers = headline(result)
     why = result.not_split.get(result.split, "the observations give none")
     texts = {"heliostat": result.name, "model": result.free, "split": result.split}
     if result.notes:
-        texts["notes"] = "; ".join(result.notes)
+        texts["notes"] = "; ".join(one.text for one in result.notes)
     return Summary(
         kind=KIND,
         name=result.name,
@@ -297,13 +298,13 @@ def split_lines(result: HeliostatResult) -> tuple[str, ...]:
     """Say what came of each split in a line, what to expect before what was found."""
     lines = []
     for name, held in result.held.items():
-        asked = next((text for text in held.doubts if text.startswith("split ")), f"split {name}: {held.split.note}")
+        asked = f"split {name}: {held.split.note if held.beyond is None else held.beyond.text}"
         train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
         lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
     return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
 
 
-def _status(result: HeliostatResult, doubts: Sequence[str]) -> str:
+def _status(result: HeliostatResult, doubts: Sequence[Doubt]) -> str:
     if result.diagnosis.kinds:
         return "faulty"
     # Single rows that were wrong and left out make a heliostat no worse.
@@ -315,7 +316,8 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
     """Return a heliostat's row of ``field.csv``."""
     east, north, up = result.fit.design.position_m.tolist()
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
-    doubts = [text for text in result.doubts if not text.startswith("split ")]
+    beyond = None if result.main is None else result.main.beyond
+    doubts = [one for one in result.doubts if beyond is None or one.code != beyond.code]
     return {
         "heliostat": result.name,
         "status": _status(result, doubts),
@@ -327,7 +329,7 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         **headline(result),
         "duration_s": round(result.duration_s, 4),
         "warnings_count": len(result.doubts),
-        "reason": "; ".join(doubts),
+        "reason": "; ".join(one.text for one in doubts),
     }
 
 

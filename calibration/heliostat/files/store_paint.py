@@ -17,6 +17,7 @@ import numpy as np
 from calibration.heliostat.keys import properties_files
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.observations.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from heliogauge.measurement.files import natural_order
@@ -96,7 +97,7 @@ class PaintProperties:
     translations_m: dict[str, tuple[float, float, float]]
     tilts_rad: dict[str, float]
     size_m: tuple[float, float]
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
     content: dict[str, Any]
 
 
@@ -201,17 +202,18 @@ def parse_properties(text: str, where: str) -> PaintProperties:
     kinematics = next((content[key] for key in _KINEMATICS if isinstance(content.get(key), dict)), None)
     if kinematics is None:
         raise InputError(f"{where}: the key {' or '.join(_KINEMATICS)} is missing")
-    warnings = []
+    doubts = []
     orientation = content.get("initial_orientation")
     facing = tuple(orientation[:3]) if isinstance(orientation, list) else None
     translations = {name: _translation(kinematics, keys) for name, keys in _TRANSLATIONS.items()}
     if facing != _SOUTH:
         told = "no initial_orientation" if facing is None else f"initial_orientation {list(facing)}"
         if any(any(shift) for shift in translations.values()):
-            warnings.append(
+            text = (
                 f"{where}: {told}: an older convention, in which its joint translations have other axes; they are "
                 "left out"
             )
+            doubts.append(Doubt("paint_translations_left_out", text))
         translations = dict.fromkeys(_TRANSLATIONS, (0.0, 0.0, 0.0))
     return PaintProperties(
         position=_position(content, where),
@@ -219,7 +221,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
         translations_m=translations,
         tilts_rad={name: _finite(kinematics.get(key, 0.0), f"{where}: {key}") for name, key in TILT_KEYS.items()},
         size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
-        doubts=tuple(warnings),
+        doubts=tuple(doubts),
         content=content,
     )
 

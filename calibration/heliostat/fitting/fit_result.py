@@ -11,6 +11,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals
 from heliogauge.adjust.solution import Solution
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, FloatArray, positive
 
@@ -99,7 +100,7 @@ class HeliostatFit:
     sigma0: Mapping[str, float]
     unobservable: tuple[Combination, ...]
     basins: int
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
     @property
     def names(self) -> tuple[str, ...]:

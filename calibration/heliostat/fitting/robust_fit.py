@@ -1,6 +1,6 @@
 """Robust adjustment of a heliostat's numbers to observations of any kinds, with covariance and named doubts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate
 from heliogauge.adjust.chi_square import chi_square_quantile, two_sided_probability
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
@@ -220,7 +221,7 @@ def _result(end: Descended, tried: int) -> HeliostatFit:
         sigma0=end.scatter(),
         unobservable=combinations,
         basins=tried,
-        doubts=_warnings(end, combinations),
+        doubts=tuple(_doubts(end, combinations)),
     )
 
 
@@ -246,24 +247,31 @@ def _reasons(end: Descended, residuals: Residuals) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def _warnings(end: Descended, combinations: tuple[Combination, ...]) -> tuple[str, ...]:
-    found, rejected = [], int((~end.used).sum())
+def _doubts(end: Descended, combinations: tuple[Combination, ...]) -> Iterator[Doubt]:
+    """Yield what a user must know before believing the numbers."""
+    used, rejected, rows = int(end.used.sum()), int((~end.used).sum()), end.used.size
     if not end.solution.converged:
-        found.append(f"the fit has not converged: {end.solution.reason}")
+        yield Doubt("fit_not_converged", f"the fit has not converged: {end.solution.reason}", severity=Severity.SERIOUS)
     if combinations and len(combinations) == len(end.model.names):
-        found.append(f"{int(end.used.sum())} usable observations say less than the priors: this is a prior-only answer")
-    found += [f"not observed: {one.text}; held near the given value" for one in combinations if not one.held_by_prior]
-    if rejected > 0.2 * end.used.size:
-        found.append(f"{rejected} of {end.used.size} observations rejected: more than outliers should be")
-    found += [
-        f"sigma of {kind} observations estimated from the residuals: {factor:.2g} times the stated one"
-        for kind, factor in end.factors.items()
-        if factor != 1.0
-    ]
+        text = f"{used} usable observations say less than the priors: this is a prior-only answer"
+        yield Doubt("answer_is_of_priors_only", text, {"used_count": used})
+    for one in combinations:
+        if not one.held_by_prior:
+            yield Doubt("parameters_not_observed", f"not observed: {one.text}; held near the given value")
+    if rejected > 0.2 * rows:
+        text = f"{rejected} of {rows} observations rejected: more than outliers should be"
+        yield Doubt("many_observations_rejected", text, {"rejected_count": rejected, "observations_count": rows})
+    for kind, factor in end.factors.items():
+        if factor != 1.0:
+            # That the scale of the sigmas is estimated is no fault of the heliostat.
+            text = f"sigma of {kind} observations estimated from the residuals: {factor:.2g} times the stated one"
+            yield Doubt("sigma_estimated_from_residuals", text, {"scale_factor": factor}, Severity.NOTE)
     far = _far_rad(end)
     if far > _FAR_RAD:
-        found.append(
+        yield Doubt(
+            "observations_far_from_fit",
             f"the observations lie {1e3 * far:.0f} mrad from the best fit in the median: "
-            "the model or the numbers it was given are wrong"
+            "the model or the numbers it was given are wrong",
+            {"median_distance_rad": far},
+            Severity.SERIOUS,
         )
-    return tuple(found)

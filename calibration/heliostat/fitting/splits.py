@@ -12,6 +12,7 @@ from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
@@ -71,7 +72,8 @@ class HeldOut:
     test: Of all test rows that can be computed, outliers included: nobody knows them beforehand.
     residuals: Of all rows at the values of the fit.
     prediction: What was predicted of the test rows, with sigma and warning, before they were looked at.
-    doubts: What must be known before the numbers are read.
+    beyond: That test positions lie beyond those of training, and what to expect; must be known before the numbers are
+        read.
     """
 
     split: Split
@@ -80,7 +82,12 @@ class HeldOut:
     test: AngleSummary
     residuals: Residuals
     prediction: Prediction
-    doubts: tuple[str, ...]
+    beyond: Doubt | None
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What must be known before the numbers are read."""
+        return gather_doubts(self.beyond, self.fit.doubts)
 
 
 def make_split(
@@ -168,7 +175,7 @@ def held_out(
     """Fit to the training rows and compare with the others.
 
     chooser: Chooses the free parameters from the training rows alone, such as `choose_model`.
-    Returns: Fit, residuals of both parts, prediction, warnings.
+    Returns: Fit, residuals of both parts, prediction, doubts.
     EstimationError: The training rows do not determine the heliostat, or there are none.
     InputError: A test row needs a camera or target that no training row has.
     """
@@ -187,19 +194,21 @@ def held_out(
     used[np.flatnonzero(split.train)[found.used]] = True
     tested = split.test[place] & some.computable
     summaries = AngleSummary.of(some, used[place]), AngleSummary.of(some, tested)
-    warnings = (*_beforehand(split, prediction), *found.doubts)
-    return HeldOut(split, found, *summaries, evaluate(found.design, found.values, both), prediction, warnings)
+    residuals = evaluate(found.design, found.values, both)
+    return HeldOut(split, found, *summaries, residuals, prediction, _beyond_training(prediction))
 
 
-def _beforehand(split: Split, prediction: Prediction) -> tuple[str, ...]:
+def _beyond_training(prediction: Prediction) -> Doubt | None:
     beyond = int(prediction.extrapolated.sum())
     if not beyond:
-        return ()
+        return None
     far = float(np.nanmax(prediction.distance_rad))
     expected = float(np.sqrt(np.nanmean(prediction.sigma_beam_rad**2)))
-    return (
-        f"split {split.name}: {beyond} of {len(prediction.extrapolated)} test positions lie beyond those of training, "
+    return Doubt(
+        "test_positions_beyond_training",
+        f"{beyond} of {len(prediction.extrapolated)} test positions lie beyond those of training, "
         f"up to {np.degrees(far):.0f} degrees away; expect errors of about {1e3 * expected:.1f} mrad of the beam",
+        {"beyond_count": beyond, "farthest_rad": far, "expected_beam_rad": expected},
     )
 
 

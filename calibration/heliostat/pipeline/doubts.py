@@ -1,6 +1,6 @@
 """Stage 6: what makes the numbers of a heliostat doubtful, and what is only good to know."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.rows import Rows
 from calibration.heliostat.pipeline.trials import Trials
+from heliogauge.doubts import Doubt, Severity
 
 #: More readings than this beyond the actuators' geometry are not slips of single rows.
 _FEW_BEYOND = 0.02
@@ -18,59 +19,69 @@ _FEW_BEYOND = 0.02
 _FEW_REFUSED = 0.1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Remarks:
-    """What the user must hear (`doubts`) and may hear (`notes`)."""
-
-    doubts: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def collect_remarks(
+def collect_doubts(
     task: HeliostatTask, seen: Observed, result: HeliostatFit, trials: Trials, shared: Shared
-) -> Remarks:
-    """Collect what came up on reading, in the fit to all rows and in the trials."""
-    doubts: list[str] = []
-    notes: list[str] = []
+) -> Iterator[Doubt]:
+    """Yield what came up in the trials, on reading and in the fit to all rows; what is only good to know as notes."""
+    main = trials.held.get(shared.split)
+    if main is not None and main.beyond is not None:
+        # Extrapolation is reported before any number.
+        yield main.beyond.prefixed(f"split {main.split.name}")
     if task.properties:
-        doubts += list(parse_properties(task.properties, task.name).doubts)
+        yield from parse_properties(task.properties, task.name).doubts
     beyond = ~result.residuals.computable
     if np.count_nonzero(beyond) > _FEW_BEYOND * len(beyond):
-        doubts.append(
+        yield Doubt(
+            "readings_beyond_actuators",
             f"{np.count_nonzero(beyond)} of {len(beyond)} readings cannot be reached with the actuators as delivered: "
-            "their numbers (strokes, offsets, radii) are wrong for this heliostat"
+            "their numbers (strokes, offsets, radii) are wrong for this heliostat",
+            {"beyond_count": int(np.count_nonzero(beyond)), "readings_count": len(beyond)},
+            Severity.SERIOUS,
         )
-    rows = seen.rows
-    refused = [flag for flag in rows.flags if flag]
-    for flag in dict.fromkeys(refused):
-        first, count = rows.flags.index(flag), refused.count(flag)
-        text = f"{count} of {len(rows)} rows left out ({flag}), the first: {rows.ids[first]}: {rows.reasons[first]}"
-        (doubts if count > _FEW_REFUSED * len(rows) else notes).append(text)
+    yield from _refused_rows(seen.rows)
     if shared.population is not None and shared.population.knows(task.name):
         others = len(set(shared.population.heliostats) - {task.name})
         common = ", ".join(shared.population.names)
-        notes.append(f"{others} other heliostats of the field say what is usual: values and priors of {common}")
-    spot_sigma_mm = shared.model.evaluation.spot_sigma_mm
+        text = f"{others} other heliostats of the field say what is usual: values and priors of {common}"
+        yield Doubt("priors_of_the_field", text, {"heliostats_count": others}, Severity.NOTE)
+    yield from _missing_sigmas(seen, shared.model.evaluation.spot_sigma_mm)
+    yield from result.doubts
+    if main is None and shared.split in trials.not_made:
+        text = f"nothing was held out: {trials.not_made[shared.split]}"
+        yield Doubt("nothing_held_out", text, severity=Severity.NOTE)
+
+
+def _refused_rows(rows: Rows) -> Iterator[Doubt]:
+    """Yield which rows were left out for each reason; a few are only good to know."""
+    refused = [flag for flag in rows.flags if flag]
+    for flag in dict.fromkeys(refused):
+        first, count = rows.flags.index(flag), refused.count(flag)
+        yield Doubt(
+            "rows_left_out",
+            f"{count} of {len(rows)} rows left out ({flag}), the first: {rows.ids[first]}: {rows.reasons[first]}",
+            {"left_out_count": count, "rows_count": len(rows)},
+            Severity.DOUBT if count > _FEW_REFUSED * len(rows) else Severity.NOTE,
+        )
+
+
+def _missing_sigmas(seen: Observed, spot_sigma_mm: float) -> Iterator[Doubt]:
+    """Yield what was taken where observations come without sigmas."""
+    rows = seen.rows
     if not seen.has_sigmas:
-        notes.append(
+        yield Doubt(
+            "observations_without_sigma",
             f"the observations come without sigmas: {spot_sigma_mm:g} mm is taken for beams, "
-            "and its scale estimated from the residuals"
+            "and its scale estimated from the residuals",
+            {"taken_mm": spot_sigma_mm},
+            Severity.NOTE,
         )
     elif empty := _without_sigma(rows):
-        doubts.append(
+        yield Doubt(
+            "rows_without_sigma",
             f"{len(empty)} of {len(rows)} rows have no sigma_mm beside others that have one, the first: {empty[0]}: "
-            f"{spot_sigma_mm:g} mm is taken for them"
+            f"{spot_sigma_mm:g} mm is taken for them",
+            {"rows_count": len(empty), "taken_mm": spot_sigma_mm},
         )
-    for text in result.doubts:
-        # That the scale of the sigmas is estimated is no fault of the heliostat.
-        (notes if text.startswith("sigma of ") else doubts).append(text)
-    main = trials.held.get(shared.split)
-    if main is not None:
-        # Extrapolation is reported before any number; the rest are doubts of the fit to the train rows.
-        doubts = [text for text in main.doubts if text.startswith("split ")] + doubts
-    elif shared.split in trials.not_made:
-        notes.append(f"nothing was held out: {trials.not_made[shared.split]}")
-    return Remarks(tuple(dict.fromkeys(doubts)), tuple(dict.fromkeys(notes)))
 
 
 def _without_sigma(rows: Rows) -> tuple[str, ...]:

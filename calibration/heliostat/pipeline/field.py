@@ -28,14 +28,15 @@ from calibration.heliostat.pipeline.measure import (
     Options,
     choose,
     field_summary,
+    headline_text,
     refuse_all,
     run,
     with_field,
-    write,
 )
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
+from heliogauge.doubts import Doubt
 from heliogauge.results.folder import ResultFolder, Summary, hash_files, write_summary
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, run_each
@@ -60,11 +61,19 @@ class FieldResult:
     splits: tuple[str, ...] = ()
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[Doubt, ...]:
         """What makes the result doubtful, as much of it as one reads in a terminal."""
-        said = () if self.summary is None else tuple(self.summary.doubts)
-        rest = len(said) - _MOST_SAID
-        return said if rest <= 0 else (*said[:_MOST_SAID], f"... and {rest} more in summary.json and field.csv")
+        every = () if self.summary is None else self.summary.doubts
+        rest = len(every) - _MOST_SAID
+        if rest <= 0:
+            return every
+        more = Doubt("more_doubts", f"... and {rest} more in summary.json and field.csv", {"doubts_count": rest})
+        return (*every[:_MOST_SAID], more)
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        before = f"{self.resumed} of {len(self.rows)} heliostats were finished before\n" if self.resumed else ""
+        return before + headline_text(self.rows, self.splits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +111,10 @@ def run_into(
         with ResultFolder(out, force=force) as working:
             result = run(measurement, options, progress)
             with progress.stage("write results"):
-                write(result, working)
+                summary = result.write(working)
             if report:
                 _report(working, progress)
         (one,) = result.heliostats
-        summary = heliostat_summary(one, durations_s=result.durations_s, input_sha256=result.input_sha256)
         return FieldResult([field_row(one)], summary, splits=split_lines(one))
     with FieldFolder(out, force=force) as folder:
         try:
@@ -218,36 +226,3 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
         )
         write_result(result, shared, folder, summary)
         return _Finished(field_row(result), {file.name: file.read_bytes() for file in folder.iterdir()})
-
-
-def headline_text(result: FieldResult) -> str:
-    """Say the most important numbers in a few lines.
-
-    result: What `run_into` returned.
-    """
-    lines = []
-    if result.resumed:
-        lines.append(f"{result.resumed} of {len(result.rows)} heliostats were finished before")
-    shown = result.rows[:20]
-    for row in shown:
-        if row["status"] == "failed":
-            lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
-            continue
-        lines.append(
-            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
-            f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
-            f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
-        )
-    lines += result.splits if len(result.splits) > 1 else ()
-    if len(result.rows) > len(shown):
-        lines.append(f"... and {len(result.rows) - len(shown)} more, better ones: field.csv")
-    return "\n".join(lines)
-
-
-def _found(row: dict[str, Any]) -> str:
-    kinds = str(row.get("diagnosis") or "").replace("_", " ")
-    return f" ({kinds})" if kinds else ""
-
-
-def _mrad(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} mrad"

@@ -1,11 +1,11 @@
 """Observations of heliostats to tracking models one can trust: read, fit each, try it out, write."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import get_args
+from typing import Any, ClassVar, get_args
 
 from calibration.heliostat.files.field_folder import check_names
 from calibration.heliostat.files.result import HeliostatResult, Shared
@@ -15,6 +15,8 @@ from calibration.heliostat.files.store_heliostat import (
     failed_row,
     field_row,
     heliostat_summary,
+    split_lines,
+    worst_first,
     write_field,
 )
 from calibration.heliostat.fitting.fit_result import HeliostatFit
@@ -24,9 +26,11 @@ from calibration.heliostat.keys import HeliostatMeasurement, Label, Split
 from calibration.heliostat.pipeline.free_parameters import AUTO
 from calibration.heliostat.pipeline.nominal_design import frees_parameters
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one, fit_alone
-from calibration.heliostat.pipeline.writing import write_result
+from calibration.heliostat.pipeline.writing import write_heliostat_files, write_result
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.folder import Summary, hash_files, write_summary
+from heliogauge.results.folder import Summary, hash_files
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, Workers, run_each
 
@@ -77,38 +81,56 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """Calibrated heliostats.
 
     Parameters
     ----------
-    name : str
-        Name of the measurement.
     shared : Shared
         What all share.
     heliostats : tuple of HeliostatResult
         Those that could be calibrated, in the order of the measurement.
     failures : dict of str to Failure
         Why the others could not.
-    durations_s : dict of str to float
-        Time of each stage [s].
-    input_sha256 : dict of str to str
-        Hashes of the files they share.
     """
 
-    name: str
+    kind: ClassVar[str] = FIELD_KIND
     shared: Shared
     heliostats: tuple[HeliostatResult, ...]
     failures: dict[str, Failure]
-    durations_s: dict[str, float] = field(default_factory=dict)
-    input_sha256: dict[str, str] = field(default_factory=dict)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """What makes the numbers doubtful; with the heliostat in front where there are several."""
-        if len(self.heliostats) == 1 and not self.failures:
-            return self.heliostats[0].doubts
-        return tuple(f"{one.name}: {text}" for one in self.heliostats for text in one.doubts)
+    def only_one(self) -> HeliostatResult | None:
+        """The heliostat, where the measurement is of a single one."""
+        return self.heliostats[0] if len(self.heliostats) == 1 and not self.failures else None
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of ``field.csv``, those without a model last."""
+        good = [field_row(one) for one in self.heliostats]
+        return good + [failed_row(name, failure.reason, failure.kind) for name, failure in self.failures.items()]
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers of the heliostat, or of the field."""
+        durations, hashes = self.durations_s, self.input_sha256
+        if self.only_one is not None:
+            return heliostat_summary(self.only_one, durations_s=durations, input_sha256=hashes)
+        return field_summary(self.name, self.rows, self.shared, durations_s=durations, input_sha256=hashes)
+
+    def write_files(self, folder: Path) -> None:
+        """Write one heliostat, or a folder for each and ``field.csv``, into an existing folder."""
+        if self.only_one is not None:
+            write_heliostat_files(self.only_one, self.shared, folder)
+            return
+        for one in self.heliostats:
+            place = folder / one.name
+            place.mkdir()
+            write_result(one, self.shared, place, heliostat_summary(one, durations_s={}, input_sha256={}))
+        write_field(folder, self.rows)
+
+    def headline(self) -> str:
+        """Return a line for each heliostat, and for a single one what came of each split."""
+        return headline_text(worst_first(self.rows), () if self.only_one is None else split_lines(self.only_one))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +184,19 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     if not heliostats:
         refuse_all(failures)
     durations = dict(progress.durations_s)
-    return Result(measurement.model.name, chosen.shared, heliostats, failures, durations, hashes)
+    if len(heliostats) == 1 and not failures:
+        doubts = heliostats[0].doubts
+    else:
+        doubts = tuple(doubt.prefixed(one.name) for one in heliostats for doubt in one.doubts)
+    return Result(
+        chosen.shared,
+        heliostats,
+        failures,
+        name=measurement.model.name,
+        doubts=doubts,
+        durations_s=durations,
+        input_sha256=hashes,
+    )
 
 
 def choose(measurement: HeliostatMeasurement, options: Options) -> Chosen:
@@ -243,43 +277,13 @@ def refuse_all(failures: dict[str, Failure]) -> None:
     raise EstimationError(f"none of {len(failures)} heliostats can be calibrated; the first: {first.reason}")
 
 
-def write(result: Result, folder: Path) -> None:
-    """Write results into an existing folder: of one heliostat, or a folder for each, ``field.csv`` and a summary.
-
-    Parameters
-    ----------
-    result : Result
-        What `run` returned.
-    folder : Path
-        Where to.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
-    durations, hashes = result.durations_s, result.input_sha256
-    if len(result.heliostats) == 1 and not result.failures:
-        (one,) = result.heliostats
-        write_result(one, result.shared, folder, heliostat_summary(one, durations_s=durations, input_sha256=hashes))
-        return
-    rows = [field_row(one) for one in result.heliostats]
-    rows += [failed_row(name, failure.reason, failure.kind) for name, failure in result.failures.items()]
-    for one in result.heliostats:
-        (folder / one.name).mkdir()
-        write_result(one, result.shared, folder / one.name, heliostat_summary(one, durations_s={}, input_sha256={}))
-    write_field(folder, rows)
-    summary = field_summary(result.name, rows, result.shared, durations_s=durations, input_sha256=hashes)
-    write_summary(folder / "summary.json", summary)
-
-
 def field_summary(
     name: str,
     rows: list[dict[str, object]],
     shared: Shared,
     *,
-    durations_s: dict[str, float],
-    input_sha256: dict[str, str],
+    durations_s: Mapping[str, float],
+    input_sha256: Mapping[str, str],
 ) -> Summary:
     """Return the summary of a field.
 
@@ -308,9 +312,19 @@ def field_summary(
         if not known:
             missing[f"median_{key}"] = "no heliostat has it"
     worst = [row for row in good if row.get("beam_test_rms_mrad") is not None]
-    warnings = [f"{row['heliostat']} failed: {row['reason']}" for row in rows if row["status"] == "failed"]
-    warnings += [
-        f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}" for row in rows if row["status"] == "faulty"
+    doubts = [
+        Doubt("heliostat_failed", f"{row['heliostat']} failed: {row['reason']}")
+        for row in rows
+        if row["status"] == "failed"
+    ]
+    doubts += [
+        Doubt(
+            "heliostat_faulty",
+            f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}",
+            severity=Severity.SERIOUS,
+        )
+        for row in rows
+        if row["status"] == "faulty"
     ]
     texts = {"split": shared.split, "model": shared.free, "every split made": "yes" if shared.thorough else "no"}
     if worst:
@@ -321,8 +335,40 @@ def field_summary(
         name=name,
         numbers=numbers,
         texts=texts,
-        doubts=tuple(warnings[:100]),
+        doubts=tuple(doubts[:100]),
         durations_s=durations_s,
         input_sha256=input_sha256,
         not_determined=missing,
     )
+
+
+def headline_text(rows: Sequence[Mapping[str, Any]], splits: Sequence[str] = ()) -> str:
+    """Return the most important numbers in a few lines.
+
+    rows: Rows of ``field.csv``, the worst first.
+    splits: For a single heliostat: what came of each split.
+    """
+    lines = []
+    shown = rows[:20]
+    for row in shown:
+        if row["status"] == "failed":
+            lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
+            continue
+        lines.append(
+            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
+            f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
+            f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
+        )
+    lines += splits if len(splits) > 1 else ()
+    if len(rows) > len(shown):
+        lines.append(f"... and {len(rows) - len(shown)} more, better ones: field.csv")
+    return "\n".join(lines)
+
+
+def _found(row: Mapping[str, Any]) -> str:
+    kinds = str(row.get("diagnosis") or "").replace("_", " ")
+    return f" ({kinds})" if kinds else ""
+
+
+def _mrad(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} mrad"

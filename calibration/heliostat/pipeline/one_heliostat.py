@@ -10,11 +10,12 @@ from calibration.heliostat.fitting.priors import with_priors
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.rows import Rows
-from calibration.heliostat.pipeline.doubts import collect_remarks
+from calibration.heliostat.pipeline.doubts import collect_doubts
 from calibration.heliostat.pipeline.free_parameters import choose_free_parameters, is_hopeless
 from calibration.heliostat.pipeline.reading import read_task
 from calibration.heliostat.pipeline.sky_map import map_sky
 from calibration.heliostat.pipeline.trials import try_out
+from heliogauge.doubts import Severity, gather_doubts
 from heliogauge.errors import EstimationError
 
 
@@ -41,7 +42,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     main = trials.held.get(shared.split)
     inflation = None if main is None else main.prediction.inflation
     sky = map_sky(result, shared.plant, inflation) if shared.thorough else None
-    remarks = collect_remarks(task, seen, result, trials, shared)
+    found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, result, trials, shared))
     return HeliostatResult(
         name=task.name,
         nominal=nominal,
@@ -55,8 +56,8 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         diagnosis=diagnosis,
         sky=sky,
         beams=given.beams,
-        doubts=tuple(dict.fromkeys((*diagnosis.doubts, *remarks.doubts))),
-        notes=remarks.notes,
+        doubts=tuple(one for one in found if one.severity is not Severity.NOTE),
+        notes=tuple(one for one in found if one.severity is Severity.NOTE),
         properties=task.properties,
         duration_s=perf_counter() - begin,
     )

@@ -8,7 +8,13 @@ from heliogauge.results.folder import Summary, write_summary
 
 
 def write_result(result: HeliostatResult, shared: Shared, folder: Path, summary: Summary) -> None:
-    """Write ``heliostat.json``, ``residuals.csv`` and ``summary.json`` into an existing folder.
+    """Write the files of a heliostat and ``summary.json`` into an existing folder."""
+    write_heliostat_files(result, shared, folder)
+    write_summary(folder / "summary.json", summary)
+
+
+def write_heliostat_files(result: HeliostatResult, shared: Shared, folder: Path) -> None:
+    """Write ``heliostat.json`` and ``residuals.csv`` into an existing folder.
 
     Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
     """
@@ -18,4 +24,3 @@ def write_result(result: HeliostatResult, shared: Shared, folder: Path, summary:
         from calibration.heliostat.pipeline.beam_pictures import write_beam_files
 
         write_beam_files(result, shared, folder, pictures=shared.thorough)
-    write_summary(folder / "summary.json", summary)

@@ -50,7 +50,7 @@ def headline(report: HeliostatReport) -> Html:
         columns: dict[str, Mapping[str, Any]] = {}
     else:
         words = [f"Held out: the {html.escape(str(name))} split."]
-        words += [html.escape(str(text).removeprefix(f"split {name}: ")) + "." for text in split["warnings"]]
+        words += [f"{html.escape(one['text'])}." for one in split["doubts"]]
         lead = Html(f"<p>{' '.join(words)}</p>")
         test, train = split["test"], split["train"]
         columns = {f"predicted ({test['n']})": test, f"fitted ({train['n']})": train}
@@ -196,7 +196,7 @@ def unused_section(report: HeliostatReport) -> Html:
 def note_section(report: HeliostatReport) -> Html:
     """Return how the numbers came about."""
     content = report.content
-    notes = [str(note) for note in content["notes"]]
+    notes = [str(note["text"]) for note in content["notes"]]
     notes += [
         f"sigmas of {kind} observations: {factor:.3g} times the stated ones"
         for kind, factor in content["sigma_factor"].items()
@@ -225,14 +225,14 @@ def field_doubts(report: FieldReport) -> Html:
     """Return how many heliostats failed or need a second look, or the statement that none does."""
     numbers = report.summary.numbers
     failed, faulty, doubtful = (int(numbers.get(f"{kind}_count") or 0) for kind in ("failed", "faulty", "doubtful"))
-    warnings = [html.escape(str(text)) for text in report.summary.doubts]
-    if not (failed or faulty or doubtful or warnings):
+    doubts = [html.escape(one.text) for one in report.summary.doubts]
+    if not (failed or faulty or doubtful or doubts):
         return Html('<div class="fine">No warnings: every check of every heliostat passed.</div>')
     count = numbers["heliostats_count"]
     first = (
         f"{failed} of {count} heliostats have no model; {faulty} have a fault; {doubtful} have warnings of their own"
     )
-    items = "".join(f"<li>{text}</li>" for text in (first, *warnings))
+    items = "".join(f"<li>{text}</li>" for text in (first, *doubts))
     return Html(f'<div class="warnings"><strong>to look at</strong><ul>{items}</ul></div>')
 
 

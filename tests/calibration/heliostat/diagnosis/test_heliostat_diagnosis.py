@@ -264,7 +264,7 @@ def test_inverted_axis(healthy, axis):
     pointings = replace(observations.groups[0].pointings, readings=readings)
     (finding,) = judged(changed(observations, pointings=pointings)).faults
     assert finding.kind == "inverted_axis"
-    assert finding.evidence["axis"] == axis + 1
+    assert finding.evidence["axis_number"] == axis + 1
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -275,7 +275,7 @@ def test_azimuths_of_the_mirror_from_the_south(healthy, sign):
     pointings = replace(observations.groups[0].pointings, readings=readings)
     (finding,) = judged(changed(observations, pointings=pointings)).faults
     assert finding.kind == "half_turn"
-    assert finding.evidence["axis"] == 1
+    assert finding.evidence["axis_number"] == 1
     assert ("other way" in finding.text) == (sign < 0)
 
 

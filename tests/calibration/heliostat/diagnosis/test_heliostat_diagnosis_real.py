@@ -29,7 +29,7 @@ def test_faulty_one_is_named():
     found = fit(design.with_free("4"), observations, FitOptions(sigma="estimated"))
     (finding,) = diagnose(found).faults
     assert finding.kind == "actuator_numbers"
-    assert (finding.evidence["readings_beyond"], finding.evidence["readings"]) == (20, len(observations))
+    assert (finding.evidence["readings_beyond_count"], finding.evidence["readings_count"]) == (20, len(observations))
     assert len(finding.rows) == 20
     assert finding.evidence["median_after_mrad"] < 5 < 100 < finding.evidence["median_before_mrad"]
 

@@ -315,7 +315,7 @@ class TestProperties:
     def test_another_first_orientation_is_told(self) -> None:
         content = properties(np.zeros(3)) | {"initial_orientation": [0.0, 0.0, 1.0]}
         read = parse_properties(json.dumps(content), "AA31")
-        assert "older convention" in read.doubts[0]
+        assert [one.code for one in read.doubts] == ["paint_translations_left_out"]
         assert read.translations_m["concentrator"] == (0.0, 0.0, 0.0)
 
     @pytest.mark.parametrize(
