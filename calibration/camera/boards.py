@@ -259,6 +259,13 @@ class TargetField:
         return f"field of {len(self.names)} coded targets, {self.dictionary}"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownField:
+    """A plate or room with coded targets of which nothing is known but the dictionary of their codes."""
+
+    dictionary: str
+
+
 def renumbering(board: Chessboard | CircleGrid, quarter_turns: int) -> IntArray:
     """Return the new number of each point when the board is counted from another corner.
 

@@ -1,33 +1,27 @@
-"""Adjustments of a calibration: the board as drawn, how it was counted, its own shape, photos kept apart."""
+"""Adjustments of a calibration: the board as drawn, how it was counted, its own shape."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.boards import Board, Chessboard, CircleGrid, TargetField, renumbering
+from calibration.camera.boards import Chessboard, CircleGrid, renumbering
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.result import rms_length
+from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.start_values.orientation import Orientations, find_orientations
-from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import (
     BundleProblem,
     BundleResult,
-    BundleState,
     CameraModel,
     adjust,
     constraints,
-    eccentricity,
     statistics,
 )
-from photogrammetry.centers import eccentricity_px
 
-#: Two tilted photos determine a camera with square pixels and nothing to spare; three have something to spare.
-LEAST_PHOTOS = 3
 #: A board is taken to be as drawn to 2 % of its pitch in its plane and 10 % across it, until its departure is seen.
 _FIRST_PRIOR = np.array([0.02, 0.02, 0.1])
 #: Then to twice the departure that was found (smooth departures are not independent), never better than this.
@@ -37,58 +31,6 @@ _REJECTED_SIGMAS = 6.0
 #: A photo this many times worse than the middle one, and by pixels, shows something else than the board.
 _WORSE_PHOTO, _WORSE_PHOTO_PX = 8.0, 2.0
 _STEPS = (("focal_px",), ("focal_px", "center_x_px", "center_y_px", "k1", "k2"))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoardNetwork:
-    """Photos with the board found, and start values.
-
-    board: The board as drawn, or as it was first found where nothing was known of it.
-    points length p: Its points in each photo.
-    free: Intrinsics that are estimated.
-    poses length p: ``cam_from_board`` to start from.
-    places_known: Whether the drawing says anything about the points' places.
-    """
-
-    board: Board
-    points: tuple[BoardPoints, ...]
-    free: tuple[str, ...]
-    camera: Camera
-    poses: tuple[RigidTransform, ...]
-    places_known: bool = True
-
-    @property
-    def seen(self) -> IntArray:
-        """Points of the board in at least one photo, shape (k,)."""
-        return np.unique(np.concatenate([one.index for one in self.points]))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        names = self.board.names
-        return tuple(names[i] for i in self.seen)
-
-    def observations(self) -> ImagePoints:
-        """Gather all photos in one table."""
-        place = np.full(len(self.board.names), -1, dtype=np.intp)
-        place[self.seen] = np.arange(self.seen.size)
-        return ImagePoints(
-            tuple(one.photo for one in self.points),
-            self.names,
-            np.repeat(np.arange(len(self.points)), [one.n for one in self.points]),
-            np.concatenate([place[one.index] for one in self.points]),
-            np.concatenate([one.pixels_px for one in self.points]),
-            np.concatenate([one.covariance_px2 for one in self.points]),
-        )
-
-    def start(self) -> BundleState:
-        """Return the state to start from: the board as drawn."""
-        return BundleState.from_poses([self.camera], self.poses, self.board.points_m[self.seen])
-
-    def without(self, photo: int) -> "BoardNetwork":
-        """Return the network without one photo."""
-        rest = [i for i in range(len(self.points)) if i != photo]
-        return replace(self, points=tuple(self.points[i] for i in rest), poses=tuple(self.poses[i] for i in rest))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,49 +104,6 @@ def turned(
     """Count the board of a photo from another corner: the same image with other numbers and another pose."""
     back = RigidTransform.from_rotation_vector([0.0, 0.0, -0.5 * np.pi * quarter_turns], np.zeros(3))
     return replace(points, index=renumbering(board, quarter_turns)[points.index]), pose @ back
-
-
-def with_true_centers(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
-    """Move centres of circles' images to the images of their centres, seen as the state says.
-
-    state: Camera, poses and points.
-    Returns: With corrected points; unchanged for boards without circles.
-    """
-    if isinstance(network.board, TargetField):
-        return _with_true_targets(network, measured, state)
-    board = network.board
-    if not isinstance(board, CircleGrid):
-        return network
-    places_m, normals = board.points_m.copy(), np.tile([0.0, 0.0, 1.0], (len(board.names), 1))
-    places_m[network.seen] = state.points_m
-    x, y = places_m[:, 0], places_m[:, 1]
-    # A print is bent smoothly: its normals come from a quadratic.
-    terms = np.stack([np.ones(x.size), x, y, x * x, x * y, y * y], axis=1)
-    bent = np.linalg.lstsq(terms[network.seen], places_m[network.seen, 2], rcond=None)[0]
-    normals[:, 0] = -(bent[1] + 2 * bent[3] * x + bent[4] * y)
-    normals[:, 1] = -(bent[2] + bent[4] * x + 2 * bent[5] * y)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    radius, points = 0.5 * board.diameter_share * board.pitch_m, []
-    for i, one in enumerate(measured):
-        pose = state.cam_from_world(i)
-        shift = eccentricity_px(
-            state.cameras[0], pose.apply(places_m[one.index]), pose.rotate(normals[one.index]), radius
-        )
-        points.append(replace(one, pixels_px=one.pixels_px - shift))
-    return replace(network, points=tuple(points))
-
-
-def _with_true_targets(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
-    """Do the same for targets, whose size and attitude come from their ellipses in all photos."""
-    table = replace(network, points=tuple(measured)).observations()
-    ellipses = np.concatenate([one.ellipses_px2 for one in measured])
-    if len(ellipses) != table.n:
-        return network
-    camera_of_photo = np.zeros(len(table.photos), dtype=np.intp)
-    discs = eccentricity.estimate_discs(table, ellipses, state, camera_of_photo)
-    shifts = eccentricity.eccentricities_px(table, discs, state, camera_of_photo)
-    points = [replace(one, pixels_px=one.pixels_px - shifts[table.photo_index == i]) for i, one in enumerate(measured)]
-    return replace(network, points=tuple(points))
 
 
 def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_m: FloatArray) -> BundleProblem:

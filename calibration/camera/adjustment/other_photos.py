@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment.board_adjustment import Adjusted, BoardNetwork, posed, turned
+from calibration.camera.adjustment.board_adjustment import Adjusted, posed, turned
 from calibration.camera.boards import Board, Chessboard, CircleGrid
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.result import rms_length
+from calibration.camera.start_values.board_network import BoardNetwork
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
@@ -28,6 +29,15 @@ class Known:
     camera: Camera
     index: IntArray
     points_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoFit:
+    """The pose of a photo alone, and how well it explains the points."""
+
+    rms_px: float
+    cam_from_board: RigidTransform
+    points: BoardPoints
 
 
 def known_from_all(network: BoardNetwork, adjusted: Adjusted) -> Known:
@@ -53,7 +63,7 @@ def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> 
     return Known(bundle.state.cameras[0], network.seen[rows], bundle.state.points_m)
 
 
-def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = None) -> tuple[float, RigidTransform]:
+def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = None) -> PhotoFit:
     """Fit the pose of a photo alone, with camera and board as they are.
 
     pose: Where to start; found without it.
@@ -69,23 +79,20 @@ def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = No
     table = ImagePoints((points.photo,), names, photo, np.arange(own.size), pixels, covariance)
     start = BundleState.from_poses([known.camera], [pose], places)
     fitted = adjust(BundleProblem(table, (CameraModel("camera"),), fixed=names), start)
-    return rms_length(fitted.residuals_px), fitted.state.cam_from_world(0)
+    return PhotoFit(rms_length(fitted.residuals_px), fitted.state.cam_from_world(0), points)
 
 
-def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> tuple[float, RigidTransform, BoardPoints]:
+def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> PhotoFit:
     """Fit the pose of a photo counted from whichever corner fits best.
 
     known: Camera and board.
     EstimationError: No pose explains the photo.
     """
-    rms, pose = fit_pose(known, points)
-    best = (rms, pose, points)
+    found = [fit_pose(known, points)]
     if isinstance(board, Chessboard | CircleGrid):
         for turns in board.same_turns[1:]:
-            other, start = turned(board, points, pose, turns)
-            rms, found = fit_pose(known, other, start)
-            best = min(best, (rms, found, other), key=lambda one: one[0])
-    return best
+            found.append(fit_pose(known, *turned(board, points, found[0].cam_from_board, turns)))
+    return min(found, key=lambda one: one.rms_px)
 
 
 def mirrored_rms_px(known: Known, board: Board, points: BoardPoints) -> float:
@@ -104,7 +111,7 @@ def mirrored_rms_px(known: Known, board: Board, points: BoardPoints) -> float:
     for flipped in (numbers[::-1], numbers[:, ::-1]):
         other = replace(points, pixels_px=pixels, index=flipped.ravel()[points.index])
         try:
-            found.append(fit_any_turn(known, board, other)[0])
+            found.append(fit_any_turn(known, board, other).rms_px)
         except EstimationError:
             continue
     return min(found)

@@ -1,5 +1,6 @@
 """Find a board in a photo: start from OpenCV's detectors, order that is the same in every photo, own sub-pixel fit."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -60,6 +61,22 @@ class BoardPoints:
             covariance_px2=self.covariance_px2[keep],
             ellipses_px2=ellipses,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundBoards:
+    """What all photos show.
+
+    points: The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
+    failures: Why the others do not, by the photo's name.
+    size_px: Width and height of all photos [px].
+    names: Names of an `UnknownField`'s targets; empty otherwise.
+    """
+
+    points: tuple[BoardPoints, ...]
+    failures: Mapping[str, str]
+    size_px: tuple[int, int]
+    names: tuple[str, ...] = ()
 
 
 def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboard) -> BoardPoints:

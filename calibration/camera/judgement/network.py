@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.camera.corners.detection import BoardPoints
+from calibration.camera.start_values.board_network import BoardNetwork
 from calibration.camera.start_values.intrinsics import tilt_and_roll
+from calibration.camera.start_values.orientation import Orientations
 from heliogauge.camera.model import Camera
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 
@@ -146,3 +148,28 @@ def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doub
             "expose less",
             {"photos_count": len(bright), "largest_saturated_share": max(one.saturated_share for one in bright)},
         )
+
+
+def check_orientations(network: BoardNetwork, found: Orientations | None) -> Doubt | None:
+    """Return a doubt where the print looks the same turned, and what that came to.
+
+    found: How the photos were counted; None where the print cannot be mistaken.
+    """
+    if found is None:
+        return None
+    names = [one.photo for one in network.points]
+    said = f"{network.board.describe()}: it looks the same turned, so only its own shape tells how photos are turned; "
+    if found.open:
+        listed = ", ".join(names[i] for i in found.open[:8]) + (" ..." if len(found.open) > 8 else "")
+        said += (
+            f"it does not in {len(found.open)} of {len(names)} photos ({listed}): there the points may be mixed up, "
+            "which is harmless only on a flat and true board; "
+        )
+    else:
+        said += f"it does so surely in all of them ({len(found.turned)} were turned); "
+    return Doubt(
+        "board_looks_the_same_turned",
+        said + "better use one even and one odd number of corners, or an asymmetric grid with odd rows",
+        {"open_count": len(found.open), "turned_count": len(found.turned), "photos_count": len(names)},
+        Severity.DOUBT if found.open else Severity.NOTE,
+    )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
+from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField, UnknownField
 from calibration.camera.keys import (
     CameraCalibrationMeasurement,
     CharucoSection,
@@ -12,7 +12,6 @@ from calibration.camera.keys import (
     CircleGridSection,
     TargetFieldSection,
 )
-from calibration.camera.pipeline.photos import UnknownField
 from heliogauge.errors import InputError
 from heliogauge.results.folder import read_table_csv
 from photogrammetry.targets import RingDictionary, load_dictionary

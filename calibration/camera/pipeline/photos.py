@@ -1,16 +1,17 @@
 """Photos to points of the board: read, find, measure, several photos at a time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField
-from calibration.camera.corners.detection import BoardPoints, find_charuco, find_chessboard, find_circles
+from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGrid, TargetField, UnknownField
+from calibration.camera.corners.detection import BoardPoints, FoundBoards, find_charuco, find_chessboard, find_circles
 from calibration.camera.keys import CalibratedCameraSection
 from calibration.camera.start_values.intrinsics import homography
 from heliogauge.errors import EstimationError, InputError
@@ -22,26 +23,12 @@ from photogrammetry.targets import RingDictionary
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UnknownField:
-    """A plate or room with coded targets of which nothing is known but the dictionary of their codes."""
+class _Searched:
+    """One photo: the points, or why there are none; codes of targets whose numbers are not known yet; its size [px]."""
 
-    dictionary: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundBoards:
-    """What all photos show.
-
-    points: The board in each photo that shows it. For an `UnknownField` the points' numbers are those in ``names``.
-    failures: Why the others do not, by the photo's name.
-    size_px: Width and height of all photos [px].
-    names: Names of an `UnknownField`'s targets; empty otherwise.
-    """
-
-    points: tuple[BoardPoints, ...]
-    failures: Mapping[str, str]
+    points: BoardPoints | EstimationError
+    codes: tuple[str, ...]
     size_px: tuple[int, int]
-    names: tuple[str, ...] = ()
 
 
 def search_photos(
@@ -66,29 +53,29 @@ def search_photos(
     names: dict[str, int] = {}
     size: tuple[int, int] | None = None
 
-    def one(file: Path) -> tuple[BoardPoints | EstimationError, tuple[str, ...], tuple[int, int]]:
+    def one(file: Path) -> _Searched:
         image = read_image(file)
         own = (int(image.shape[1]), int(image.shape[0]))
         try:
             points, codes = _measured(file.name, image, board, known)
-            return replace(points, saturated_share=_saturated_share(image, points)), codes, own
+            return _Searched(replace(points, saturated_share=_saturated_share(image, points)), codes, own)
         except EstimationError as error:
-            return error, (), own
+            return _Searched(error, (), own)
 
     with progress.stage("find the board", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(one, file) for file in files]
         try:
             for file, future in zip(files, waiting, strict=True):
-                points, codes, own = future.result()
-                size = size or own
-                _check_size(file, own, (files[0], size), asked)
-                if isinstance(points, EstimationError):
-                    failures[file.name] = str(points)
-                elif codes:
-                    index = np.array([names.setdefault(code, len(names)) for code in codes], dtype=np.intp)
-                    found.append(replace(points, index=index))
+                seen = future.result()
+                size = size or seen.size_px
+                _check_size(file, seen.size_px, files[0], size, asked)
+                if isinstance(seen.points, EstimationError):
+                    failures[file.name] = str(seen.points)
+                elif seen.codes:
+                    index = np.array([names.setdefault(code, len(names)) for code in seen.codes], dtype=np.intp)
+                    found.append(replace(seen.points, index=index))
                 else:
-                    found.append(points)
+                    found.append(seen.points)
                 stage.advance()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -97,11 +84,11 @@ def search_photos(
 
 
 def _check_size(
-    file: Path, own: tuple[int, int], first: tuple[Path, tuple[int, int]], asked: CalibratedCameraSection
+    file: Path, own: tuple[int, int], first: Path, size: tuple[int, int], asked: CalibratedCameraSection
 ) -> None:
-    if own != first[1]:
+    if own != size:
         raise InputError(
-            f"{file.name} has {own[0]} x {own[1]} px, but {first[0].name} {first[1][0]} x {first[1][1]}; photos of one "
+            f"{file.name} has {own[0]} x {own[1]} px, but {first.name} {size[0]} x {size[1]}; photos of one "
             "camera at one resolution, all upright or all on their side in the file, are needed"
         )
     wanted = (asked.width_px, asked.height_px)
@@ -185,3 +172,16 @@ def _target_points(
         ellipses_px2=np.array([measured.centers[k].ellipse.shape_px2 for k in chosen]),
     )
     return points, tuple(found.names[k] for k in chosen) if place is None else ()
+
+
+def put_aside(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tuple[BoardPoints, ...]]:
+    """Put photos to check with aside: those whose names fit one of the patterns, which commas separate."""
+    if patterns is None:
+        return found, ()
+    texts = [text.strip() for text in patterns.split(",")]
+    for text in texts:
+        if not any(fnmatch(one.photo, text) for one in found.points):
+            raise InputError(f"--hold-out {text}: no photo of that name shows the board; names as in [images] photos")
+    aside = [any(fnmatch(one.photo, text) for text in texts) for one in found.points]
+    used = tuple(one for one, away in zip(found.points, aside, strict=True) if not away)
+    return replace(found, points=used), tuple(one for one, away in zip(found.points, aside, strict=True) if away)

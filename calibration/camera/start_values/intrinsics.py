@@ -123,7 +123,7 @@ def start_pose(matrix: FloatArray, camera: Camera) -> RigidTransform:
     columns = np.linalg.solve(camera.matrix, matrix)
     columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
     raw = np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])])
-    return RigidTransform(nearest_rotation(raw), columns[:, 2])
+    return RigidTransform(nearest_rotation(raw), np.asarray(columns[:, 2]))
 
 
 def tilt_and_roll(pose: RigidTransform) -> tuple[float, float]:

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.camera.adjustment.board_adjustment import LEAST_PHOTOS, BoardNetwork
-from calibration.camera.boards import TargetField
-from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.pipeline.photos import FoundBoards, UnknownField
+from calibration.camera.boards import TargetField, UnknownField
+from calibration.camera.corners.detection import BoardPoints, FoundBoards
+from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
@@ -16,7 +15,7 @@ from photogrammetry.bundle import CameraModel, alignment
 from photogrammetry.start_values import build_network, guessed_camera
 
 
-def started_from_targets(
+def network_from_targets(
     found: FoundBoards, board: UnknownField | TargetField, free: tuple[str, ...], left_out: dict[str, str]
 ) -> BoardNetwork:
     """Find camera, poses and places of the targets to start from.
