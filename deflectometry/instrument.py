@@ -22,4 +22,5 @@ INSTRUMENT = Instrument(
         ),
     ),
     reports={"deflectometry": "deflectometry:report.ipynb"},
+    synth="data_synth.preset_folders:fringes",
 )

@@ -1,3 +1,40 @@
-"""The kernel shared by all instruments of heliogauge: cameras, rays, surfaces, slope maps, files, reports."""
+"""Metrology of solar mirrors: images in, slope maps with uncertainty out.
+
+`measure` evaluates any folder with a measurement.toml, `open` shows a folder of results, `load` only reads and checks a
+measurement, `synth` makes one with known truth, and `report` builds report.html. The packages of the instruments
+(deflectometry, photogrammetry, observer, calibration) have faces of their own.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from heliogauge.camera.model import Camera as Camera
+    from heliogauge.doubts import Doubt as Doubt
+    from heliogauge.geometry.rigid import RigidTransform as RigidTransform
+    from heliogauge.measurement.load import load as load
+    from heliogauge.results.opened import Result as Result
+    from heliogauge.running.verbs import measure as measure
+    from heliogauge.running.verbs import open as open  # noqa: A004
+    from heliogauge.running.verbs import report as report
+    from heliogauge.running.verbs import synth as synth
+    from heliogauge.slopes.map import SlopeMap as SlopeMap
 
 __version__ = "0.1.0"
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "Camera": "heliogauge.camera.model",
+        "Doubt": "heliogauge.doubts",
+        "Result": "heliogauge.results.opened",
+        "RigidTransform": "heliogauge.geometry.rigid",
+        "SlopeMap": "heliogauge.slopes.map",
+        "load": "heliogauge.measurement.load",
+        "measure": "heliogauge.running.verbs",
+        "open": "heliogauge.running.verbs",
+        "report": "heliogauge.running.verbs",
+        "synth": "heliogauge.running.verbs",
+    },
+)

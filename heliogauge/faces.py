@@ -5,8 +5,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from heliogauge.instruments import refuse_hidden_packages
-
 
 def lazy_face(
     package: str, homes: Mapping[str, str]
@@ -16,7 +14,9 @@ def lazy_face(
     package: The package's ``__name__``.
     homes: Module of each name. A module is its own home where the last part of the module is the name.
     """
-    if package.partition(".")[0] != __package__:
+    if package != __package__:
+        from heliogauge.instruments import refuse_hidden_packages
+
         refuse_hidden_packages()
 
     def load(name: str) -> Any:

@@ -36,4 +36,5 @@ INSTRUMENT = Instrument(
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },
+    synth="data_synth.preset_folders:trough",
 )

@@ -35,4 +35,5 @@ INSTRUMENT = Instrument(
         "photogrammetry": "photogrammetry.report:report.ipynb",
         "photogrammetry-plan": "photogrammetry.report:report_plan.ipynb",
     },
+    synth="data_synth.preset_folders:targets",
 )

@@ -20,4 +20,5 @@ INSTRUMENT = Instrument(
         ),
     ),
     reports={"camera": "calibration.camera.report:report.ipynb"},
+    synth="data_synth.preset_folders:board",
 )

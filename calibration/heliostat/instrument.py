@@ -24,4 +24,5 @@ INSTRUMENT = Instrument(
         "heliostat": "calibration.heliostat.report:report.ipynb",
         "heliostat-field": "calibration.heliostat.report:report_field.ipynb",
     },
+    synth="data_synth.preset_folders:heliostats",
 )

@@ -51,8 +51,8 @@ def test_a_new_instrument_needs_no_change_here(tmp_path: Path) -> None:
     (folder / "__init__.py").touch()
     (folder / "instrument.py").write_text(
         "from heliogauge.instruments import Commands, Instrument, Kind\n"
-        "GLOSS = Instrument('gloss', 'Gloss.', Commands('gloss', 'gloss.cli:app', 'Gloss of a mirror.'), (Kind('gloss',\n"
-        "'gloss.keys:Model', 'gloss.keys:load', 'gloss:template.toml', 'gloss', 'gloss.keys:run', 'gloss.keys:write'),))\n"
+        "KIND = Kind('gloss', 'gloss.keys:Model', 'gloss.keys:load', 'gloss:template.toml', 'gloss')\n"
+        "GLOSS = Instrument('gloss', 'Gloss.', Commands('gloss', 'gloss.cli:app', 'Gloss of a mirror.'), (KIND,))\n"
     )
     (folder / "template.toml").write_text('kind = "gloss"\nname = "a"\nangle_deg = 60.0\n')
     (folder / "keys.py").write_text(

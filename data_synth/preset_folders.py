@@ -1,0 +1,56 @@
+"""Measurement folders of each kind of scene from a preset and a seed alone: what ``heliogauge.synth`` asks for."""
+
+from pathlib import Path
+
+from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
+from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
+from data_synth.targets import (
+    PhotoOptions,
+    board_scene,
+    board_table,
+    camera_content,
+    target_scene,
+    write_target_dataset,
+)
+from data_synth.targets.dataset import photogrammetry_content
+from data_synth.troughs import TroughChoice, TroughOptions, trough_scene, write_trough_dataset
+from heliogauge.running.progress import Progress
+
+
+def fringes(
+    folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Draw fringe images of a screen seen in a mirror."""
+    write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
+
+
+def targets(
+    folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Photograph coded targets and dots on a panel."""
+    scene = target_scene(preset, seed)
+    write_target_dataset(folder, scene, photogrammetry_content(scene), PhotoOptions(seed, force=force), progress)
+
+
+def board(
+    folder: Path, *, preset: str = "chessboard", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Photograph a calibration board."""
+    scene = board_scene(preset, seed)
+    content = camera_content(scene, board_table(preset))
+    write_target_dataset(folder, scene, content, PhotoOptions(seed, force=force), progress)
+
+
+def trough(
+    folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Photograph a parabolic trough as a drone does."""
+    write_trough_dataset(folder, trough_scene(preset, TroughChoice(seed)), TroughOptions(seed, force=force), progress)
+
+
+def heliostats(
+    folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Let heliostats throw the sun on a tower's targets."""
+    scene = heliostat_scene(preset, HeliostatChoice(seed))
+    write_heliostat_dataset(folder, scene, HeliostatOptions(seed, force), progress)

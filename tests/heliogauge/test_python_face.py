@@ -1,0 +1,135 @@
+"""``import heliogauge as hg``: what it offers, what it costs, and that a result is the same in memory and on disk."""
+
+import subprocess
+import sys
+from inspect import signature
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import heliogauge as hg
+from heliogauge.errors import InputError
+from heliogauge.instruments import Instrument, instruments, resolve
+from heliogauge.measurement.templates import write_template
+
+
+@pytest.fixture(scope="module")
+def facet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hg.synth("deflectometry", str(tmp_path_factory.mktemp("face") / "facet"), seed=3)
+
+
+@pytest.fixture(scope="module")
+def result(facet: Path) -> hg.Result:
+    return hg.measure(str(facet), remove="tilt")
+
+
+def test_importing_it_imports_no_library() -> None:
+    program = "import sys; before = set(sys.modules); import heliogauge; print(*sorted(set(sys.modules) - before))"
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "scipy", "cv2", "pydantic", "typer", "h5py", "xarray", "pandas", "importlib.metadata"}
+    assert heavy.isdisjoint(answer.stdout.split())
+
+
+def test_a_result_on_disk_is_the_same(result: hg.Result, tmp_path: Path) -> None:
+    again = hg.open(str(result.save(str(tmp_path / "out"))))
+    assert again.summary == result.summary
+    assert again.doubts == result.doubts
+    assert again.slope_map.identical(result.slope_map)
+    assert list(again.tables) == list(result.tables)
+
+
+def test_the_numbers_are_those_of_the_map(result: hg.Result) -> None:
+    """SDx again from the map that users get, by another route: angles of the normal in the plane x-z."""
+    assert result.kind == "deflectometry"
+    maps = result.slope_map
+    angles = np.arctan(maps["slope_x"]) - np.arctan(maps["design_slope_x"])
+    assert 1e3 * float(np.sqrt((angles**2).mean())) == pytest.approx(result.summary["sdx_mrad"], rel=0.02)
+    assert "tilt" in maps.attrs["removed"]
+
+
+def test_its_text_is_short(result: hg.Result) -> None:
+    lines = repr(result).splitlines()
+    assert lines[0].startswith("<deflectometry result of ")
+    assert "+-" in lines[1]
+    assert len(lines) <= 9
+
+
+def test_tables_are_data_frames(result: hg.Result) -> None:
+    assert result.tables["outline"].shape[0] >= 4
+    with pytest.raises(InputError, match="'points' is not among the results; there are: outline"):
+        result.tables["points"]
+
+
+def test_results_appear_where_they_are_asked_for(facet: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert hg.measure(facet, out, grid_step_mm=20).folder == out
+    with pytest.raises(InputError, match="already"):
+        hg.measure(facet, out)
+    assert (out / "summary.json").is_file()
+
+
+def test_a_temporary_result_goes_away_with_its_view(facet: Path) -> None:
+    kept = hg.measure(facet, grid_step_mm=20)
+    folder = kept.folder
+    assert folder.is_dir()
+    del kept
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"remov": "tilt"}, "'remov' is not one of the kind 'deflectometry'; did you mean remove?"),
+        ({"remove": "tiltt"}, "remove = 'tiltt'"),
+        ({"grid_step_mm": "wide"}, "grid_step_mm = 'wide'"),
+    ],
+)
+def test_options_that_are_none(facet: Path, options: dict[str, str], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        hg.measure(facet, **options)
+    assert words in str(caught.value)
+
+
+def test_load_reads_any_kind(tmp_path: Path) -> None:
+    for kind in ("photogrammetry-plan", "observer-plan"):
+        write_template(kind, tmp_path / kind)
+        (tmp_path / kind / "targets.csv").touch()
+        assert hg.load(str(tmp_path / kind)).model.kind == kind
+
+
+def test_a_plan_is_measured_like_all_others(tmp_path: Path) -> None:
+    write_template("photogrammetry-plan", tmp_path)
+    result = hg.measure(tmp_path)
+    assert result.kind == "photogrammetry-plan"
+    assert len(result.tables["stations"]) >= 4
+    with pytest.raises(InputError, match=r"'photogrammetry-plan' have no slope map"):
+        _ = result.slope_map
+    with pytest.raises(InputError, match="option 'jobs' is not one of the kind"):
+        hg.measure(tmp_path, jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "words"), [("screen", "has no synthetic"), ("observr", "did you mean observer")]
+)
+def test_synthetic_data_that_are_not_there(instrument: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        hg.synth(instrument, tmp_path / "m")
+
+
+def test_synthetic_measurements_load(tmp_path: Path) -> None:
+    folder = hg.synth("heliostat", tmp_path / "m", preset="faulty", seed=1)
+    assert hg.load(folder).model.kind == "heliostat"
+
+
+@pytest.mark.parametrize("one", [one for one in instruments() if one.synth], ids=lambda one: one.name)
+def test_all_synthetic_measurements_are_asked_for_alike(one: Instrument) -> None:
+    given = signature(resolve(one.synth)).parameters
+    assert list(given) == ["folder", "preset", "seed", "force", "progress"]
+
+
+@pytest.mark.slow
+def test_reports_from_python(result: hg.Result, tmp_path: Path) -> None:
+    out = result.save(tmp_path / "out")
+    assert hg.report(out) == out / "report.html"
+    assert (out / "report.html").stat().st_size > 10_000
