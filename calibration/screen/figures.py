@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.screen.pipeline import Result, nonlinearity
+from calibration.screen.files import Result, nonlinearity
 from heliogauge.reporting.canvas import (
     FAINT,
     INK,

@@ -1,22 +1,22 @@
-"""Photographs of uniform grey levels to the response of camera and display: read, choose pixels, fit, write."""
+"""Photographs of uniform grey levels to the response of camera and display: read, choose pixels, fit."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from calibration.screen.files import GreyReadings, Result
 from calibration.screen.keys import ResponseMeasurement
-from calibration.screen.response import GreyStep, ScreenResponse, fit_response
+from calibration.screen.response import GreyStep, fit_response
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Frames, read_frames
-from heliogauge.results.folder import Summary, hash_files, write_table_csv
-from heliogauge.results.frame import InstrumentResult
+from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray
 
 #: More saturated pixels than this among those used spoil a mean; fewer are hot pixels.
 _SATURATED_SHARE = 1e-3
@@ -34,94 +34,6 @@ class Options:
     """
 
     jobs: int | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GreyReadings:
-    """What the camera read of each level.
-
-    level (n,): Level shown, as a share of the display's range.
-    mean_dn (n,): Mean reading of the pixels used [DN].
-    is_saturated (n,): Left out of the fit.
-    gain_spread: Standard deviation of the pixels' brightness, as a share of its mean.
-    """
-
-    level: FloatArray
-    mean_dn: FloatArray
-    is_saturated: BoolArray
-    pixels: int
-    gain_spread: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Result(InstrumentResult):
-    """The response and what it rests on.
-
-    response: The look-up; levels as shares of the display's range.
-    readings: Readings of all levels, also those left out.
-    """
-
-    kind: ClassVar[str] = "response"
-    response: ScreenResponse
-    readings: GreyReadings
-
-    def summarise(self) -> Summary:
-        """Collect the headline numbers with their sigmas, doubts and provenance."""
-        response, readings = self.response, self.readings
-        departure, sigma_departure = nonlinearity(response)
-        at = int(np.argmax(np.abs(departure)))
-        first, last, bent = (response.display_level[index] for index in (0, -1, at))
-        sigma_dn = _sigma_dn(response)
-        saturated = int(np.count_nonzero(readings.is_saturated))
-        numbers = {
-            "nonlinearity_share": float(departure[at]),
-            "sigma_nonlinearity_share": float(sigma_departure[at]),
-            "darkest_dn": float(response.camera_dn[0]),
-            "sigma_darkest_dn": float(sigma_dn[0]),
-            "brightest_dn": float(response.camera_dn[-1]),
-            "sigma_brightest_dn": float(sigma_dn[-1]),
-            "levels_count": readings.level.size,
-            "used_levels_count": response.camera_dn.size,
-            "saturated_levels_count": saturated,
-            "joined_levels_count": readings.level.size - saturated - response.camera_dn.size,
-            "pixels_count": readings.pixels,
-            "brightness_spread_share": readings.gain_spread,
-        }
-        texts = {
-            "nonlinearity": "largest departure of the reading from a straight line between the ends, as a share of the "
-            f"readings' range; at level {bent:.3f} of the display's range",
-            "range": f"levels {first:.3f} to {last:.3f} of the display's range",
-            "joined": "levels that the camera cannot tell from the one below (within two sigma) are joined with it",
-            "sigma": "1 standard deviation of a mean reading",
-        }
-        return self._summary(numbers, texts)
-
-    def write_files(self, folder: Path) -> None:
-        """Write response.csv and response.png into an existing folder."""
-        from calibration.screen.figures import response_figure
-        from heliogauge.reporting.canvas import png_of
-
-        response = self.response
-        columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
-        write_table_csv(folder / "response.csv", {**columns, "sigma_camera_dn": _sigma_dn(response)})
-        (folder / "response.png").write_bytes(png_of(response_figure(self)))
-
-    def headline(self) -> str:
-        """Return the headline numbers as lines for the terminal."""
-        response, readings = self.response, self.readings
-        departure, sigma = nonlinearity(response)
-        at = int(np.argmax(np.abs(departure)))
-        return "\n".join(
-            (
-                f"{self.name}: response of camera and display",
-                f"  levels           {response.camera_dn.size} of {readings.level.size} used, "
-                f"{np.count_nonzero(readings.is_saturated)} saturated",
-                f"  readings         {response.camera_dn[0]:.2f} to {response.camera_dn[-1]:.2f} DN",
-                f"  nonlinearity     {100 * departure[at]:+.1f} +- {100 * sigma[at]:.1g} % of the range, at level "
-                f"{response.display_level[at]:.2f}",
-                f"  pixels           {readings.pixels}, brightness spread {readings.gain_spread:.0%}",
-            )
-        )
 
 
 def run(measurement: ResponseMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
@@ -227,23 +139,3 @@ def _check_saturation(is_saturated: BoolArray, files: tuple[Path, ...], saturati
         f"{listed}; fringes must not use these levels: shorten the exposure",
         {"saturated_count": len(names), "steps_count": len(files), "saturation_dn": saturation_dn},
     )
-
-
-def _sigma_dn(response: ScreenResponse) -> FloatArray:
-    return response.sigma_camera_dn if response.sigma_camera_dn is not None else np.zeros(response.camera_dn.size)
-
-
-def nonlinearity(response: ScreenResponse) -> tuple[FloatArray, FloatArray]:
-    """Return how far the readings lie above the straight line between the ends.
-
-    response: The look-up.
-    Returns (n,): Departure and its standard deviation, as shares of the readings' range.
-    """
-    reading, level, sigma = response.camera_dn, response.display_level, _sigma_dn(response)
-    reach = reading[-1] - reading[0]
-    share = (reading - reading[0]) / reach
-    line = (level - level[0]) / (level[-1] - level[0])
-    # The reading itself and both ends of the line; at the ends all three cancel.
-    own = sigma * ((share > 0) & (share < 1))
-    ends = np.hypot((1 - share) * sigma[0], share * sigma[-1]) * ((share > 0) & (share < 1))
-    return share - line, np.hypot(own, ends) / reach

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from calibration.heliostat.beam_photos.pipeline.measure import BeamMeasurements as BeamMeasurements
-    from calibration.heliostat.beam_photos.pipeline.measure import measure_beams as measure_beams
-    from calibration.heliostat.beam_photos.pipeline.measure import write_beams as write_beams
+    from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements as BeamMeasurements
+    from calibration.heliostat.beam_photos.pipeline.beams import measure_beams as measure_beams
+    from calibration.heliostat.beam_photos.pipeline.beams import write_beams as write_beams
     from calibration.heliostat.beam_photos.pipeline.target_frames import ArucoMarkers as ArucoMarkers
     from calibration.heliostat.beam_photos.pipeline.target_frames import CornerPixels as CornerPixels
     from calibration.heliostat.beam_photos.pipeline.target_frames import DarkMarks as DarkMarks
@@ -23,13 +23,13 @@ __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
         "ArucoMarkers": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "BeamMeasurements": "calibration.heliostat.beam_photos.pipeline.measure",
+        "BeamMeasurements": "calibration.heliostat.beam_photos.pipeline.beams",
         "CornerPixels": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "DarkMarks": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "MarkerTemplates": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "TargetFrame": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "WholeImage": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "measure_beams": "calibration.heliostat.beam_photos.pipeline.measure",
-        "write_beams": "calibration.heliostat.beam_photos.pipeline.measure",
+        "measure_beams": "calibration.heliostat.beam_photos.pipeline.beams",
+        "write_beams": "calibration.heliostat.beam_photos.pipeline.beams",
     },
 )

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.heliostat.beam_photos.light.beam_image import BeamSettings
+from calibration.heliostat.beam_photos.pipeline.beams import write_beams
 from calibration.heliostat.beam_photos.pipeline.figures import beam_image_figure
-from calibration.heliostat.beam_photos.pipeline.measure import write_beams
 from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import residual_columns

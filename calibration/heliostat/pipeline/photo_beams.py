@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.pipeline.measure import BeamMeasurements, measure_beams
+from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements, measure_beams
 from calibration.heliostat.beam_photos.pipeline.target_frames import (
     ArucoMarkers,
     CornerPixels,

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.screen.files import Result
 from calibration.screen.keys import load_response
-from calibration.screen.pipeline import Options, Result, lit_pixels, run
+from calibration.screen.pipeline import Options, lit_pixels, run
 from deflectometry.keys import load_deflectometry
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import write_image

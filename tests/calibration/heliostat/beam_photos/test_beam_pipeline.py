@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.heliostat.beam_photos.light.beam_flags import BeamFlag
-from calibration.heliostat.beam_photos.pipeline.measure import (
+from calibration.heliostat.beam_photos.pipeline.beams import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
