@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.running.commands import Force, Jobs, NoReport, OutFolder, Quiet, Scheduler, Verbose
+from heliogauge.running.commands import Force, Jobs, NoReport, OutFolder, Quiet, Scheduler, Verbose, say_ending
 
 
 def heliostat_command(
