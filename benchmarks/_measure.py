@@ -20,13 +20,10 @@ from data_synth.fringes import (
     standard_errors,
 )
 from data_synth.optics import Design, SyntheticFacet, Wall
-from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
-from deflectometry.fringes.observation import Observation
-from deflectometry.fringes.screen_map import ScreenMapLimits
-from deflectometry.keys import DeflectometryMeasurement
-from deflectometry.pipeline.inputs import build_setup, describe_mirror
-from deflectometry.pose.find_pose import MirrorInput
-from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.exchange import OpencspOptions, import_opencsp
+from deflectometry.fringes import Observation, ScreenMapLimits
+from deflectometry.pipeline import DeflectometryMeasurement, MirrorInput, build_setup, describe_mirror
+from deflectometry.setup import Setup
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.running.progress import RunningStage, SilentProgress
 

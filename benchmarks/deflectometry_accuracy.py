@@ -14,13 +14,10 @@ from _measure import EXPECTED, evaluation_inputs, import_real_facet, row, title
 
 from data_synth.fringes import STANDARD_PERIODS, FringeScene, Knowledge, expected_light, preset_scene
 from data_synth.optics import SurfaceErrors
-from deflectometry.fringes.observation import Observation
-from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map
-from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import Evaluation, evaluate_frames
-from deflectometry.pipeline.measure import Options, run
-from deflectometry.setup.patterns import Axis, make_pattern
-from deflectometry.shape.smooth_shape import Align
+from deflectometry import Options, run
+from deflectometry.fringes import Observation, ScreenMapLimits, measure_screen_map
+from deflectometry.pipeline import Align, Choices, Evaluation, evaluate_frames
+from deflectometry.setup import Axis, make_pattern
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement.load import load
 from heliogauge.results.slope_map_file import read_pixels, read_slope_map

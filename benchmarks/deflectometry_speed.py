@@ -29,10 +29,9 @@ from _measure import (
 )
 
 from data_synth.fringes import Knowledge, preset_scene, render_fringes
-from deflectometry.frames.checks import check_frames
-from deflectometry.fringes.observation import Observation
-from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import evaluate_frames
+from deflectometry.frames import check_frames
+from deflectometry.fringes import Observation
+from deflectometry.pipeline import Choices, evaluate_frames
 
 ASKED_CPU_S, ASKED_MIB = 0.5, 300
 INCUMBENT_CPU_S, INCUMBENT_MIB = 4.5, 1370

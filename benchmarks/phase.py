@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.screen import ScreenResponse, linearise_frames
-from deflectometry.frames.checks import check_frames
-from deflectometry.fringes.screen_map import measure_screen_map, modulation_image
-from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
+from deflectometry.frames import check_frames
+from deflectometry.fringes import measure_screen_map, modulation_image
+from deflectometry.setup import Axis, FringePattern, make_pattern
 
 HEIGHT, WIDTH = 1232, 1624
 PERIODS = [0.9, 3.9, 15.9, 63.9]

@@ -60,7 +60,7 @@ def fringes(
     from data_synth.fringes.faults import Fault
     from data_synth.fringes.knowledge import Knowledge
     from data_synth.fringes.presets import preset_scene
-    from deflectometry.setup.patterns import make_pattern
+    from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
 
     numbers = parse_periods(periods)

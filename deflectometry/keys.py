@@ -262,9 +262,14 @@ class DeflectometryModel(MeasurementModel):
 class DeflectometryMeasurement:
     """A checked deflectometry measurement: what the file says, and where its files are.
 
-    folder: The measurement's folder.
-    model: What measurement.toml says.
-    fringe_files: Image of each frame, in the order of the pattern.
+    Parameters
+    ----------
+    folder : Path
+        The measurement's folder.
+    model : DeflectometryModel
+        What measurement.toml says.
+    fringe_files : tuple of Path
+        Image of each frame, in the order of the pattern.
     """
 
     folder: Path
@@ -285,10 +290,21 @@ class DeflectometryMeasurement:
 def load_deflectometry(folder: Path) -> DeflectometryMeasurement:
     """Read and check the folder of a deflectometry measurement.
 
-    folder: Folder with measurement.toml; the files it names are relative to it.
-    Returns: The measurement; every file it names exists.
-    InputError: No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type
-        or out of range, a file that does not exist, or a number of frames that does not fit the pattern.
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    DeflectometryMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        No such folder or file, not TOML, another kind, an unknown or missing key, a value of the wrong type or out of
+        range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
     file, model = read_measurement(folder, DeflectometryModel)
     for key, text in model.named_files():

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from data_synth.optics.sensor import UnsignedArray
-from deflectometry.setup.patterns import FringePattern, FringeSet
+from deflectometry.setup import FringePattern, FringeSet
 from heliogauge.errors import InputError
 
 

@@ -11,7 +11,7 @@ from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.surface_errors import Dimple, EdgeTurnDown, ErrorTerm, Polynomial, Ripple, SurfaceErrors, Zernike
 from data_synth.optics.trace import Bench
 from data_synth.optics.wall import Wall
-from deflectometry.setup.patterns import make_pattern
+from deflectometry.setup import make_pattern
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between, rotation_from_vector
 from heliogauge.validate import FloatArray, float_array

@@ -13,7 +13,7 @@ from data_synth.optics.mirror import SyntheticFacet, transform_to_json
 from data_synth.optics.raster import EDGE_RAYS, PixelKernel
 from data_synth.optics.sensor import Sensor, UnsignedArray
 from data_synth.optics.trace import Bench, Traced
-from deflectometry.setup.patterns import Axis, FringePattern
+from deflectometry.setup import Axis, FringePattern
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 

@@ -157,9 +157,17 @@ class FocalLengthRecord:
 
 
 Record = (
-    FringeRecord | CameraRecord | RectangleRecord | TableRecord | ResponseRecord | FacetRecord | EnsembleRecord
-    | CalculationRecord | FocalLengthRecord | RigidTransform
-)  # fmt: skip
+    FringeRecord
+    | CameraRecord
+    | RectangleRecord
+    | TableRecord
+    | ResponseRecord
+    | FacetRecord
+    | EnsembleRecord
+    | CalculationRecord
+    | FocalLengthRecord
+    | RigidTransform
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,12 +290,16 @@ def _fringes(node: _Node) -> FringeRecord:
         )
     where = node.find("dist_optic_screen")
     return FringeRecord(
-        name=node.text("name"), date=node.text("date"),
-        frames_dn=frames, dark_dn=masks[..., 0], bright_dn=masks[..., 1],
-        periods_y=periods_y, periods_x=periods_x,
+        name=node.text("name"),
+        date=node.text("date"),
+        frames_dn=frames,
+        dark_dn=masks[..., 0],
+        bright_dn=masks[..., 1],
+        periods_y=periods_y,
+        periods_x=periods_x,
         distance_m=positive(f"{node.file_name}: dist_optic_screen", where.number("dist_optic_screen"), "metres"),
         measure_point_m=where.array("v_measure_point_facet", (3,)),
-    )  # fmt: skip
+    )
 
 
 def _camera(node: _Node) -> CameraRecord:

@@ -42,12 +42,16 @@ _MEASUREMENT = FolderKind(content="measurements", remedy="give a new folder")
 class OpencspOptions:
     """What the files leave open.
 
-    pose_from: SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the
-        outline.
-    correct_principal_point: Move the principal point of averaged images to where averaging put it.
-    focal_length_m: Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise
-        a plane.
-    sigma_distance_mm: Standard deviation of the measured distance, which the files do not hold [mm].
+    Parameters
+    ----------
+    pose_from : Path or None
+        SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the outline.
+    correct_principal_point : bool
+        Move the principal point of averaged images to where averaging put it.
+    focal_length_m : float or None
+        Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise a plane.
+    sigma_distance_mm : float
+        Standard deviation of the measured distance, which the files do not hold [mm].
     """
 
     pose_from: Path | None = None
@@ -71,14 +75,29 @@ class Imported:
 def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
-    files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
-        there are any image calibration, ensemble definition and result file. A file made for one purpose wins over
-        the copy inside a result file.
-    folder: Where to write; it must be empty or not there yet.
-    options: What the files leave open.
-    Returns: What was taken from which file, and what is doubtful.
-    InputError: A kind of file is missing, given twice, not readable, or does not fit the others.
+    Parameters
+    ----------
+    files : sequence of Path
+        HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where there
+        are any image calibration, ensemble definition and result file. A file made for one purpose wins over the
+        copy inside a result file.
+    folder : Path
+        Where to write; it must be empty or not there yet.
+    options : OpencspOptions, optional
+        What the files leave open.
 
+    Returns
+    -------
+    Imported
+        What was taken from which file, one line each, and what is doubtful about it.
+
+    Raises
+    ------
+    InputError
+        A kind of file is missing, given twice, not readable, or does not fit the others.
+
+    Notes
+    -----
     The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
     met exactly.
     """
@@ -194,13 +213,20 @@ def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dic
         parts.doubts.append(Doubt("principal_point_not_shifted", text, {"shift_px": camera.principal_point_shift_px}))
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
     return {
-        "width_px": width_px, "height_px": height_px,
-        "focal_x_px": float(camera.matrix[0, 0]), "focal_y_px": float(camera.matrix[1, 1]),
-        "center_x_px": float(camera.matrix[0, 2]), "center_y_px": float(camera.matrix[1, 2]),
+        "width_px": width_px,
+        "height_px": height_px,
+        "focal_x_px": float(camera.matrix[0, 0]),
+        "focal_y_px": float(camera.matrix[1, 1]),
+        "center_x_px": float(camera.matrix[0, 2]),
+        "center_y_px": float(camera.matrix[1, 2]),
         "skew": float(camera.matrix[0, 1]),
-        "k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2,
+        "k1": k1,
+        "k2": k2,
+        "k3": k3,
+        "p1": p1,
+        "p2": p2,
         "distortion_direction": "ideal_to_measured",
-    }  # fmt: skip
+    }
 
 
 def _screen_section(

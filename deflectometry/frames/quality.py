@@ -19,7 +19,7 @@ SIGNIFICANT = 6.0
 
 
 class FaultKind(StrEnum):
-    """What can be wrong with frames: the codes of doubts."""
+    """What can be wrong with frames."""
 
     FRAME_COUNT = "frames_count"
     NOT_FINITE = "frames_not_finite"
@@ -40,10 +40,16 @@ class FaultKind(StrEnum):
 class FrameFault:
     """One fault found in the frames.
 
-    frames: Frames concerned, from 0; empty where it concerns all.
-    message: What was seen, in numbers, and what to do.
-    severity: An error makes the result wrong; a doubt makes it worse.
-    numbers: The numbers of a doubt.
+    Parameters
+    ----------
+    kind : FaultKind
+        What it is.
+    frames : tuple of int
+        Frames concerned, from 0; empty where it concerns all.
+    message : str
+        What was seen, in numbers, and what to do.
+    severity : {"error", "warning"}
+        An error makes the result wrong; a warning makes it worse.
     """
 
     kind: FaultKind

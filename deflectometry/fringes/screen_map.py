@@ -35,11 +35,21 @@ _NOISE_PIXELS = 8000
 class ScreenMapLimits:
     """Error probabilities for one pixel from which every threshold follows, and the saturation level.
 
-    no_fringe_probability: Chance that a pixel without fringes passes as one with fringes, for each set.
-    wrong_order_probability: Chance of a wrong fringe order up to which a pixel is accepted.
-    disagree_probability: Chance that a good pixel is flagged because its frames disagree.
-    saturation_dn: Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
-    InputError: A probability outside (0, 0.5), a saturation that is not positive.
+    Parameters
+    ----------
+    no_fringe_probability : float, optional
+        Chance that a pixel without fringes passes as one with fringes, for each set.
+    wrong_order_probability : float, optional
+        Chance of a wrong fringe order up to which a pixel is accepted.
+    disagree_probability : float, optional
+        Chance that a good pixel is flagged because its frames disagree.
+    saturation_dn : float, optional
+        Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
+
+    Raises
+    ------
+    InputError
+        A probability outside (0, 0.5), a saturation that is not positive.
     """
 
     no_fringe_probability: float = 1e-6
@@ -59,13 +69,20 @@ class ScreenMapLimits:
 class ScreenMap:
     """The display point each pixel sees.
 
-    u, v (h, w): Fractions of the displayed image from its left and from its top edge; NaN where flagged.
-    sigma_u, sigma_v (h, w): Standard deviations from pixel noise and the systematic phase; NaN where flagged.
-    modulation_dn (h, w): Mean amplitude of all sets [DN, or the response's unit].
-    flags (h, w): Bits of `heliogauge.flags.SampleFlag`.
-    noise: Noise of the readings that the sigmas rest on.
-    systematic_phase_rad (2,): Phase error beyond noise of every x set and every y set, from how well the periods
-        agree; mostly 0 [rad].
+    Parameters
+    ----------
+    u, v : ndarray of float32, shape (h, w)
+        Fractions of the displayed image from its left and from its top edge; NaN where flagged.
+    sigma_u, sigma_v : ndarray of float32, shape (h, w)
+        Standard deviations from pixel noise and the systematic phase; NaN where flagged.
+    modulation_dn : ndarray of float32, shape (h, w)
+        Mean amplitude of all sets [DN, or the response's unit].
+    flags : ndarray of uint32, shape (h, w)
+        Bits of `heliogauge.flags.SampleFlag`.
+    noise : NoiseModel
+        Noise of the readings that the sigmas rest on.
+    systematic_phase_rad : ndarray, shape (2,)
+        Phase error beyond noise of every x set and every y set, from how well the periods agree; mostly 0 [rad].
     """
 
     u: Float32Array
@@ -132,21 +149,40 @@ def measure_screen_map(
 ) -> ScreenMap:
     """Measure the display point that each pixel sees.
 
-    frames (n, h, w): Frames in the order of the pattern; any strides [DN].
-    pattern: What was shown.
-    response: Makes readings linear in the display's level.
-    region (h, w): Pixels to measure; the others are flagged as outside the mirror.
-    noise: Noise of a reading; estimated from the fit's residuals without it.
-    limits: Error probabilities and saturation.
-    Returns: Positions with sigmas; every doubtful pixel is NaN and says why.
-    InputError: Frames, region or noise that do not fit the pattern.
-    EstimationError: No region, three-step sets without a given noise, or periods whose order cannot be searched.
+    Parameters
+    ----------
+    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
+        Frames in the order of the pattern; any strides [DN].
+    pattern : FringePattern
+        What was shown.
+    response : LightResponse, optional
+        Makes readings linear in the display's level.
+    region : ndarray of bool, shape (h, w), optional
+        Pixels to measure; the others are flagged as outside the mirror.
+    noise : NoiseModel, optional
+        Noise of a reading; estimated from the fit's residuals without it.
+    limits : ScreenMapLimits, optional
+        Error probabilities and saturation.
 
-    For each pixel and set: sinusoid by least squares (`deflectometry.fringes.phase.solve_steps`), its variance from the
-    noise model carried through the response's slope; the sets of an axis are combined by
-    `deflectometry.fringes.unwrap`. A set is left out where its amplitude is below what noise alone reaches with
-    `no_fringe_probability` p, which is ``sigma_phi > 1 / sqrt(2 ln(1 / p))`` (0.19 rad at 1e-6: the amplitude of
-    noise is Rayleigh distributed); the coarsest set must be above it.
+    Returns
+    -------
+    ScreenMap
+        Positions with sigmas; every doubtful pixel is NaN and says why.
+
+    Raises
+    ------
+    InputError
+        Frames, region or noise that do not fit the pattern.
+    EstimationError
+        No region, three-step sets without a given noise, or periods whose order cannot be searched.
+
+    Notes
+    -----
+    For each pixel and set: sinusoid by least squares (`deflectometry.phase.fit_phase`), its variance from the noise
+    model carried through the response's slope; the sets of an axis are combined by `deflectometry.unwrap`. A set is
+    left out where its amplitude is below what noise alone reaches with `no_fringe_probability` p, which is
+    ``sigma_phi > 1 / sqrt(2 ln(1 / p))`` (0.19 rad at 1e-6: the amplitude of noise is Rayleigh distributed); the
+    coarsest set must be above it.
     """
     _check_frames(frames, pattern, region)
     chosen = limits if limits is not None else ScreenMapLimits()
@@ -183,12 +219,25 @@ def modulation_image(
 ) -> Float32Array:
     """Return the fringes' mean amplitude, cheaply and before any region is known (a mirror stands out by it).
 
-    frames (n, h, w): Frames in the order of the pattern; any strides [DN].
-    pattern: What was shown.
-    response: Makes readings linear in the display's level.
-    Returns (h, w): Root of the mean squared amplitude of the coarsest set of each axis, which blur weakens least
+    Parameters
+    ----------
+    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
+        Frames in the order of the pattern; any strides [DN].
+    pattern : FringePattern
+        What was shown.
+    response : LightResponse, optional
+        Makes readings linear in the display's level.
+
+    Returns
+    -------
+    ndarray of float32, shape (h, w)
+        Root of the mean squared amplitude of the coarsest set of each axis, which blur weakens least
         [DN, or the response's unit].
-    InputError: Frames that do not fit the pattern.
+
+    Raises
+    ------
+    InputError
+        Frames that do not fit the pattern.
     """
     _check_frames(frames, pattern, None)
     light_table, _ = _tables(frames.dtype, response, NoiseModel(1.0))

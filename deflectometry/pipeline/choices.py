@@ -12,10 +12,16 @@ from heliogauge.slopes.removal import Removal
 class Options:
     """Choices that override those of measurement.toml.
 
-    align: Orientation that the slopes refer to; None as measurement.toml says.
-    grid_step_mm: Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
-    remove: What is taken out of the maps; None as measurement.toml says.
-    jobs: Threads that decode images; None for all processors.
+    Parameters
+    ----------
+    align : Align or None
+        Orientation that the slopes refer to; None as measurement.toml says.
+    grid_step_mm : float or None
+        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
+    remove : Removal or None
+        What is taken out of the maps; None as measurement.toml says.
+    jobs : int or None
+        Threads that decode images; None for all processors.
     """
 
     align: Align | None = None
@@ -28,9 +34,14 @@ class Options:
 class Choices:
     """How the slopes are to be reported.
 
-    align: Orientation the slopes refer to.
-    grid_step_m: Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
-    removal: What is taken out of the maps.
+    Parameters
+    ----------
+    align : Align
+        Orientation the slopes refer to.
+    grid_step_m : float
+        Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
+    removal : Removal
+        What is taken out of the maps.
     """
 
     align: Align = Align.NORMAL

@@ -29,10 +29,26 @@ def run(
 ) -> Result:
     """Evaluate a measurement.
 
-    options: Choices that override the file's.
-    Returns: Maps, pixels, poses and doubts.
-    InputError: Images or tables that cannot be used.
-    EstimationError: Frames that contradict the pattern, no mirror, or no slopes.
+    Parameters
+    ----------
+    measurement : DeflectometryMeasurement
+        From `load_deflectometry`.
+    options : Options, optional
+        Choices that override the file's.
+    progress : Progress, optional
+        Reports each stage.
+
+    Returns
+    -------
+    Result
+        Maps, pixels, poses and doubts.
+
+    Raises
+    ------
+    InputError
+        Images or tables that cannot be used.
+    EstimationError
+        Frames that contradict the pattern, no mirror, or no slopes.
     """
     options, progress = options or Options(), progress or SilentProgress()
     setup, pattern = build_setup(measurement), build_pattern(measurement)

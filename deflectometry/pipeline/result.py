@@ -31,14 +31,32 @@ from heliogauge.validate import FloatArray
 class Result(InstrumentResult):
     """Everything a measurement gave, ready to be written.
 
-    setup: Camera and screen as used.
-    pattern: What was shown.
-    evaluation: Poses, pixels and the map of each facet as measured.
-    maps: The map of each measured facet, after what was to be removed.
-    assembled: The map of the whole mirror, put together from these; that of the only facet where there is one.
-    assembled_as_measured: The same before anything was removed.
-    numbers: Headline numbers of the mirror.
-    facets: Headline numbers of each facet; empty for a single one.
+    Parameters
+    ----------
+    setup : Setup
+        Camera and screen as used.
+    pattern : FringePattern
+        What was shown.
+    evaluation : Evaluation
+        Poses, pixels and the map of each facet as measured.
+    maps : dict of str to SlopeMap
+        The map of each measured facet, after what was to be removed.
+    assembled : SlopeMap
+        The map of the whole mirror, put together from these; that of the only facet where there is one.
+    assembled_as_measured : SlopeMap
+        The same before anything was removed.
+    numbers : dict of str to number
+        Headline numbers of the mirror.
+    facets : dict of str to dict
+        Headline numbers of each facet; empty for a single one.
+    name : str
+        Name of the mirror.
+    doubts : tuple of Doubt
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
     """
 
     kind: ClassVar[str] = "deflectometry"
@@ -120,9 +138,14 @@ def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
         columns = slice(image.column, image.column + image.x_m.shape[1])
         own = evaluation.facet_index[rows, columns] == index
         values: dict[str, npt.NDArray[Any]] = {
-            "x": image.x_m, "y": image.y_m, "z": surfaces[name].height(image.x_m, image.y_m),
-            "slope_x": image.slope_x, "slope_y": image.slope_y, "sigma_x": image.sigma_x, "sigma_y": image.sigma_y,
-        }  # fmt: skip
+            "x": image.x_m,
+            "y": image.y_m,
+            "z": surfaces[name].height(image.x_m, image.y_m),
+            "slope_x": image.slope_x,
+            "slope_y": image.slope_y,
+            "sigma_x": image.sigma_x,
+            "sigma_y": image.sigma_y,
+        }
         for key, value in values.items():
             arrays[key][rows, columns][own] = value[own]
         flags[rows, columns][own] = image.flags[own]

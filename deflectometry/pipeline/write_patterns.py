@@ -74,9 +74,29 @@ def write_patterns(
 ) -> FringePattern:
     """Write all frames for a display, and the tables for the measurement files; the folder is whole or not there.
 
-    force: Replace earlier patterns.
-    InputError: The folder holds something, a value out of range, a response that does not cover the levels, or
-        fringes too fine for the display.
+    Parameters
+    ----------
+    folder : Path
+        Where to write; absent or empty.
+    display : DisplayOptions
+        The display.
+    options : PatternOptions, optional
+        What to show.
+    force : bool, optional
+        Replace earlier patterns.
+    progress : Progress, optional
+        Reports each frame.
+
+    Returns
+    -------
+    FringePattern
+        The fringes, in the order of their files.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, a value out of range, a response that does not cover the levels, or fringes too
+        fine for the display.
     """
     options, progress = options or PatternOptions(), progress or SilentProgress()
     with WholeFolder(folder, PATTERNS, force=force) as working:

@@ -403,9 +403,22 @@ def pose_from_points(camera: Camera, knowledge: Knowledge) -> MirrorPose:
     misses = freeze(camera.project(final.state.apply(points.points_m)) - points.image_px)
     count = len(points.points_m)
     return MirrorPose(
-        final.state, final.covariance, rms[1], rms[0], nan, 1.0, nan, count, 0, np.zeros(0), tests,
-        points.image_px, misses, observations, tuple(_doubts(tests, np.ones(1), rms)),
-    )  # fmt: skip
+        final.state,
+        final.covariance,
+        rms[1],
+        rms[0],
+        nan,
+        1.0,
+        nan,
+        count,
+        0,
+        np.zeros(0),
+        tests,
+        points.image_px,
+        misses,
+        observations,
+        tuple(_doubts(tests, np.ones(1), rms)),
+    )
 
 
 def _points_rms(camera: Camera, points: KnownPoints, pose: RigidTransform) -> float:

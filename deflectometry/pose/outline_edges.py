@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,9 +54,16 @@ class OutlineEdges:
     def subset(self, chosen: BoolArray) -> "OutlineEdges":
         """Return the edges with only some of the points."""
         return OutlineEdges(
-            self.points_m[chosen], self.image_px[chosen], self.normals[chosen], self.place[chosen],
-            self.points_per_side, self.facet_of_side, self.expected_on_side, self.width_px, self.floor_px,
-        )  # fmt: skip
+            self.points_m[chosen],
+            self.image_px[chosen],
+            self.normals[chosen],
+            self.place[chosen],
+            self.points_per_side,
+            self.facet_of_side,
+            self.expected_on_side,
+            self.width_px,
+            self.floor_px,
+        )
 
     def rows(self, camera: Camera, pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
         """Return the distances of the projected outline from the edge points, (n,) [px], and derivatives (n, 6)."""
@@ -205,17 +213,24 @@ def edge_margin_px(edge_width_px: float, sigma_edge_px: float) -> float:
     return float(max(0.5 * np.sqrt(2), np.nan_to_num(0.5 * edge_width_px) + 0.25) + np.nan_to_num(sigma_edge_px))
 
 
+class RobustStep(NamedTuple):
+    """A step of the pose (6,) for `RigidTransform.moved`, the edge points' weights (n,) and their spread [px]."""
+
+    step: FloatArray
+    weights: FloatArray
+    sigma_px: float
+
+
 def robust_step(
     residuals: FloatArray, derivatives: FloatArray, known: tuple[FloatArray, FloatArray], floor_px: float
-) -> tuple[FloatArray, FloatArray, float]:
+) -> RobustStep:
     """Find the step of the pose that fits most edge points, and how much they scatter.
 
     Shapes: derivatives (n, 6).
     residuals (n,): Distances of the edge points at the present pose [px].
     known: Whitened residuals (m,) and derivatives (m, 6) of known points, never weakened.
     floor_px: Least spread that the noise allows [px].
-    step (6,): For `RigidTransform.moved`.
-    weights (n,): Tukey's weights, 0 for rejected points.
+    Returns: The step; weights are Tukey's, 0 for rejected points.
 
     Linear in the step, iteratively reweighted: the caller linearises again at the new pose. Cauchy's weights, which
     drop no point, come first: at a coarse start the whole outline is off.
@@ -239,7 +254,7 @@ def robust_step(
         sigma = max(robust_scale(left, upper=True), floor_px)
         if iteration >= 8 and np.abs(left - before).max() < 1e-3 * sigma:
             break
-    return step / scale, weights, sigma
+    return RobustStep(step / scale, weights, sigma)
 
 
 def correlation_points(series: FloatArray) -> float:

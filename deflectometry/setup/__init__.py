@@ -1,1 +1,27 @@
-"""Description of a set-up: patterns, screen, facets. Estimates nothing."""
+"""Description of a set-up: camera, screen, patterns. Estimates nothing."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from deflectometry.setup.camera_and_screen import RectangularScreen as RectangularScreen
+    from deflectometry.setup.camera_and_screen import Setup as Setup
+    from deflectometry.setup.camera_and_screen import TabulatedScreen as TabulatedScreen
+    from deflectometry.setup.patterns import Axis as Axis
+    from deflectometry.setup.patterns import FringePattern as FringePattern
+    from deflectometry.setup.patterns import FringeSet as FringeSet
+    from deflectometry.setup.patterns import make_pattern as make_pattern
+
+__getattr__, __dir__, __all__ = lazy_face(
+    __name__,
+    {
+        "Axis": "deflectometry.setup.patterns",
+        "FringePattern": "deflectometry.setup.patterns",
+        "FringeSet": "deflectometry.setup.patterns",
+        "RectangularScreen": "deflectometry.setup.camera_and_screen",
+        "Setup": "deflectometry.setup.camera_and_screen",
+        "TabulatedScreen": "deflectometry.setup.camera_and_screen",
+        "make_pattern": "deflectometry.setup.patterns",
+    },
+)

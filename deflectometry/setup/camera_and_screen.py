@@ -38,7 +38,10 @@ class Screen(Protocol):
 class RectangularScreen:
     """A flat rectangular screen whose frame has its origin in the middle.
 
-    width_m, height_m: Size of the displayed image [m].
+    Parameters
+    ----------
+    width_m, height_m : float
+        Size of the displayed image [m].
     """
 
     width_m: float
@@ -71,10 +74,20 @@ TILE_POINTS = 150
 class TabulatedScreen:
     """A screen known by measured points, with the thin-plate spline through them in between.
 
-    u, v (n,): Display coordinates of the measured points.
-    xyz_m (n, 3): Where these points are in the screen frame [m].
-    InputError: Fewer than 4 points, two points at the same display coordinates, or all on one line.
+    Parameters
+    ----------
+    u, v : array_like, shape (n,)
+        Display coordinates of the measured points.
+    xyz_m : array_like, shape (n, 3)
+        Where these points are in the screen frame [m].
 
+    Raises
+    ------
+    InputError
+        Fewer than 4 points, two points at the same display coordinates, or all on one line.
+
+    Notes
+    -----
     The spline runs through every point and has no kinks: linear facets between measured points put steps into the
     curvature map (0.1 mm RMS of difference on a 121-point table of a 9 m wall, 5 urad of slope at 10 m).
     """
@@ -177,11 +190,18 @@ def _thin_plate_kernel(points: FloatArray, nodes: FloatArray) -> FloatArray:
 class Setup:
     """Camera and screen in one frame.
 
-    camera: The camera with the covariance of its parameters.
-    screen: The screen in its own frame.
-    covariance_cam_from_screen (6, 6): Covariance of the steps of `RigidTransform.moved`: rotation [rad], then
-        translation [m]. Zero: exact.
-    sigma_screen_points_m: Standard deviation of the screen's shape [m].
+    Parameters
+    ----------
+    camera : Camera
+        The camera with the covariance of its parameters.
+    screen : Screen
+        The screen in its own frame.
+    cam_from_screen : RigidTransform
+        Screen frame to camera frame.
+    covariance_cam_from_screen : array_like, shape (6, 6)
+        Covariance of the steps of `RigidTransform.moved`: rotation [rad], then translation [m]. Zero: exact.
+    sigma_screen_points_m : float
+        Standard deviation of the screen's shape [m].
     """
 
     camera: Camera

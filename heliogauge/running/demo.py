@@ -8,7 +8,7 @@ from calibration import heliostat as heliostats
 from calibration.heliostat.planning import commanded_offsets
 from data_synth.fringes import DatasetOptions, preset_scene, read_truth, write_dataset
 from data_synth.heliostats import HeliostatTruth, heliostat_scene, read_heliostat_truth, write_heliostat_dataset
-from deflectometry.pipeline.measure import Result, run
+from deflectometry import Result, run
 from heliogauge.measurement.load import load
 from heliogauge.results.folder import ResultFolder
 from heliogauge.running.progress import SilentProgress

@@ -15,7 +15,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 
 #: Pipelines, whose Options must agree with the flags of a command.
 PIPELINES = {
-    "deflectometry.pipeline.choices": ("deflectometry.cli", "run"),
+    "deflectometry.pipeline.measure": ("deflectometry.cli", "run"),
     "photogrammetry.pipeline.measure": ("photogrammetry.cli", "run"),
     "observer.pipeline.measure": ("observer.cli", "run"),
     "calibration.screen.pipeline": ("calibration.cli", "response"),

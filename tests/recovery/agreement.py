@@ -8,8 +8,7 @@ import numpy as np
 from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.scene import FringeScene
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import Options, Result, run
+from deflectometry import Options, Result, load_deflectometry, run
 from heliogauge.slopes.map import monomials
 
 

@@ -8,11 +8,8 @@ import pytest
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.choices import Options
-from deflectometry.pipeline.inputs import build_setup
-from deflectometry.pipeline.measure import run
-from deflectometry.shape.smooth_shape import Align
+from deflectometry import Options, load_deflectometry, run
+from deflectometry.pipeline import Align, build_setup
 from heliogauge.slopes.statistics import Removal, canting, statistics
 from tests.recovery.agreement import agreement, measure
 

@@ -9,9 +9,9 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
-from deflectometry.keys import EvaluationSection, load_deflectometry
-from deflectometry.pipeline.measure import Options, run
-from deflectometry.shape.smooth_shape import Align
+from deflectometry import Options, load_deflectometry, run
+from deflectometry.keys import EvaluationSection
+from deflectometry.pipeline import Align
 from heliogauge.errors import InputError
 from heliogauge.reporting.results import open_results
 from heliogauge.slopes.removal import Removal

@@ -6,8 +6,7 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import Options, run
+from deflectometry import Options, load_deflectometry, run
 
 SIGMAS = Knowledge(sigma_focal_px=1e-9, sigma_center_px=1e-9, sigma_distance_mm=5.0)
 STEP_MM = Options(grid_step_mm=15.0)

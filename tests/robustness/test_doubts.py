@@ -8,9 +8,8 @@ from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
+from deflectometry import load_deflectometry, run
 from deflectometry.exchange.opencsp import read_opencsp_file
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import run
 from heliogauge.errors import InputError, MetrologyError
 
 GROSS, CURL, TURN, SHAPE = (

@@ -10,8 +10,7 @@ from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import run
+from deflectometry import load_deflectometry, run
 from heliogauge.errors import MetrologyError
 
 

@@ -6,8 +6,7 @@ import pytest
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import run
+from deflectometry import load_deflectometry, run
 from heliogauge.errors import MetrologyError
 from heliogauge.geometry.surfaces import Facet, plane
 from tests.recovery.agreement import agreement

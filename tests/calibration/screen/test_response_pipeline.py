@@ -12,7 +12,7 @@ import pytest
 from calibration.screen.files import Result
 from calibration.screen.keys import load_response
 from calibration.screen.pipeline import Options, lit_pixels, run
-from deflectometry.keys import load_deflectometry
+from deflectometry import load_deflectometry
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.templates import write_template

@@ -17,8 +17,8 @@ from data_synth.fringes.presets import PRESETS, facet_scene, preset_scene, recta
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.wall import Wall
-from deflectometry.keys import load_deflectometry
-from deflectometry.setup.patterns import make_pattern
+from deflectometry import load_deflectometry
+from deflectometry.setup import make_pattern
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_frames

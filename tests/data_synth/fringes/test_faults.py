@@ -11,7 +11,7 @@ from data_synth.fringes.presets import facet_scene, rectangle
 from data_synth.fringes.scene import FringeScene, render_fringes
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.pinhole import PinholeCamera
-from deflectometry.setup.patterns import make_pattern
+from deflectometry.setup import make_pattern
 from heliogauge.errors import InputError
 
 

@@ -13,7 +13,7 @@ from data_synth.fringes.scene import FringeScene, Lighting, expected_light, rend
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.surface_errors import Polynomial, SurfaceErrors
-from deflectometry.setup.patterns import Axis, make_pattern
+from deflectometry.setup import Axis, make_pattern
 from heliogauge.errors import InputError
 
 CAMERA = PinholeCamera(101, 77, 343.0, 343.0, 50.0, 38.0)

@@ -45,19 +45,25 @@ def files(tmp_path: Path) -> dict[str, Path]:
     measurement = {
         "fringe_images": rng.integers(0, 255, (6, 8, 12), dtype=np.uint8),
         "mask_images": rng.integers(0, 255, (6, 8, 2), dtype=np.uint8),
-        "fringe_periods_x": [0.9, 4.0], "fringe_periods_y": [0.8],
-        "dist_optic_screen": 9.5, "v_measure_point_facet": [0.0, 0.1, 0.0],
-        "name": "made here", "date": "2024-02-03T04:05:06",
-    }  # fmt: skip
+        "fringe_periods_x": [0.9, 4.0],
+        "fringe_periods_y": [0.8],
+        "dist_optic_screen": 9.5,
+        "v_measure_point_facet": [0.0, 0.1, 0.0],
+        "name": "made here",
+        "date": "2024-02-03T04:05:06",
+    }
     camera = {
         "intrinsic_mat": np.array([[700.0, 0, 4.0], [0, 690.0, 3.0], [0, 0, 0.25]]),
-        "distortion_coef": [[-0.1, 0.2, 1e-4, 2e-4]], "image_shape_xy": [6, 8], "name": "small",
-    }  # fmt: skip
+        "distortion_coef": [[-0.1, 0.2, 1e-4, 2e-4]],
+        "image_shape_xy": [6, 8],
+        "name": "small",
+    }
     display = {
-        "screen_model": "distorted2D", "name": "wall",
+        "screen_model": "distorted2D",
+        "name": "wall",
         "xy_screen_fraction": [[0.0, 1.0, 0.5], [0.0, 0.0, 0.9]],
         "xy_screen_coords": [[-2.0, 2.1, 0.0], [-1.0, -1.1, 0.8]],
-    }  # fmt: skip
+    }
     corners = {"x": [0.5, -0.5, -0.5, 0.5], "y": [-0.4, -0.4, 0.4, 0.4], "z": [0.0] * 4}
     facet = {"v_facet_corners": corners, "v_centroid_facet": {"x": [0.01], "y": [0.02], "z": [0.0]}}
     (folder / "f.json").write_text(json.dumps(facet))
@@ -268,8 +274,13 @@ def test_published_measurement_is_imported_whole(shared_data: Path, tmp_path: Pa
 def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data: Path, tmp_path: Path) -> None:
     """The published facet read as the publisher's ensemble of two halves: each half has the design about its middle."""
     root = shared_data / "opencsp"
-    common = ("Ensemble_split_NSTTF_facet.json", "Facet_split_NSTTF.json", "display_distorted_2d.h5",
-              "spatial_orientation.h5", "camera_sofast_downsampled.h5")  # fmt: skip
+    common = (
+        "Ensemble_split_NSTTF_facet.json",
+        "Facet_split_NSTTF.json",
+        "display_distorted_2d.h5",
+        "spatial_orientation.h5",
+        "camera_sofast_downsampled.h5",
+    )
     files = {name: root / "common" / name for name in common} | {"m": root / "fringe" / "measurement_facet.h5"}
     result_file = root / "fringe" / "expected_facet" / "data.h5"
     content = _import(files, tmp_path / "in", focal_length_m=100.0, pose_from=result_file)

@@ -67,10 +67,13 @@ def test_no_unflagged_gross_error_at_the_edges_of_the_display(coarsest: float) -
     gross = jumps = flagged = 0
     for start in (0.0, 0.998):  # the first and the last 0.2 %
         u = np.linspace(start, start + 0.002, 40_000).reshape(200, 200)
-        frames = np.stack([
-            100 + 80 * np.cos(2 * np.pi * fringes.periods * u - step) + rng.standard_normal(u.shape)
-            for fringes in pattern.sets for step in fringes.steps_rad
-        ])  # fmt: skip
+        frames = np.stack(
+            [
+                100 + 80 * np.cos(2 * np.pi * fringes.periods * u - step) + rng.standard_normal(u.shape)
+                for fringes in pattern.sets
+                for step in fringes.steps_rad
+            ]
+        )
         found = measure_screen_map(np.rint(frames).astype(np.uint8), pattern)
         for position in (found.u, found.v):
             jumps += np.count_nonzero(np.abs(position - u) > 0.5)

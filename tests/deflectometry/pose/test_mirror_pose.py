@@ -349,9 +349,14 @@ def test_reference_facet_agrees_with_its_measured_distance(shared_data: Path) ->
     with h5py.File(root / "common" / "spatial_orientation.h5") as file:
         screen = file["SpatialOrientation/v_cam_screen_cam"][()].ravel()
     camera = Camera(
-        203, 154, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
+        203,
+        154,
+        matrix[0, 0],
+        matrix[1, 1],
+        matrix[0, 2],
+        matrix[1, 2],
         distortion=BrownDistortion(k1=lens[0], k2=lens[1], p1=lens[2], p2=lens[3], k3=lens[4]),
-    )  # fmt: skip
+    )
     distance = DistanceObservation(10.232, 0.010, np.zeros(3), screen)
     found = locate_mirror(bright - dark, camera, [_rectangle(1.212, 1.212)], Knowledge((distance,)))
     # The publisher's program: 0.34 px and 66 mm apart before, 0.57 px after forcing the distance.

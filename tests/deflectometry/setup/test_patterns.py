@@ -22,8 +22,9 @@ def test_sets_know_their_frames() -> None:
     assert pattern.n_frames == 9
     assert [fringes.axis for fringes in pattern.sets] == [Axis.Y, Axis.X, Axis.X]
     assert [(fringes.periods, position) for fringes, position in pattern.sets_of(Axis.X)] == [
-        (0.9, slice(3, 6)), (7.0, slice(6, 9)),
-    ]  # fmt: skip
+        (0.9, slice(3, 6)),
+        (7.0, slice(6, 9)),
+    ]
     assert pattern.describe_frame(7) == "frame 7 (x fringes, 7 periods, step 120 deg)"
     with pytest.raises(InputError, match="frames 0 to 8"):
         pattern.describe_frame(9)

@@ -15,9 +15,14 @@ from heliogauge.slopes.map import no_common_modes
 
 SIZE, PITCH_M, SIGMA_RAD = 101, 0.01, 1e-4
 CAMERA = Camera(
-    width_px=SIZE, height_px=SIZE, focal_x_px=1000.0, focal_y_px=1000.0, center_x_px=50.0, center_y_px=50.0,
+    width_px=SIZE,
+    height_px=SIZE,
+    focal_x_px=1000.0,
+    focal_y_px=1000.0,
+    center_x_px=50.0,
+    center_y_px=50.0,
     distortion=BrownDistortion(direction=DistortionDirection.IDEAL_TO_MEASURED),
-)  # fmt: skip
+)
 # Face to face at 10 m: a pixel is 10 mm wide, and facet y is up where image rows go down.
 POSE = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 10.0]))
 FACET = Facet("flat", np.array([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]]), plane())
@@ -51,9 +56,7 @@ def test_slopes_stay_where_they_are(step_m):
 @pytest.mark.parametrize("step_m", [0.0037, 0.0093, 0.0213, 0.031, 0.0523])
 def test_sigma_of_a_node_is_its_scatter(step_m):
     rng = np.random.default_rng(5)
-    maps = [
-        gridded(image_of(*(lambda x, y: rng.normal(0.0, SIGMA_RAD, x.shape),) * 2), step_m) for _ in range(40)
-    ]  # fmt: skip
+    maps = [gridded(image_of(*(lambda x, y: rng.normal(0.0, SIGMA_RAD, x.shape),) * 2), step_m) for _ in range(40)]
     good = maps[0].valid
     scatter = np.sqrt(np.mean([one.slope_x[good] ** 2 for one in maps]))
     # 40 maps of 200 and more independent nodes: 2 % at three sigma.
@@ -82,9 +85,10 @@ def test_slopes_that_cannot_be_integrated_keep_their_map():
     lonely = np.zeros((SIZE, SIZE), dtype=bool)
     lonely[::2, ::2] = True
     image = image_of(
-        lambda x, y: np.where(lonely, 1e-3, np.nan), lambda x, y: np.where(lonely, 0.0, np.nan),
+        lambda x, y: np.where(lonely, 1e-3, np.nan),
+        lambda x, y: np.where(lonely, 0.0, np.nan),
         np.where(lonely, 0, np.uint32(SampleFlag.LOW_MODULATION)).astype(np.uint32),
-    )  # fmt: skip
+    )
     plan = GridPlan(PITCH_M, "facet frame", "nothing")
     found = grid_slopes(image, start_surface(FACET), CAMERA, POSE, FACET, plan=plan, common=no_common_modes())
     slope_map, (doubt,) = found.slope_map, found.doubts

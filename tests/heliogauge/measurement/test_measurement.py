@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deflectometry.keys import load_deflectometry
+from deflectometry import load_deflectometry
 from heliogauge.errors import InputError
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
