@@ -13,9 +13,8 @@ from heliogauge.running.commands import (
     OutFolder,
     Quiet,
     Verbose,
-    into_folder,
+    deliver,
     make_app,
-    tell,
 )
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
@@ -34,19 +33,17 @@ def run_command(
     """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
     from heliogauge.running.terminal import terminal_progress
     from photogrammetry.keys.load import load_photogrammetry
-    from photogrammetry.pipeline.headline import headline_text
-    from photogrammetry.pipeline.measure import Options, run, summarise, write
+    from photogrammetry.pipeline.measure import Options, run
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_photogrammetry(folder), Options(jobs=jobs), progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
+        quiet=quiet,
         report=not no_report,
     )
-    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("import-colmap")
@@ -93,18 +90,17 @@ def plan_command(
     """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
     from heliogauge.running.terminal import terminal_progress
     from photogrammetry.planning.keys import load_photogrammetry_plan
-    from photogrammetry.planning.plan import headline_text, run, summarise, write
+    from photogrammetry.planning.plan import run
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_photogrammetry_plan(folder), progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
+        quiet=quiet,
         report=not no_report,
     )
-    tell(result.plan.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command()

@@ -18,7 +18,6 @@ INSTRUMENT = Instrument(
             template="photogrammetry:template.toml",
             command="photogrammetry",
             run="photogrammetry.pipeline.measure:run",
-            write="photogrammetry.pipeline.measure:write",
             options="photogrammetry.pipeline.measure:Options",
         ),
         Kind(
@@ -28,7 +27,6 @@ INSTRUMENT = Instrument(
             template="photogrammetry.planning:template.toml",
             command="photogrammetry plan",
             run="photogrammetry.planning.plan:run",
-            write="photogrammetry.planning.plan:write",
         ),
     ),
     reports={

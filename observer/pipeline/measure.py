@@ -365,7 +365,7 @@ def write(result: Result, folder: Path) -> None:
     write_overlay(folder, result.overlay, names[result.overlay.photo])
     network = folder / NETWORK_FOLDER
     network.mkdir()
-    photogrammetry_pipeline.write(result.network, network)
+    result.network.write(network)
     write_intercept(result.intercept, folder)
     panels = panel_columns(result.slope_map, result.angles, result.collector, result.reflector)
     write_table_csv(folder / "panels.csv", panels)

@@ -65,7 +65,7 @@ def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[Checke
     return tuple(found)
 
 
-def headline(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[str, str]]:
+def network_numbers(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, dict[str, str]]:
     """Return the headline numbers, and why some are not determined.
 
     solved: The adjusted network.

@@ -74,7 +74,8 @@ class _Round:
 
 def add_dots(
     first: Solved,
-    measured: tuple[ImagePoints, FloatArray],
+    points: ImagePoints,
+    ellipses_px2: FloatArray,
     loose: LooseDots,
     cameras: NetworkCameras,
     knowledge: Knowledge,
@@ -83,30 +84,30 @@ def add_dots(
     """Match dots without a code through a solved network and adjust them with it.
 
     first: The network of the coded targets.
-    measured (m, 2, 2): All image points of coded targets, and their ellipses [px^2].
+    points: All image points of coded targets.
+    ellipses_px2 (m, 2, 2): Their ellipses [px^2].
     cameras: What of the cameras is free, and whose the photos are.
     knowledge: Scale bars, control points, constraints and datum.
     Returns: The network with its points "u1", "u2"... (in the order of photos and of the dots in them) or, of
         listed ones, their names.
     EstimationError: The network with its points is not determined; it is named.
     """
-    points, ellipses = measured
     solved, before, now = first, None, None
     for _ in range(_ROUNDS):
-        now = _matched(solved, loose, knowledge, _coded_radii(solved.bundle, points, ellipses))
+        now = _matched(solved, loose, knowledge, _coded_radii(solved.bundle, points, ellipses_px2))
         if before is not None and np.array_equal(before.matched.point_of_dot, now.matched.point_of_dot):
             break
         if not now.names:
-            return Extended(first, points, ellipses, (), now.left, now.doubts)
-        table, shapes = _with_dots(points, ellipses, loose, now)
+            return Extended(first, points, ellipses_px2, (), now.left, now.doubts)
+        table, shapes = _with_dots(points, ellipses_px2, loose, now)
         network = _network(solved, first, table, now)
         solved = solve_from(network, table, shapes, NetworkCameras.of(first.bundle), knowledge, options)
         solved = _with_earlier(solved, first)
         before = now
     last = before or now
     if last is None:
-        return Extended(first, points, ellipses, (), ())
-    table, shapes = _with_dots(points, ellipses, loose, last)
+        return Extended(first, points, ellipses_px2, (), ())
+    table, shapes = _with_dots(points, ellipses_px2, loose, last)
     return Extended(solved, table, shapes, last.names, last.left, last.doubts)
 
 

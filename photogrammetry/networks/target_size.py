@@ -12,14 +12,13 @@ from photogrammetry.networks.solve_network import Solved
 _DOUBTFUL = 0.05
 
 
-def measured_diameters_m(solved: Solved, measured: tuple[ImagePoints, FloatArray]) -> FloatArray:
+def measured_diameters_m(solved: Solved, points: ImagePoints, ellipses_px2: FloatArray) -> FloatArray:
     """Return the diameters of the targets as the photos show them.
 
     solved: The adjusted network.
-    measured (m, 2, 2): All image points, and their ellipses [px^2].
+    ellipses_px2 (m, 2, 2): Ellipses of all image points [px^2].
     Returns (k,): Diameters of those seen in three photos and more, in the order of the network [m].
     """
-    points, ellipses = measured
     bundle = solved.bundle
     table = bundle.problem.observations
     photo = _places(points.photos, table.photos)[points.photo_index]
@@ -28,7 +27,7 @@ def measured_diameters_m(solved: Solved, measured: tuple[ImagePoints, FloatArray
     seen = ImagePoints(
         table.photos, table.targets, photo[rows], target[rows], points.pixels_px[rows], points.covariance_px2[rows]
     )
-    discs = estimate_discs(seen, ellipses[rows], bundle.state, bundle.problem.camera_index)
+    discs = estimate_discs(seen, ellipses_px2[rows], bundle.state, bundle.problem.camera_index)
     return np.asarray(2 * discs.radius_m[discs.known])
 
 
@@ -37,17 +36,19 @@ def _places(names: tuple[str, ...], known: tuple[str, ...]) -> np.ndarray:
     return np.array([place.get(name, -1) for name in names], dtype=np.intp)
 
 
-def size_doubts(solved: Solved, measured: tuple[ImagePoints, FloatArray], diameter_mm: float | None) -> tuple[str, ...]:
+def size_doubts(
+    solved: Solved, points: ImagePoints, ellipses_px2: FloatArray, diameter_mm: float | None
+) -> tuple[str, ...]:
     """Compare the stated diameter with what the photos show.
 
     solved: The adjusted network.
-    measured (m, 2, 2): All image points, and their ellipses [px^2].
+    ellipses_px2 (m, 2, 2): Ellipses of all image points [px^2].
     diameter_mm: What was stated of all targets [mm].
     Returns: What contradicts it; nothing without a scale.
     """
     if diameter_mm is None or not _has_scale(solved):
         return ()
-    found_mm = 1e3 * measured_diameters_m(solved, measured)
+    found_mm = 1e3 * measured_diameters_m(solved, points, ellipses_px2)
     if not found_mm.size:
         return ()
     said = []

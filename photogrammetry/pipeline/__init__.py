@@ -13,25 +13,23 @@ if TYPE_CHECKING:
     from photogrammetry.pipeline.inputs import build_constraints as build_constraints
     from photogrammetry.pipeline.inputs import build_search as build_search
     from photogrammetry.pipeline.measure import Options as Options
-    from photogrammetry.pipeline.measure import Result as Result
     from photogrammetry.pipeline.measure import run as run
-    from photogrammetry.pipeline.measure import write as write
     from photogrammetry.pipeline.photos import OnePhoto as OnePhoto
     from photogrammetry.pipeline.photos import collect_photos as collect_photos
     from photogrammetry.pipeline.photos import measure_photo as measure_photo
+    from photogrammetry.pipeline.result import Result as Result
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
         "OnePhoto": "photogrammetry.pipeline.photos",
         "Options": "photogrammetry.pipeline.measure",
-        "Result": "photogrammetry.pipeline.measure",
+        "Result": "photogrammetry.pipeline.result",
         "build_cameras": "photogrammetry.pipeline.cameras",
         "build_constraints": "photogrammetry.pipeline.inputs",
         "build_search": "photogrammetry.pipeline.inputs",
         "collect_photos": "photogrammetry.pipeline.photos",
         "measure_photo": "photogrammetry.pipeline.photos",
         "run": "photogrammetry.pipeline.measure",
-        "write": "photogrammetry.pipeline.measure",
     },
 )

@@ -19,9 +19,8 @@ from photogrammetry.matching.assignment import Sense, assign_targets
 from photogrammetry.matching.tracking import Track, TrackedPhoto, TrackLimits, follow, start_track
 from photogrammetry.matching.uncoded_names import ListedTargets
 from photogrammetry.pipeline.cameras import build_cameras
-from photogrammetry.pipeline.inputs import build_search
+from photogrammetry.pipeline.inputs import build_search, listed_targets
 from photogrammetry.pipeline.photos import MeasuredPhotos, OnePhoto, Refused, collect_photos, measure_each
-from photogrammetry.pipeline.uncoded import listed_targets
 
 _COLUMNS = ("image", "target", "x_px", "y_px")
 _Marks = dict[str, tuple[tuple[str, ...], FloatArray]]

@@ -21,10 +21,14 @@ from photogrammetry.keys.measurement import (
     PhotogrammetryModel,
 )
 from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.matching.uncoded_names import ListedTargets
+from photogrammetry.networks.length_error import PermissibleError
+from photogrammetry.networks.solve_network import Knowledge, SolveOptions
 from photogrammetry.start_values.network import StartValues
 from photogrammetry.targets.ring_codes import Polarity, Sense
 from photogrammetry.targets.store_ring_codes import CodePrint, load_dictionary
 
+_LIST_COLUMNS = ("id", "x_m", "y_m", "z_m", "sigma_mm")
 _DATUMS = {
     "inner": DatumKind.INNER,
     "minimal": DatumKind.MINIMAL,
@@ -150,3 +154,76 @@ def build_datum(model: PhotogrammetryModel) -> Datum:
     InputError: A minimal datum without three targets, or photos held without one or two.
     """
     return Datum(_DATUMS[model.datum.kind], model.datum.targets, model.datum.photos)
+
+
+def build_knowledge(
+    measurement: PhotogrammetryMeasurement, start: StartValues | None, listed: ListedTargets | None
+) -> Knowledge:
+    """Collect what is known of a network besides image points.
+
+    start: Poses and targets to start from instead of those that measurement.toml names.
+    listed: Targets without a code. Where the list alone tells the targets, its frame and scale become the network's.
+    InputError: Start values that cannot be read, or an impossible datum.
+    """
+    model = measurement.model
+    start = start or build_start(measurement)
+    if listed is not None and model.targets is not None and model.targets.dictionary is None:
+        places = dict(zip(listed.names, listed.points_m, strict=True))
+        start = StartValues(start.cam_from_world, {**places, **start.points_m})
+    fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
+    one_size = stated_diameter_mm(model) is not None
+    return Knowledge(build_constraints(model), fixed, build_datum(model), start, one_size)
+
+
+def build_solve_options(model: PhotogrammetryModel, sigma_assumed: bool) -> SolveOptions:
+    """Choose how to solve.
+
+    sigma_assumed: Whether the sizes of the image points' sigmas are only assumed.
+    """
+    section = model.adjustment
+    rescale = sigma_assumed if section.sigmas is None else section.sigmas == "from residuals"
+    return SolveOptions(section.reject, section.family_significance, rescale)
+
+
+def build_checks(model: PhotogrammetryModel) -> tuple[Distance, ...]:
+    """Collect the scale bars that are kept apart as checks."""
+    return tuple(Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar if bar.check_only)
+
+
+def build_permissible_error(model: PhotogrammetryModel) -> PermissibleError | None:
+    """Return the largest length error that is permissible, where one is stated."""
+    limit = model.permissible_length_error
+    return None if limit is None else PermissibleError(1e-3 * limit.a_mm, limit.k, 1e-3 * limit.b_mm)
+
+
+def stated_diameter_mm(model: PhotogrammetryModel) -> float | None:
+    """Return the diameter of all targets, where one is stated [mm]."""
+    return None if model.targets is None else model.targets.diameter_mm
+
+
+def listed_targets(section: TargetsSection | None, folder: Path) -> ListedTargets | None:
+    """Collect the targets without a code that measurement.toml and its table list.
+
+    InputError: A table with missing columns or cells that are no numbers (with the line), a name twice, or a sigma
+        of 0.
+    """
+    if section is None or not (section.uncoded or section.uncoded_file):
+        return None
+    names = [one.target for one in section.uncoded]
+    rows = [[*one.xyz_m, one.sigma_mm] for one in section.uncoded]
+    if section.uncoded_file is not None:
+        path = folder / section.uncoded_file
+        table = read_table_csv(path, _LIST_COLUMNS)
+        for line, cells in enumerate(zip(*(table[name] for name in _LIST_COLUMNS), strict=True), start=2):
+            try:
+                numbers = [float(cell) for cell in cells[1:]]
+            except ValueError as error:
+                raise InputError(f"{path}, line {line}: {error}; is the decimal sign a point?") from None
+            if not (np.isfinite(numbers).all() and numbers[3] > 0):
+                raise InputError(f"{path}, line {line}: finite coordinates and a positive sigma_mm are needed")
+            if cells[0] in names or not cells[0]:
+                raise InputError(f"{path}, line {line}: id {cells[0]!r} is empty or listed twice")
+            names.append(cells[0])
+            rows.append(numbers)
+    values = np.array(rows, dtype=np.float64)
+    return ListedTargets(tuple(names), values[:, :3], np.repeat(1e-3 * values[:, 3:], 3, axis=1))

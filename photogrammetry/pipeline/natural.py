@@ -28,13 +28,12 @@ _DOUBT = (
 
 def add_features(
     measurement: PhotogrammetryMeasurement, coded: MeasuredPhotos | None, *, jobs: int | None, progress: Progress
-) -> tuple[MeasuredPhotos, IntArray]:
+) -> MeasuredPhotos:
     """Find the natural features of all photos and follow them from photo to photo.
 
     coded: Coded targets of the same photos, where there are any.
     jobs: Photos and pairs side by side.
-    measured: Image points of targets and features.
-    kinds (m,): Kind of each: coded targets, and features by size, for sigmas of their own.
+    Returns: Image points of targets and features, of kinds: coded targets, and features by size.
     InputError: pycolmap is not installed, or a photo cannot be read.
     EstimationError: No feature can be followed.
     """
@@ -83,9 +82,7 @@ def _matches(
     return matches
 
 
-def _joined(
-    tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple[int, int]]
-) -> tuple[MeasuredPhotos, IntArray]:
+def _joined(tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple[int, int]]) -> MeasuredPhotos:
     """Put features beside coded targets; kind 0 are the targets where there are any."""
     left = Refused(
         "natural features",
@@ -95,13 +92,12 @@ def _joined(
     kinds = np.searchsorted(borders, tracks.scale_px)
     shapes = np.full((tracks.points.n, 2, 2), np.nan)
     if coded is None:
-        return MeasuredPhotos(tracks.points, shapes, sizes, (left,), (_DOUBT,), True), kinds
+        return MeasuredPhotos(tracks.points, shapes, sizes, (left,), (_DOUBT,), True, kinds=kinds)
     points = _both(coded.points, tracks.points)
     ellipses: FloatArray = np.concatenate([coded.ellipses_px2, shapes])
-    measured = MeasuredPhotos(
-        points, ellipses, sizes, (*coded.refused, left), (*coded.doubts, _DOUBT), True, coded.loose
-    )
-    return measured, np.concatenate([np.zeros(coded.points.n, dtype=np.intp), kinds + 1])
+    kinds = np.concatenate([np.zeros(coded.points.n, dtype=np.intp), kinds + 1])
+    refused, doubts = (*coded.refused, left), (*coded.doubts, _DOUBT)
+    return MeasuredPhotos(points, ellipses, sizes, refused, doubts, True, coded.loose, kinds)
 
 
 def _both(first: ImagePoints, second: ImagePoints) -> ImagePoints:

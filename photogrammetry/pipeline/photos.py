@@ -12,7 +12,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
 from heliogauge.running.progress import Progress
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.detection.board_corners import find_charuco
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.markers import find_markers
@@ -51,6 +51,7 @@ class MeasuredPhotos:
     doubts: What makes the result doubtful.
     sigma_assumed: Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
     loose: Dots without a code, to be matched when the photos' poses are known.
+    kinds (m,): Kind of each image point, of which each has a sigma of its own; None where all are alike.
     """
 
     points: ImagePoints
@@ -60,6 +61,7 @@ class MeasuredPhotos:
     doubts: tuple[str, ...]
     sigma_assumed: bool
     loose: LooseDots | None = None
+    kinds: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

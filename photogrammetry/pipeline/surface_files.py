@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -108,11 +108,18 @@ def _comparison_columns(moved: Displacements) -> dict[str, Any]:
     }
 
 
-def surface_numbers(result: SurfaceResult) -> tuple[Numbers, dict[str, str], dict[str, str]]:
+class SurfaceNumbers(NamedTuple):
+    """Headline numbers with units in their names, texts, and why numbers are not determined."""
+
+    numbers: Numbers
+    texts: dict[str, str]
+    not_determined: dict[str, str]
+
+
+def surface_numbers(result: SurfaceResult) -> SurfaceNumbers:
     """Return headline numbers, texts, and why numbers are not determined.
 
     result: What was found.
-    Returns: Numbers with units in their names; texts; reasons.
     """
     numbers: Numbers = {}
     texts: dict[str, str] = {}
@@ -153,7 +160,8 @@ def surface_numbers(result: SurfaceResult) -> tuple[Numbers, dict[str, str], dic
         }
         texts["compared with"] = f"{result.compared_with}, fitted on {int(moved.stable.sum())} stable targets"
     missing = {key: "no redundancy" for key, one in numbers.items() if one is None or not np.isfinite(one)}
-    return {key: None if key in missing else value for key, value in numbers.items()}, texts, missing
+    known = {key: None if key in missing else value for key, value in numbers.items()}
+    return SurfaceNumbers(known, texts, missing)
 
 
 def _add_fit(fit: SurfaceFit, how: str, numbers: Numbers, texts: dict[str, str]) -> None:

@@ -1,9 +1,9 @@
 """From measurement.toml to a planned network: how many photos, from where, and the sigmas they will give."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from heliogauge.results.folder import (
     read_table_csv,
     write_cameras_json,
     write_points_csv,
-    write_summary,
     write_table_csv,
 )
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.constraints import Distance
@@ -36,21 +36,89 @@ _MOST_TARGETS = 3000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
+class PlanResult(InstrumentResult):
     """A plan, ready to be written.
 
-    name: Name of what is planned.
     task: What was asked.
     plan: The answer.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = "photogrammetry-plan"
     task: Task
     plan: Plan
-    durations_s: dict[str, float]
-    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers of a plan."""
+        plan, task = self.plan, self.task
+        prediction = plan.best.prediction
+        sigma = np.sqrt((prediction.sigma_m**2).mean(axis=0))
+        points = task.target_object.points_m
+        extent = max(float(np.linalg.norm(points - one, axis=1).max()) for one in points)
+        bundle = prediction.bundle
+        numbers: dict[str, float | int | None] = {
+            "photos_count": len(prediction.stations),
+            "points_count": len(points),
+            "image_points_count": int(prediction.rays.sum()),
+            "point_sigma_rms_m": prediction.rms_m,
+            "point_sigma_x_rms_m": float(sigma[0]),
+            "point_sigma_y_rms_m": float(sigma[1]),
+            "point_sigma_z_rms_m": float(sigma[2]),
+            "point_sigma_largest_m": prediction.largest_m,
+            "wanted_sigma_m": task.goal.sigma_m,
+            "extent_m": extent,
+            "relative_precision_ratio": extent / prediction.rms_m,
+            "sigma_with_known_cameras_rms_m": float(np.sqrt((prediction.alone_m**2).mean())),
+            "q_ratio": plan.q,
+            "distance_m": task.reach.distance_m,
+            "convergence_median_deg": float(np.degrees(np.nanmedian(prediction.convergence_rad))),
+            "least_rays_count": int(prediction.rays.min()),
+            "image_coverage_share": prediction.coverage_share,
+            "networks_tried_count": len(plan.trials),
+        }
+        missing = {
+            key: "not all targets are determined" for key, value in numbers.items() if not np.isfinite(value or 0.0)
+        }
+        what = "largest sigma" if task.goal.of_largest else "RMS of all sigmas"
+        texts = {
+            "answer": f"{len(prediction.stations)} photos, {plan.best.name} from the object's normal, "
+            + ("the wanted sigma is reached" if plan.reached else "the wanted sigma is NOT reached"),
+            "compared": f"{what} with the wanted one",
+            "datum": "" if bundle is None else bundle.datum,
+            "camera": f"estimated: {', '.join(task.planned.free) or 'nothing'}; sigma of an image coordinate "
+            f"{task.planned.sigma_px:g} px",
+            "planning_rule": "sigma = q S sigma_image / sqrt(k), k a quarter of the rays: q is 0.4 to 0.8 for "
+            "strong convergent networks, 1.5 and more for stereo (Fraser 1984)",
+            "not_included": "what hides a target from a camera except its own face, depth of field, errors of the "
+            "scale bars' lengths beyond their sigma",
+        }
+        known = {key: None if key in missing else value for key, value in numbers.items()}
+        return self._summary(known, texts, missing)
+
+    def write_files(self, folder: Path) -> None:
+        """Write points, stations, trials and cameras into an existing folder."""
+        prediction, target_object = self.plan.best.prediction, self.task.target_object
+        flags = np.where(prediction.rays > 0, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
+        rays = prediction.rays.astype(np.int64)
+        table = PointTable(target_object.names, target_object.points_m, prediction.sigma_m, rays, flags)
+        write_points_csv(folder / "points.csv", table)
+        write_table_csv(folder / "stations.csv", _station_columns(self.plan))
+        write_table_csv(folder / "trials.csv", _trial_columns(self.plan))
+        names = {f"{a}{b}_m2": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz") if j >= i}
+        covariance = {name: prediction.covariance_m2[:, i, j] for name, (i, j) in names.items()}
+        write_table_csv(folder / "points_covariance.csv", {"id": list(target_object.names), **covariance})
+        if prediction.bundle is not None:
+            photos = prediction.bundle.problem.observations.photos
+            poses = {
+                name: PhotoPose("camera", one.cam_from_world, 0.5 * (matrix + matrix.T))
+                for name, one, matrix in zip(
+                    photos, prediction.stations, prediction.bundle.covariance.poses, strict=True
+                )
+            }
+            write_cameras_json(folder / "cameras.json", {"camera": prediction.bundle.cameras[0]}, poses)
+
+    def headline(self) -> str:
+        """Return the plan in a few lines for the terminal."""
+        return headline_text(self.summarise())
 
 
 def run(measurement: PhotogrammetryPlanMeasurement, progress: Progress | None = None) -> PlanResult:
@@ -67,7 +135,14 @@ def run(measurement: PhotogrammetryPlanMeasurement, progress: Progress | None = 
     layouts = [(angle,) for angle in angles] + list(combinations(angles, 2))
     with progress.stage("try networks"):
         plan = plan_network(task, layouts)
-    return PlanResult(measurement.model.name, task, plan, dict(progress.durations_s), hashes)
+    return PlanResult(
+        name=measurement.model.name,
+        task=task,
+        plan=plan,
+        doubts=plan.doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
+    )
 
 
 def build_task(measurement: PhotogrammetryPlanMeasurement) -> Task:
@@ -103,7 +178,15 @@ def build_task(measurement: PhotogrammetryPlanMeasurement) -> Task:
     return Task(target_object, planned, reach, goal, tuple(bars))
 
 
-def _targets(section: PlannedObjectSection, folder: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+class _Targets(NamedTuple):
+    """Names, places [m] and outward normals (NaN where not known) of planned targets."""
+
+    names: tuple[str, ...]
+    points_m: FloatArray
+    normals: FloatArray
+
+
+def _targets(section: PlannedObjectSection, folder: Path) -> _Targets:
     if section.targets is not None:
         return _listed_targets(folder / section.targets)
     width, height, spacing = (float(v or 0.0) for v in (section.width_m, section.height_m, section.spacing_m))
@@ -121,7 +204,7 @@ def _targets(section: PlannedObjectSection, folder: Path) -> tuple[tuple[str, ..
     points = np.stack([x, y, surface.height(x, y)], axis=1)
     if not np.isfinite(points).all():
         raise InputError("object: the surface does not reach all of the object; check radius_m, width_m and height_m")
-    return tuple(str(i + 1) for i in range(x.size)), points, surface.normal(x, y)
+    return _Targets(tuple(str(i + 1) for i in range(x.size)), points, surface.normal(x, y))
 
 
 def _design(section: PlannedObjectSection) -> Quadric:
@@ -131,7 +214,7 @@ def _design(section: PlannedObjectSection) -> Quadric:
     return {"paraboloid": paraboloid, "sphere": sphere, "trough": trough}[str(section.design)](length)
 
 
-def _listed_targets(file: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+def _listed_targets(file: Path) -> _Targets:
     table = read_table_csv(file, ("id", "x_m", "y_m", "z_m"))
 
     def numbers(names: tuple[str, ...]) -> FloatArray:
@@ -147,7 +230,7 @@ def _listed_targets(file: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray
         )
     axes = ("normal_x", "normal_y", "normal_z")
     normals = numbers(axes) if all(axis in table for axis in axes) else np.full(points.shape, np.nan)
-    return tuple(table["id"]), points, normals.reshape(-1, 3)
+    return _Targets(tuple(table["id"]), points, normals.reshape(-1, 3))
 
 
 def _camera(measurement: PhotogrammetryPlanMeasurement) -> Camera:
@@ -158,33 +241,8 @@ def _camera(measurement: PhotogrammetryPlanMeasurement) -> Camera:
     return Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
-def write(result: PlanResult, folder: Path) -> None:
-    """Write the files of a plan into an existing folder."""
-    prediction, target_object = result.plan.best.prediction, result.task.target_object
-    flags = np.where(prediction.rays > 0, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
-    write_points_csv(
-        folder / "points.csv",
-        PointTable(
-            target_object.names, target_object.points_m, prediction.sigma_m, prediction.rays.astype(np.int64), flags
-        ),
-    )
-    write_table_csv(folder / "stations.csv", _station_columns(result))
-    write_table_csv(folder / "trials.csv", _trial_columns(result))
-    names = {f"{a}{b}_m2": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz") if j >= i}
-    covariance = {name: prediction.covariance_m2[:, i, j] for name, (i, j) in names.items()}
-    write_table_csv(folder / "points_covariance.csv", {"id": list(target_object.names), **covariance})
-    if prediction.bundle is not None:
-        photos = prediction.bundle.problem.observations.photos
-        poses = {
-            name: PhotoPose("camera", one.cam_from_world, 0.5 * (matrix + matrix.T))
-            for name, one, matrix in zip(photos, prediction.stations, prediction.bundle.covariance.poses, strict=True)
-        }
-        write_cameras_json(folder / "cameras.json", {"camera": prediction.bundle.cameras[0]}, poses)
-    write_summary(folder / "summary.json", summarise(result))
-
-
-def _station_columns(result: PlanResult) -> dict[str, Any]:
-    prediction = result.plan.best.prediction
+def _station_columns(plan: Plan) -> dict[str, Any]:
+    prediction = plan.best.prediction
     stations = prediction.stations
     photos, seen = [], np.zeros(len(stations), dtype=np.intp)
     if prediction.bundle is not None:
@@ -204,8 +262,8 @@ def _station_columns(result: PlanResult) -> dict[str, Any]:
     return columns | {"targets_count": seen}
 
 
-def _trial_columns(result: PlanResult) -> dict[str, Any]:
-    trials = result.plan.trials
+def _trial_columns(plan: Plan) -> dict[str, Any]:
+    trials = plan.trials
     return {
         "layout": [one.name for one in trials],
         "photos_count": [one.count for one in trials],
@@ -214,63 +272,9 @@ def _trial_columns(result: PlanResult) -> dict[str, Any]:
             one.prediction.largest_m if np.isfinite(one.prediction.largest_m) else np.nan for one in trials
         ],
         "least_rays": [int(one.prediction.rays.min()) for one in trials],
-        "chosen": [int(one is result.plan.best) for one in trials],
+        "chosen": [int(one is plan.best) for one in trials],
         "reason": [one.prediction.reason for one in trials],
     }
-
-
-def summarise(result: PlanResult) -> Summary:
-    """Collect the headline numbers of a plan."""
-    plan, task = result.plan, result.task
-    prediction = plan.best.prediction
-    sigma = np.sqrt((prediction.sigma_m**2).mean(axis=0))
-    points = task.target_object.points_m
-    extent = max(float(np.linalg.norm(points - one, axis=1).max()) for one in points)
-    bundle = prediction.bundle
-    numbers: dict[str, float | int | None] = {
-        "photos_count": len(prediction.stations),
-        "points_count": len(points),
-        "image_points_count": int(prediction.rays.sum()),
-        "point_sigma_rms_m": prediction.rms_m,
-        "point_sigma_x_rms_m": float(sigma[0]),
-        "point_sigma_y_rms_m": float(sigma[1]),
-        "point_sigma_z_rms_m": float(sigma[2]),
-        "point_sigma_largest_m": prediction.largest_m,
-        "wanted_sigma_m": task.goal.sigma_m,
-        "extent_m": extent,
-        "relative_precision_ratio": extent / prediction.rms_m,
-        "sigma_with_known_cameras_rms_m": float(np.sqrt((prediction.alone_m**2).mean())),
-        "q_ratio": plan.q,
-        "distance_m": task.reach.distance_m,
-        "convergence_median_deg": float(np.degrees(np.nanmedian(prediction.convergence_rad))),
-        "least_rays_count": int(prediction.rays.min()),
-        "image_coverage_share": prediction.coverage_share,
-        "networks_tried_count": len(plan.trials),
-    }
-    missing = {key: "not all targets are determined" for key, value in numbers.items() if not np.isfinite(value or 0.0)}
-    what = "largest sigma" if task.goal.of_largest else "RMS of all sigmas"
-    texts = {
-        "answer": f"{len(prediction.stations)} photos, {plan.best.name} from the object's normal, "
-        + ("the wanted sigma is reached" if plan.reached else "the wanted sigma is NOT reached"),
-        "compared": f"{what} with the wanted one",
-        "datum": "" if bundle is None else bundle.datum,
-        "camera": f"estimated: {', '.join(task.planned.free) or 'nothing'}; sigma of an image coordinate "
-        f"{task.planned.sigma_px:g} px",
-        "planning_rule": "sigma = q S sigma_image / sqrt(k), k a quarter of the rays: q is 0.4 to 0.8 for strong "
-        "convergent networks, 1.5 and more for stereo (Fraser 1984)",
-        "not_included": "what hides a target from a camera except its own face, depth of field, errors of the scale "
-        "bars' lengths beyond their sigma",
-    }
-    return Summary(
-        kind="photogrammetry-plan",
-        name=result.name,
-        numbers={key: None if key in missing else value for key, value in numbers.items()},
-        texts=texts,
-        doubts=plan.doubts,
-        durations_s=result.durations_s,
-        input_sha256=result.input_sha256,
-        not_determined=missing,
-    )
 
 
 def headline_text(summary: Summary) -> str:

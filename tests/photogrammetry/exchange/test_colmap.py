@@ -18,7 +18,7 @@ from heliogauge.running.cli import main
 from photogrammetry.exchange.colmap import export_colmap, import_colmap
 from photogrammetry.exchange.colmap_files import ColmapImage, ColmapModel, read_colmap, write_colmap
 from photogrammetry.keys.load import load_photogrammetry
-from photogrammetry.pipeline.measure import run, write
+from photogrammetry.pipeline.measure import run
 from tests.photogrammetry.bundle_networks import look_at
 
 #: Values of every parameter any model has; k4 to k6 must be zero.
@@ -173,7 +173,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = target_scene("small", 0, PrintChoice(None, False, False))
     write_target_dataset(folder / "panel", scene, photogrammetry_content(scene), PhotoOptions(3, 0.02))
     (folder / "result").mkdir()
-    write(run(load_photogrammetry(folder / "panel")), folder / "result")
+    run(load_photogrammetry(folder / "panel")).write(folder / "result")
     return folder / "result"
 
 

@@ -151,7 +151,7 @@ def test_a_dot_displaced_in_some_photos_is_no_second_point() -> None:
     nothing = np.full((table.n, 2, 2), np.nan)
     first = solve_network(table, nothing, cameras, knowledge, SolveOptions())
     # In the network's own unit of length, radii are the same share of everything.
-    found = add_dots(first, (table, nothing), LooseDots(table.photos, dots), cameras, knowledge, SolveOptions())
+    found = add_dots(first, table, nothing, LooseDots(table.photos, dots), cameras, knowledge, SolveOptions())
     assert found.names == ("u1", "u2", "u3")
     rays = dict(
         zip(

@@ -14,8 +14,9 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml
 from photogrammetry.keys.load import load_photogrammetry
-from photogrammetry.pipeline.measure import Result, run
-from photogrammetry.pipeline.uncoded import listed_targets
+from photogrammetry.pipeline.inputs import listed_targets
+from photogrammetry.pipeline.measure import run
+from photogrammetry.pipeline.result import Result
 from tests.photogrammetry.pipeline.test_pipeline import chi_square_per_rank, with_true_names
 
 

@@ -95,14 +95,14 @@ def test_stated_diameter_is_checked() -> None:
     problem = BundleProblem(table, (CameraModel("camera"),), constraints=(Distance("t0", "t9", length, 1e-4),))
     solved = SimpleNamespace(bundle=adjust(problem, truth))
     measured = (table, ellipses)
-    assert measured_diameters_m(solved, measured) == pytest.approx(2 * RADIUS_M, rel=0.03)
-    assert size_doubts(solved, measured, 40.0) == ()
-    assert size_doubts(solved, measured, None) == ()
-    wrong = size_doubts(solved, measured, 20.0)
+    assert measured_diameters_m(solved, *measured) == pytest.approx(2 * RADIUS_M, rel=0.03)
+    assert size_doubts(solved, *measured, 40.0) == ()
+    assert size_doubts(solved, *measured, None) == ()
+    wrong = size_doubts(solved, *measured, 20.0)
     assert "measure 4" in wrong[0] or "measure 39" in wrong[0]
     assert "not diameter_mm = 20" in wrong[0]
     large = np.where((table.target_index == 3)[:, None, None], 4 * ellipses, ellipses)
-    assert "1 of 24 targets are not as large" in size_doubts(solved, (table, large), 40.0)[0]
+    assert "1 of 24 targets are not as large" in size_doubts(solved, table, large, 40.0)[0]
     # Without a scale nothing can be said.
     free = SimpleNamespace(bundle=adjust(replace(problem, constraints=()), truth))
-    assert size_doubts(free, measured, 20.0) == ()
+    assert size_doubts(free, *measured, 20.0) == ()

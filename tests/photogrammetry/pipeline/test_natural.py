@@ -28,8 +28,9 @@ from photogrammetry.networks.group_sigmas import Weighed, solve_weighed
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, SolveOptions
 from photogrammetry.networks.solve_uncoded import LooseDots
 from photogrammetry.pipeline import measure as pipeline
-from photogrammetry.pipeline.measure import Result, run
+from photogrammetry.pipeline.measure import run
 from photogrammetry.pipeline.photos import MeasuredPhotos
+from photogrammetry.pipeline.result import Result
 from photogrammetry.start_values.network import StartValues
 from tests.photogrammetry.bundle_networks import network
 from tests.photogrammetry.network_jobs import write_job
@@ -132,9 +133,9 @@ def test_dots_take_what_residuals_say_of_coded_targets(tmp_path: Path, monkeypat
         seen.append(given.loose)
         raise EnoughError
 
-    monkeypatch.setattr(pipeline, "_read_kinds", lambda *_: (measured, np.zeros(points.n, dtype=np.intp)))
+    monkeypatch.setattr(pipeline, "measure_points", lambda *_: measured)
     monkeypatch.setattr(pipeline, "solve_weighed", lambda *_: Weighed(None, points, np.array([5.0, 0.5])))
-    monkeypatch.setattr(pipeline, "with_uncoded", matching)
+    monkeypatch.setattr(pipeline, "match_uncoded", matching)
     with pytest.raises(EnoughError):
         run(load_photogrammetry(job))
     np.testing.assert_allclose(seen[0].dots.covariance_px2, [0.25 * np.eye(2)])
@@ -308,7 +309,7 @@ def test_real_photos(shared_data: Path, tmp_path: Path) -> None:
 
 
 def test_template_has_the_keys() -> None:
-    text = (Path(__file__).parents[3] / "heliogauge" / "measurement" / "templates.py").read_text()
+    text = (Path(__file__).parents[3] / "photogrammetry" / "template.toml").read_text()
     own = text.split("#: [natural]\n")[1].split("\n\n")[0].replace("#: ", "")
     assert NaturalSection(**tomllib.loads(own)) == NaturalSection()
 

@@ -20,7 +20,8 @@ from heliogauge.results.folder import read_cameras_json, read_points_csv, read_s
 from photogrammetry.bundle.statistics import Rejected
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.networks.quality import doubts
-from photogrammetry.pipeline.measure import Result, run, summarise, write
+from photogrammetry.pipeline.measure import run
+from photogrammetry.pipeline.result import Result
 
 
 def made(folder: Path, *, points_px: float | None) -> Path:
@@ -109,7 +110,7 @@ def test_image_points_recover_the_truth(points_folder: Path) -> None:
 
 
 def test_files(from_photos: Result, tmp_path: Path) -> None:
-    write(from_photos, tmp_path)
+    from_photos.write(tmp_path)
     points = read_points_csv(tmp_path / "points.csv")
     assert len(points.ids) == 52
     np.testing.assert_array_equal(points.xyz_m, from_photos.solved.bundle.points_m)
@@ -130,7 +131,7 @@ def test_bar_kept_apart_checks_the_scale(points_folder: Path, tmp_path: Path) ->
     def keep_one_apart(content):
         content["scale_bar"][2]["check_only"] = True
 
-    numbers = summarise(run(load_photogrammetry(changed(points_folder, tmp_path / "x", keep_one_apart)))).numbers
+    numbers = run(load_photogrammetry(changed(points_folder, tmp_path / "x", keep_one_apart))).summarise().numbers
     assert 0 < numbers["length_error_rms_m"] < 6e-5
     assert numbers["length_errors_outside_count"] is None
 
@@ -143,7 +144,7 @@ def test_length_errors_have_their_file_and_their_limits(points_folder: Path, tmp
 
     result = run(load_photogrammetry(changed(points_folder, tmp_path / "x", apart_with_a_limit)))
     (tmp_path / "out").mkdir()
-    write(result, tmp_path / "out")
+    result.write(tmp_path / "out")
     table = read_table_csv(tmp_path / "out" / "lengths.csv")
     assert table["role"] == ["kept apart", "left out", "left out"]
     assert float(table["error_m"][0]) == pytest.approx(-0.001, abs=6e-5)
@@ -340,7 +341,7 @@ def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
     }
     (tmp_path / "measurement.toml").write_text(dump_toml(content))
     result = run(load_photogrammetry(tmp_path))
-    numbers = summarise(result).numbers
+    numbers = result.summarise().numbers
     assert numbers["photos_count"] == 54
     assert numbers["image_residual_rms_px"] < 0.11
     assert numbers["scale_bar_residual_rms_m"] < 0.0005
@@ -354,7 +355,7 @@ def test_real_markers(shared_data: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_report_holds_figures_and_tables(points_folder: Path, tmp_path: Path) -> None:
-    write(run(load_photogrammetry(points_folder)), tmp_path)
+    run(load_photogrammetry(points_folder)).write(tmp_path)
     text = build_report(tmp_path).read_text(encoding="utf-8")
     # Network twice, points twice, lengths, residuals four times and on one sheet, correlations.
     assert text.count("data:image/png") == 2 + 2 + 1 + 4 + 1 + 1

@@ -16,7 +16,8 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.folder import read_table_csv
 from photogrammetry.keys.load import load_photogrammetry
-from photogrammetry.pipeline.measure import Result, run
+from photogrammetry.pipeline.measure import run
+from photogrammetry.pipeline.result import Result
 
 CAMERA = {
     "width_px": 1600,

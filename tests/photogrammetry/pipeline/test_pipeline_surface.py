@@ -20,7 +20,8 @@ from heliogauge.slopes.statistics import statistics
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.surface import SurfaceSection
 from photogrammetry.pipeline.headline import headline_text
-from photogrammetry.pipeline.measure import Result, run, write
+from photogrammetry.pipeline.measure import run
+from photogrammetry.pipeline.result import Result
 from photogrammetry.pipeline.surface import measure_surface
 from photogrammetry.report.network import open_network
 from photogrammetry.report.surface import surface
@@ -151,7 +152,7 @@ def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     (own / "image_points.csv").write_bytes((folder / "image_points.csv").read_bytes())
     out = tmp_path / "out"
     out.mkdir()
-    write(run(load_photogrammetry(own)), out)
+    run(load_photogrammetry(own)).write(out)
     assert facet_names(out / "slope_map.nc") == ("low", "high")
     whole = read_slope_map(out / "slope_map.nc")
     assert np.diff(whole.x_m) == pytest.approx(0.05)
@@ -179,7 +180,7 @@ def test_two_dates_show_what_moved(adjusted, folder, truth, tmp_path: Path) -> N
     later = run(load_photogrammetry(panel(tmp_path / "later", moved, 4)))
     earlier = tmp_path / "earlier"
     earlier.mkdir()
-    write(adjusted, earlier)
+    adjusted.write(earlier)
     found = measure_surface(section(compare_with=str(earlier)), folder, later.solved.bundle)
     assert {name for name, one in zip(found.moved.ids, found.moved.moved, strict=True) if one} == {"12", "20"}
     size = np.linalg.norm(found.moved.displacement_m, axis=1)

@@ -1,0 +1,160 @@
+"""What a measurement gave: image points, the adjusted network, its lengths, the surface, what is doubtful."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from heliogauge.camera.millimetres import Sensor
+from heliogauge.camera.model import Camera
+from heliogauge.flags import SampleFlag
+from heliogauge.results.folder import (
+    PhotoPose,
+    PointTable,
+    Summary,
+    write_cameras_json,
+    write_points_csv,
+    write_table_csv,
+)
+from heliogauge.results.frame import InstrumentResult
+from photogrammetry.bundle.constraints import Distance
+from photogrammetry.networks.length_error import LengthStatement
+from photogrammetry.networks.quality import network_numbers, quality_texts
+from photogrammetry.networks.solve_network import Solved
+from photogrammetry.pipeline.headline import headline_text
+from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
+from photogrammetry.pipeline.surface import SurfaceResult
+from photogrammetry.pipeline.surface_files import surface_numbers, write_surface
+from photogrammetry.pipeline.tables import (
+    constraint_columns,
+    covariance_columns,
+    intrinsic_columns,
+    length_columns,
+    millimetre_columns,
+    residual_columns,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result(InstrumentResult):
+    """Everything a measurement gave, ready to be written.
+
+    Parameters
+    ----------
+    measured : MeasuredPhotos
+        All image points, and what in the photos was refused.
+    solved : Solved
+        The adjusted network.
+    checks : tuple of Distance
+        Scale bars that were not used, to check against.
+    lengths : LengthStatement
+        Known lengths against a network that did not use them.
+    sensors : dict of str to Sensor
+        Of the cameras that were given in millimetres.
+    surface : SurfaceResult or None
+        The surface under the targets, where ``[surface]`` asks for it.
+    """
+
+    kind: ClassVar[str] = "photogrammetry"
+    measured: MeasuredPhotos
+    solved: Solved
+    checks: tuple[Distance, ...]
+    lengths: LengthStatement
+    sensors: dict[str, Sensor] = field(default_factory=dict)
+    surface: SurfaceResult | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The first camera with the covariance of its parameters."""
+        return self.solved.bundle.cameras[0]
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """All cameras by name, with the covariance of their parameters."""
+        bundle = self.solved.bundle
+        return {model.name: one for model, one in zip(bundle.problem.cameras, bundle.cameras, strict=True)}
+
+    @property
+    def points(self) -> PointTable:
+        """Coordinates with standard deviations; targets left out stand at the end without coordinates."""
+        bundle, left = self.solved.bundle, self.solved.network.targets_left_out
+        table = bundle.problem.observations
+        rays = table.n_rays
+        kept = np.nonzero(rays > 0)[0]
+        gone = np.full((len(left), 3), np.nan)
+        flags = np.array([0] * len(kept) + [int(SampleFlag.NOT_SEEN)] * len(left), dtype=np.uint32)
+        return PointTable(
+            tuple(table.targets[i] for i in kept) + tuple(one.name for one in left),
+            np.concatenate([bundle.points_m[kept], gone]),
+            np.concatenate([bundle.sigma_points_m[kept], gone]),
+            np.concatenate([rays[kept], np.zeros(len(left), dtype=np.intp)]).astype(np.int64),
+            flags,
+        )
+
+    @property
+    def photo_poses(self) -> dict[str, PhotoPose]:
+        """Camera, pose with covariance and size of the residuals of each photo in the network, by its name."""
+        bundle = self.solved.bundle
+        table, squares = bundle.problem.observations, (bundle.residuals_px**2).sum(axis=1)
+        counts = np.maximum(table.n_targets_in_photo, 1)
+        rms = np.sqrt(np.bincount(table.photo_index, weights=squares, minlength=len(table.photos)) / counts)
+        covariances = bundle.covariance.poses
+        owners = [bundle.problem.cameras[place].name for place in bundle.problem.camera_index]
+        return {
+            name: PhotoPose(owners[i], pose, 0.5 * (covariances[i] + covariances[i].T), float(rms[i]))
+            for i, (name, pose) in enumerate(zip(table.photos, bundle.cam_from_world, strict=True))
+        }
+
+    @property
+    def refused(self) -> tuple[Refused, ...]:
+        """Everything that was not used, by name with the reason."""
+        solved = self.solved
+        outliers = [Refused(one.label, f"{one.reason}, residual {one.residual_px:.2f} px") for one in solved.rejected]
+        left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
+        others = [Refused(one.name, one.reason) for one in (*left, *solved.unused)]
+        return (*self.measured.refused, *others, *outliers)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        bundle = self.solved.bundle
+        numbers, missing = network_numbers(self.solved, self.lengths)
+        described = [
+            f"{model.name}: {one.width_px} x {one.height_px} px; estimated: {', '.join(model.free) or 'nothing'}"
+            for model, one in zip(bundle.problem.cameras, bundle.cameras, strict=True)
+        ]
+        scale = "residuals" if self.solved.image_sigma_factor != 1.0 else "statement"
+        texts = {
+            "datum": bundle.datum,
+            "camera": "; ".join(described if len(described) > 1 else [described[0].partition(": ")[2]]),
+            "sigma": f"1 standard deviation under this datum; size of the image points' sigmas from their {scale}",
+            "rejected": f"{len(self.refused)} items, see rejected.csv",
+            **quality_texts(self.lengths, float(numbers["extent_m"] or 0.0)),
+        }
+        if self.surface is not None:
+            own = surface_numbers(self.surface)
+            numbers, texts, missing = numbers | own.numbers, texts | own.texts, missing | own.not_determined
+        return self._summary(numbers, texts, missing)
+
+    def write_files(self, folder: Path) -> None:
+        """Write tables, cameras and surface into an existing folder."""
+        bundle = self.solved.bundle
+        write_points_csv(folder / "points.csv", self.points)
+        write_cameras_json(folder / "cameras.json", self.cameras, self.photo_poses)
+        write_table_csv(folder / "points_covariance.csv", covariance_columns(bundle))
+        write_table_csv(folder / "residuals.csv", residual_columns(bundle))
+        refused = self.refused
+        write_table_csv(
+            folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
+        )
+        write_table_csv(folder / "constraints.csv", constraint_columns(bundle, self.checks))
+        write_table_csv(folder / "lengths.csv", length_columns(self.lengths))
+        write_table_csv(folder / "intrinsics.csv", intrinsic_columns(bundle))
+        if self.sensors:
+            write_table_csv(folder / "camera_millimetres.csv", millimetre_columns(self.cameras, self.sensors))
+        if self.surface is not None:
+            write_surface(self.surface, folder, {"name": self.name, "input_sha256": self.input_sha256})
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
