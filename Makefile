@@ -7,7 +7,6 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 PACKAGES := heliogauge photogrammetry deflectometry observer calibration data_synth
-SOURCES = $(shell find $(PACKAGES) -name '*.py')
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # The tests run in two processes; one thread each leaves no core fought over and makes CPU times comparable.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
@@ -26,7 +25,7 @@ APT_INSTALL = command -v apt-get >/dev/null 2>&1 && $(AS_ROOT) apt-get -qq updat
 help:
 	@echo "make demo    install the core into $(VENV), measure embedded synthetic data, write demo-result/report.html"
 	@echo "make test    style, types, docstrings, quick tests, slow tests"
-	@echo "make lint    style, types, docstrings only"
+	@echo "make lint    style and types only"
 	@echo "make quick   quick tests only"
 	@echo "make docs    build docs/_build/html"
 	@echo "make bench   run the benchmarks"
@@ -41,7 +40,6 @@ lint: .make/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict $(PACKAGES)
-	$(BIN)/numpydoc lint --config . $(SOURCES)
 
 quick: .make/dev
 	$(PYTEST) -q -m "not slow"

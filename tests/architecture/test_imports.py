@@ -2,10 +2,7 @@
 
 import ast
 import json
-import subprocess
-import sys
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 
 import pytest
 
@@ -256,22 +253,3 @@ def test_nothing_imports_in_a_circle(by_owner: bool) -> None:
 def test_circles_are_found() -> None:
     """Negative control."""
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
-
-
-def test_every_module_can_be_imported_first() -> None:
-    names = [module.name for module in all_modules() if not module.name.endswith("__main__")]
-    program = """
-import sys, importlib
-for name in sys.argv[1:]:
-    for loaded in [m for m in sys.modules if m.split(".")[0] in %r]:
-        del sys.modules[loaded]
-    importlib.import_module(name)
-""" % (PACKAGES,)  # noqa: UP031  (braces are code here)
-    answer = subprocess.run(
-        [sys.executable, "-c", program, *names],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[2],
-    )
-    assert answer.returncode == 0, answer.stderr
