@@ -26,7 +26,7 @@ def measured(folder, scene, options=None, terms=""):
     source = open_source(measurement)
     for task in source.tasks(source.names):
         design = nominal_design(task, source.plant, measurement.model.kinematics)
-        rows = parse_rows(task.header, task.records)
+        rows = parse_rows(task.header, dict(task.records))
         rows, _ = with_measured_beams(rows, folder, source.plant, measurement.model)
         seen = observed(rows, design, source.plant, (), 1e-3 * measurement.model.evaluation.spot_sigma_mm)
         yield task.name, seen, fit(design, seen.observations, options), truth

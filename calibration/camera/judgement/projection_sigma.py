@@ -1,6 +1,7 @@
 """How well a calibrated camera is known over its image: rays, projections, radial distortion."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,14 +51,22 @@ class SigmaMap:
         return float(np.nanmax(self.sigma_projection_px))
 
 
-def map_nodes(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the nodes of a map: their columns, their rows, and all of them, shape (ny, nx, 2) [px]."""
+class MapNodes(NamedTuple):
+    """Nodes of a map over the image: columns (nx,), rows (ny,), and all of them (ny, nx, 2) [px]."""
+
+    x_px: FloatArray
+    y_px: FloatArray
+    pixels_px: FloatArray
+
+
+def map_nodes(camera: Camera) -> MapNodes:
+    """Return the nodes of a map."""
     longer = max(camera.width_px, camera.height_px)
     x, y = (
         np.linspace(0, size - 1, max(int(np.rint(_MAP_NODES * size / longer)), 3))
         for size in (camera.width_px, camera.height_px)
     )
-    return x, y, np.stack(np.meshgrid(x, y), axis=-1)
+    return MapNodes(x, y, np.stack(np.meshgrid(x, y), axis=-1))
 
 
 def _rotation_part(rays: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Figures of a calibration: uncertainty over the image, radial profile, coverage, residuals, the board's shape."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -45,7 +45,15 @@ def all_figures(result: Result) -> "dict[str, Figure]":
     return figures
 
 
-def _image_axes(result: Result, title: str, note: str) -> "tuple[Figure, Axes, tuple[float, float, float, float]]":
+class _ImageFigure(NamedTuple):
+    """A figure with axes in pixels of the image; the box of the axes in inches."""
+
+    figure: "Figure"
+    axes: "Axes"
+    box: tuple[float, float, float, float]
+
+
+def _image_axes(result: Result, title: str, note: str) -> _ImageFigure:
     """Return a figure with axes in pixels of the image, y down."""
     camera = result.camera
     width = WIDTH_IN - 1.6
@@ -58,7 +66,7 @@ def _image_axes(result: Result, title: str, note: str) -> "tuple[Figure, Axes, t
     axes.set_xlabel("x [px]", fontsize=8.5, color=INK)
     axes.set_ylabel("y [px]", fontsize=8.5, color=INK)
     add_title(figure, title, note)
-    return figure, axes, box
+    return _ImageFigure(figure, axes, box)
 
 
 def _map(result: Result, values: FloatArray, title: str, note: str, unit: str) -> "Figure":

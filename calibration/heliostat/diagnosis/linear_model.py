@@ -1,6 +1,7 @@
 """A fit made linear about its end, robust and with all rows, to ask what a further term would explain."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -103,7 +104,7 @@ class LinearFit:
             base = np.concatenate([base, np.zeros((sigmas.size, base.shape[1]))])
             owner = np.append(owner, np.full(sigmas.size, -1))
         both = replace(self, residual=residual, base=np.concatenate([base, wide], axis=1), owner=owner)
-        settled, step, covariance = _settled(both)
+        settled, step, covariance = _settle(both)
         own = slice(self.base.shape[1], None)
         rows = np.ones(self.count, dtype=np.bool_) if judged is None else judged
         before = np.minimum(self.lengths()[rows] / self.scale, _CUT)
@@ -160,11 +161,19 @@ def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:
         int(taken.sum()),
         stated=1 / float(np.median(factor)) if factor.size else 0.0,
     )
-    return _settled(model)[0]
+    return _settle(model).model
 
 
-def _settled(model: LinearFit) -> tuple[LinearFit, FloatArray, FloatArray]:
-    """Adjust the base with Huber's loss; return what is left, the step, and the step's cofactors."""
+class _Settled(NamedTuple):
+    """What is left after the base was adjusted, the step, and its cofactors."""
+
+    model: LinearFit
+    step: FloatArray
+    cofactors: FloatArray
+
+
+def _settle(model: LinearFit) -> _Settled:
+    """Adjust the base with Huber's loss."""
     own = model.observed
     size = np.linalg.norm(model.base, axis=0)
     size[size == 0] = 1.0
@@ -189,7 +198,7 @@ def _settled(model: LinearFit) -> tuple[LinearFit, FloatArray, FloatArray]:
             break
         before = scale
     settled = replace(model, residual=np.asarray(rest), scale=scale)
-    return settled, np.asarray(step / size), np.asarray(inverse / size / size[:, None])
+    return _Settled(settled, np.asarray(step / size), np.asarray(inverse / size / size[:, None]))
 
 
 def _span(columns: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,8 +100,16 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
     )
 
 
-def _departures(fit: HeliostatFit) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
-    """Return free parameters with their shift from nominal, what could be wrong of them, and the chance of it."""
+class _Departures(NamedTuple):
+    """Free parameters, their shifts from nominal, what could be wrong of them, and the chance of such shifts."""
+
+    names: list[str]
+    moved: FloatArray
+    prior: FloatArray
+    chance: FloatArray
+
+
+def _departures(fit: HeliostatFit) -> _Departures:
     parameters = fit.nominal.parameters
     free = np.flatnonzero(parameters.free)
     names = [parameters.names[i] for i in free]
@@ -113,7 +122,7 @@ def _departures(fit: HeliostatFit) -> tuple[list[str], FloatArray, FloatArray, F
     chance = np.array([2 * NormalDist().cdf(-abs(value)) for value in (moved / own).tolist()])
     # Without a prior nothing was said that could be contradicted, short of the impossible.
     chance = np.where(np.isfinite(stated) | (np.abs(moved) > FAR_SIGMAS * prior), chance, 1.0)
-    return names, moved, prior, chance
+    return _Departures(names, moved, prior, chance)
 
 
 def _unit(fit: HeliostatFit, name: str) -> str:

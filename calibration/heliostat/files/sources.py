@@ -14,6 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from calibration.heliostat.files.store_paint import (
     TIMES_FILE,
     TOWER_FILES,
@@ -32,6 +34,7 @@ from heliogauge.geometry.geodesy import enu_from_geodetic
 from heliogauge.geometry.sun import Site
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
+from heliogauge.validate import FloatArray
 
 _POSITION = ("e_m", "n_m", "u_m")
 _GEODETIC = ("lat_deg", "lon_deg", "alt_m")
@@ -131,8 +134,6 @@ class _TableSource:
 
 
 def _target(section: HeliostatTargetSection) -> PlaneTarget:
-    import numpy as np
-
     if section.corners_m is not None:
         return PlaneTarget.from_corners(section.name, np.array(section.corners_m))
     return PlaneTarget.facing(
@@ -296,8 +297,8 @@ def _number(file: Path) -> str:
     return name or file.stem
 
 
-def position_of(cells: dict[str, str], plant: Plant) -> tuple[float, float, float]:
-    """Return east, north, up of a heliostat from its row of the table [m].
+def position_of(cells: dict[str, str], plant: Plant) -> FloatArray:
+    """Return east, north, up of a heliostat from its row of the table, shape (3,) [m].
 
     plant: Gives the origin where the row holds latitude, longitude and altitude.
     InputError: A cell that is empty or no finite number.
@@ -310,8 +311,8 @@ def position_of(cells: dict[str, str], plant: Plant) -> tuple[float, float, floa
         except ValueError:
             values.append(math.nan)
         if not math.isfinite(values[-1]):
-            said = cells.get(name, "")
-            raise InputError(f"table of heliostats: {name} = {said!r}: a finite number is needed for its position")
+            cell = cells.get(name, "")
+            raise InputError(f"table of heliostats: {name} = {cell!r}: a finite number is needed for its position")
     if names is _GEODETIC:
-        values = enu_from_geodetic(values[0], values[1], values[2], plant.origin).tolist()
-    return values[0], values[1], values[2]
+        return enu_from_geodetic(values[0], values[1], values[2], plant.origin)
+    return np.array(values)

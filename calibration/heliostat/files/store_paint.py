@@ -92,9 +92,9 @@ class PaintProperties:
     doubts: What was assumed.
     """
 
-    position: tuple[float, float, float]
+    position: FloatArray
     actuators: tuple[dict[str, float], dict[str, float]]
-    translations_m: dict[str, tuple[float, float, float]]
+    translations_m: dict[str, tuple[float, ...]]
     tilts_rad: dict[str, float]
     size_m: tuple[float, float]
     doubts: tuple[Doubt, ...]
@@ -242,23 +242,23 @@ def _finite(value: Any, what: str) -> float:
     return float(value)
 
 
-def _position(content: Mapping[str, Any], where: str) -> tuple[float, float, float]:
+def _position(content: Mapping[str, Any], where: str) -> FloatArray:
     value = content.get("heliostat_position")
     if not isinstance(value, list) or len(value) < 3:
         raise InputError(f"{where}: heliostat_position = {value!r}: latitude, longitude and altitude are needed")
     latitude, longitude, altitude = (_finite(one, f"{where}: heliostat_position") for one in value[:3])
     if abs(latitude) > 90 or abs(longitude) > 360:
         raise InputError(f"{where}: heliostat_position {value}: latitude [deg], longitude [deg], altitude [m] in order")
-    return latitude, longitude, altitude
+    return np.array([latitude, longitude, altitude])
 
 
-def _translation(kinematics: Mapping[str, Any], keys: tuple[str, str]) -> tuple[float, float, float]:
+def _translation(kinematics: Mapping[str, Any], keys: tuple[str, str]) -> tuple[float, ...]:
     found = []
     for axis in "enu":
         names = [key.format(axis) for key in keys]
         value = next((kinematics[name] for name in names if name in kinematics), 0.0)
         found.append(_finite(value, names[0]))
-    return found[0], found[1], found[2]
+    return tuple(found)
 
 
 def _actuator(kinematics: Mapping[str, Any], axis: int, where: str) -> dict[str, float]:

@@ -90,7 +90,7 @@ def predict_rows(found: HeliostatFit, observations: Observations, options: FitOp
     misfit = np.sqrt(np.maximum(factor**2 - 1, 0.0)) * sigma
     positions = observations.sun if _by_sun(found) else normals
     spread = wide.spread(jacobian, blocked_inflation(found, options))
-    return _prediction(found, spread, misfit, positions, (observations.readings, rows.computable), sigma)
+    return _prediction(found, *spread, misfit, positions, observations.readings, rows.computable, sigma)
 
 
 def predict_aim(
@@ -145,7 +145,7 @@ def predict_aim(
     misfit = np.full(len(suns), _typical_misfit(found))
     spread = wide.spread(jacobian, blocked_inflation(found, options) if inflation is None else inflation)
     places = suns if _by_sun(found) else positions
-    return _prediction(found, spread, misfit, places, (readings, usable), np.zeros(len(suns)))
+    return _prediction(found, *spread, misfit, places, readings, usable, np.zeros(len(suns)))
 
 
 def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
@@ -377,14 +377,15 @@ class _Wide:
 
 def _prediction(
     found: HeliostatFit,
-    spread: tuple[FloatArray, float],
+    covariance: FloatArray,
+    inflation: float,
     misfit: FloatArray,
     positions: FloatArray,
-    drives: tuple[FloatArray, BoolArray],
+    readings: FloatArray,
+    usable: BoolArray,
     noise: FloatArray,
 ) -> Prediction:
     """Assemble; sigmas come per axis and leave as the root of both axes' variances."""
-    covariance, inflation = spread
     sigma = (found.factor * found.residuals.sigma_beam_rad)[found.used]
     one = 2 * float(np.mean(sigma**2)) if sigma.size else float("nan")
     leverage = np.trace(covariance, axis1=1, axis2=2) / one
@@ -396,7 +397,8 @@ def _prediction(
     parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     total = covariance + (misfit**2)[:, None, None] * np.eye(2)
     return Prediction(
-        *drives,
+        readings,
+        usable,
         total,
         parameters,
         np.sqrt(2.0) * misfit,

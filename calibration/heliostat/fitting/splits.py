@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,7 +60,7 @@ class AngleSummary:
     @classmethod
     def of(cls, residuals: Residuals, rows: BoolArray) -> "AngleSummary":
         """Summarise some rows, (n,), of residuals."""
-        beam, normal = _three(residuals.beam_angle_rad[rows]), _three(residuals.normal_angle_rad[rows])
+        beam, normal = _angles(residuals.beam_angle_rad[rows]), _angles(residuals.normal_angle_rad[rows])
         return cls(int(rows.sum()), *beam, *normal)
 
 
@@ -237,8 +238,16 @@ def _loneliness(suns: FloatArray) -> FloatArray:
     return np.asarray(np.sort(angles, axis=1)[:, :neighbours].mean(axis=1))
 
 
-def _three(angles: FloatArray) -> tuple[float, float, float]:
+class _Angles(NamedTuple):
+    """RMS, median and largest of angles [rad]."""
+
+    rms_rad: float
+    median_rad: float
+    max_rad: float
+
+
+def _angles(angles: FloatArray) -> _Angles:
     known = angles[np.isfinite(angles)]
     if not known.size:
-        return (float("nan"),) * 3
-    return float(np.sqrt(np.mean(known**2))), float(np.median(known)), float(known.max())
+        return _Angles(np.nan, np.nan, np.nan)
+    return _Angles(float(np.sqrt(np.mean(known**2))), float(np.median(known)), float(known.max()))

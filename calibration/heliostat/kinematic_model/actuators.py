@@ -138,8 +138,18 @@ def _rotary_reading(drive: RotaryDrive, numbers: Mapping[str, float], angles_rad
     return np.asarray((angles_rad - drive.offset_sign * numbers[drive.offset]) / (scale * drive.rad_per_reading))
 
 
-def _triangle(drive: LinearActuator, numbers: Mapping[str, float]) -> tuple[float, float, float, float]:
-    return (numbers[drive.initial_stroke], numbers[drive.offset], numbers[drive.pivot_radius], numbers[drive.increment])
+class _Triangle(NamedTuple):
+    """Stroke at reading 0 and the two other sides [m], readings per metre."""
+
+    start: float
+    side: float
+    other: float
+    increment: float
+
+
+def _triangle(drive: LinearActuator, numbers: Mapping[str, float]) -> _Triangle:
+    names = (drive.initial_stroke, drive.offset, drive.pivot_radius, drive.increment)
+    return _Triangle(*(numbers[name] for name in names))
 
 
 # A fit may try numbers whose triangle is open, or an increment of almost nothing: callers see what is not finite.

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -213,9 +214,17 @@ def _unit(vectors: FloatArray) -> FloatArray:
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
 
 
+class _Checked(NamedTuple):
+    """Numbers by name; sources and targets (n, 3)."""
+
+    numbers: dict[str, float]
+    sources: FloatArray
+    targets: FloatArray
+
+
 def _checked(
     design: HeliostatDesign, values: npt.ArrayLike, source: npt.ArrayLike, aim_points_m: npt.ArrayLike
-) -> tuple[dict[str, float], FloatArray, FloatArray]:
+) -> _Checked:
     value_array = np.asarray(values, dtype=np.float64)
     if value_array.shape != (len(design.parameters),):
         raise InputError(f"values: shape ({len(design.parameters)},) is needed, not {value_array.shape}")
@@ -229,4 +238,4 @@ def _checked(
         sources, targets = np.broadcast_arrays(sources, targets)
     except ValueError:
         raise InputError(f"source and aim points: {len(sources)} and {len(targets)} rows do not go together") from None
-    return dict(zip(design.parameters.names, value_array.tolist(), strict=True)), sources, targets
+    return _Checked(dict(zip(design.parameters.names, value_array.tolist(), strict=True)), sources, targets)

@@ -173,8 +173,9 @@ def pose_derivatives(
     for link, frame in zip(links, frames[:-1], strict=True):
         _add_constant((omega, shift), link, frame, centre)
         if link.driven is not None:
-            gains = drives[link.driven.drive].by_parameter.items()
-            _add_driven((omega, shift), link, frame, [(column_of[n], g) for n, g in gains if n in column_of], centre)
+            known = drives[link.driven.drive].by_parameter
+            gains = {column_of[name]: gain for name, gain in known.items() if name in column_of}
+            _add_driven((omega, shift), link, frame, gains, centre)
     poses = _poses(frames[-1], omega.shape[-1])
     return PoseDerivatives(poses, omega.transpose(2, 1, 0), shift.transpose(2, 1, 0), wanted)
 
@@ -261,7 +262,7 @@ def _add_driven(
     into: tuple[FloatArray, FloatArray],
     link: _Link,
     start: _Frame,
-    gains: Sequence[tuple[int, FloatArray]],
+    gains: Mapping[int, FloatArray],
     centre: FloatArray,
 ) -> None:
     """Add what the parameters of the drive at a link's end do."""
@@ -269,7 +270,7 @@ def _add_driven(
         return
     axis, offset = start.directions([link.rotation @ link.driven.axis, link.offset])
     moved = _cross(axis, centre - start.origin - offset)
-    for column, gain in gains:
+    for column, gain in gains.items():
         into[0][column] += gain * axis
         into[1][column] += gain * moved
 

@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,13 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, fr
 
 #: Sigma of a parameter that keeps its value, and of one that the observations alone decide.
 HELD, FREE = 0.0, float("inf")
+
+
+class Quantity(NamedTuple):
+    """A number with its unit."""
+
+    value: float
+    unit: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +59,8 @@ class Parameters:
             raise InputError(f"parameters: {count} names and {len(self.units)} units")
 
     @classmethod
-    def of(cls, table: Mapping[str, tuple[float, str]]) -> "Parameters":
-        """Build parameters that are all held, from ``{name: (value, unit)}``."""
+    def of(cls, table: Mapping[str, Quantity]) -> "Parameters":
+        """Build parameters that are all held."""
         values = [value for value, _ in table.values()]
         units = tuple(unit for _, unit in table.values())
         return cls(tuple(table), np.array(values, dtype=np.float64), np.zeros(len(table)), units)

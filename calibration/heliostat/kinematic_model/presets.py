@@ -18,7 +18,7 @@ from calibration.heliostat.kinematic_model.design import (
     Step,
     Turn,
 )
-from calibration.heliostat.kinematic_model.parameters import Parameters
+from calibration.heliostat.kinematic_model.parameters import Parameters, Quantity
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, float_array
 
@@ -97,7 +97,7 @@ def azimuth_elevation(
         tilts = (Turn(_SOUTH, "tilt_north"), Turn(_WEST, "tilt_east"))
     steps = (Shift(POSITION), *tilts, Driven(_DOWN, 0), Turn(_SOUTH, "non_orthogonality"), Driven(_EAST, 1))
     angles = (*_TILTS, *_OFFSETS, "non_orthogonality")
-    table = _position(position_m) | dict.fromkeys(angles, (0.0, "rad"))
+    table = _position(position_m) | dict.fromkeys(angles, Quantity(0.0, "rad"))
     free_sets = {"2": _OFFSETS, "5": angles, "8": angles + POSITION}
     return _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=1.0)
 
@@ -147,8 +147,12 @@ def drone_heliostat(
     arm = Shift((None, "arm_normal", "arm_up"))
     steps = (Shift(POSITION), foot, *tilts, top, Driven(_DOWN, 0), Driven(_EAST, 1), arm)
     angles = (*_OFFSETS, "tilt_about_east", "tilt_about_north")
-    lengths = {"arm_normal": (arm_m[0], "m"), "arm_up": (arm_m[1], "m"), "pylon_length": (pylon_length_m, "m")}
-    table = _position(position_m) | dict.fromkeys(angles, (0.0, "rad")) | lengths
+    lengths = {
+        "arm_normal": Quantity(arm_m[0], "m"),
+        "arm_up": Quantity(arm_m[1], "m"),
+        "pylon_length": Quantity(pylon_length_m, "m"),
+    }
+    table = _position(position_m) | dict.fromkeys(angles, Quantity(0.0, "rad")) | lengths
     free_sets = {"2": _OFFSETS, "4": angles, "9": (*angles, *POSITION, "arm_normal", "arm_up")}
     return _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=-1.0)
 
@@ -172,7 +176,11 @@ def six_error(
     axes = (Driven(_DOWN, 0), Turn(_SOUTH, "non_orthogonality"), Driven(_EAST, 1), Turn(_DOWN, "canting"))
     steps = (Shift(POSITION), *tilts, *axes, Shift((None, "arm_normal", None)))
     angles = (*_TILTS, *_OFFSETS, "non_orthogonality", "canting")
-    table = _position(position_m) | dict.fromkeys(angles, (0.0, "rad")) | {"arm_normal": (arm_normal_m, "m")}
+    table = (
+        _position(position_m)
+        | dict.fromkeys(angles, Quantity(0.0, "rad"))
+        | {"arm_normal": Quantity(arm_normal_m, "m")}
+    )
     free_sets = {"2": _OFFSETS, "6": angles, "10": (*angles, *POSITION, "arm_normal")}
     return _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=-1.0)
 
@@ -214,7 +222,7 @@ def two_axes(
     steps = (Shift(POSITION), *leans, *drives, Turn(across, "canting"), arm)
     offsets = ("offset_1", "offset_2")
     angles = ("lean_along", "lean_across", *offsets, "non_orthogonality", "canting")
-    table = _position(position_m) | dict.fromkeys(angles, (0.0, "rad")) | _lengths(arm, arm_m)
+    table = _position(position_m) | dict.fromkeys(angles, Quantity(0.0, "rad")) | _lengths(arm, arm_m)
     free_sets = {"2": offsets, "6": angles, "12": (*angles, *POSITION, "arm_e", "arm_n", "arm_u")}
     design = _rotary(name, steps, table, free_sets, rad_per_reading=rad_per_reading, offset_sign=1.0)
     quarter = np.broadcast_to(_QUARTER / np.abs(1.0 if rad_per_reading is None else rad_per_reading), 2)
@@ -269,7 +277,7 @@ def linear_actuators(
         joint = Shift((f"joint_{axis}_e", f"joint_{axis}_n", f"joint_{axis}_u"))
         steps += [Turn(directions[first], f"tilt_{axis}_{first}"), Turn(directions[second], f"tilt_{axis}_{second}")]
         steps += [joint, driven]
-        table |= {f"tilt_{axis}_{first}": (0.0, "rad"), f"tilt_{axis}_{second}": (0.0, "rad")}
+        table |= {f"tilt_{axis}_{first}": Quantity(0.0, "rad"), f"tilt_{axis}_{second}": Quantity(0.0, "rad")}
         table |= _lengths(joint, joints_m[axis - 1]) | _actuator_table(drives[axis - 1], actuators[axis - 1])
     concentrator = Shift(("concentrator_e", "concentrator_n", "concentrator_u"))
     steps.append(concentrator)
@@ -336,12 +344,12 @@ def with_drive_terms(
         sag_zero_rad,
         f"backlash_{axis}" if "backlash" in terms else None,
     )
-    table = dict.fromkeys(added.names, (0.0, "rad"))
+    table = dict.fromkeys(added.names, Quantity(0.0, "rad"))
     new: RotaryDrive | LinearActuator
     if "scale" not in terms:
         new = replace(old, terms=added)
     elif isinstance(old, RotaryDrive):
-        new, table[f"scale_{axis}"] = replace(old, terms=added, scale=f"scale_{axis}"), (1.0, "1")
+        new, table[f"scale_{axis}"] = replace(old, terms=added, scale=f"scale_{axis}"), Quantity(1.0, "1")
     else:
         raise InputError(f"drive terms: the scale of a linear actuator is its parameter {old.increment}")
     drives = (new, design.drives[1]) if drive == 0 else (design.drives[0], new)
@@ -351,7 +359,7 @@ def with_drive_terms(
 def _rotary(
     name: str,
     steps: tuple[Step, ...],
-    table: Mapping[str, tuple[float, str]],
+    table: Mapping[str, Quantity],
     free_sets: Mapping[str, tuple[str, ...]],
     *,
     rad_per_reading: Sequence[float] | None,
@@ -368,7 +376,7 @@ def _rotary(
     return HeliostatDesign(name, steps, (first, second), _NORTH, parameters, limits, unit, free_sets)
 
 
-def _position(position_m: npt.ArrayLike) -> dict[str, tuple[float, str]]:
+def _position(position_m: npt.ArrayLike) -> dict[str, Quantity]:
     return _lengths(Shift(POSITION), float_array("position_m", position_m, (3,)).tolist())
 
 
@@ -379,9 +387,9 @@ def _direction(name: str, vector: FloatArray) -> FloatArray:
     return np.asarray(vector / length)
 
 
-def _lengths(shift: Shift, lengths_m: Sequence[float]) -> dict[str, tuple[float, str]]:
+def _lengths(shift: Shift, lengths_m: Sequence[float]) -> dict[str, Quantity]:
     named = zip(shift.names, lengths_m, strict=True)
-    return {name: (float(length), "m") for name, length in named if name is not None}
+    return {name: Quantity(float(length), "m") for name, length in named if name is not None}
 
 
 def _actuator(axis: int, numbers: ActuatorNumbers, zero_rad: float) -> LinearActuator:
@@ -396,11 +404,11 @@ def _actuator(axis: int, numbers: ActuatorNumbers, zero_rad: float) -> LinearAct
     )
 
 
-def _actuator_table(drive: LinearActuator, numbers: ActuatorNumbers) -> dict[str, tuple[float, str]]:
+def _actuator_table(drive: LinearActuator, numbers: ActuatorNumbers) -> dict[str, Quantity]:
     return {
-        drive.initial_angle: (numbers.initial_angle_rad, "rad"),
-        drive.initial_stroke: (numbers.initial_stroke_m, "m"),
-        drive.offset: (numbers.offset_m, "m"),
-        drive.pivot_radius: (numbers.pivot_radius_m, "m"),
-        drive.increment: (numbers.increment_per_m, "1/m"),
+        drive.initial_angle: Quantity(numbers.initial_angle_rad, "rad"),
+        drive.initial_stroke: Quantity(numbers.initial_stroke_m, "m"),
+        drive.offset: Quantity(numbers.offset_m, "m"),
+        drive.pivot_radius: Quantity(numbers.pivot_radius_m, "m"),
+        drive.increment: Quantity(numbers.increment_per_m, "1/m"),
     }

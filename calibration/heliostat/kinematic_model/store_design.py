@@ -16,7 +16,7 @@ from calibration.heliostat.kinematic_model.design import (
     Step,
     Turn,
 )
-from calibration.heliostat.kinematic_model.parameters import Parameters
+from calibration.heliostat.kinematic_model.parameters import Parameters, Quantity
 from heliogauge.errors import InputError
 
 _NAMES = ("initial_angle", "initial_stroke", "offset", "pivot_radius", "increment")
@@ -45,7 +45,7 @@ def design_from(content: Mapping[str, Any], numbers: Mapping[str, Mapping[str, A
     InputError: A key is missing, or a value that cannot be.
     """
     try:
-        parameters = Parameters.of({name: (float(one[key]), str(one["unit"])) for name, one in numbers.items()})
+        parameters = Parameters.of({name: Quantity(float(one[key]), str(one["unit"])) for name, one in numbers.items()})
         first, second = (_drive(one) for one in content["drives"])
         limits = [
             [side if one is None else float(one) for one, side in zip(row, (-np.inf, np.inf), strict=True)]

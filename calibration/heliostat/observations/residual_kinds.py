@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -200,24 +200,38 @@ def _sights(prepared: Prepared) -> Sights:
     return prepared.sights
 
 
-def _reflected(posed: Posed, source: FloatArray, sights: Sights) -> tuple[FloatArray, FloatArray, FloatArray]:
+class _Reflected(NamedTuple):
     """Coordinates of the reflection of a source, their derivatives by the beam, and by a turn of the mirror."""
+
+    coordinates: FloatArray
+    by_beam: FloatArray
+    by_turn: FloatArray
+
+
+def _reflected(posed: Posed, source: FloatArray, sights: Sights) -> _Reflected:
     cosine = dot(source, posed.normal)
     beam = 2 * cosine[:, None] * posed.normal - source
     coordinates = sights.coordinates(beam)
     rows = sights.gradients(beam, coordinates)
     # d beam = 2 (n (s . dn) + (s . n) dn) and dn = turn x n.
     by_normal = 2 * (dot(rows, posed.normal[:, None, :])[..., None] * source[:, None, :] + cosine[:, None, None] * rows)
-    return coordinates, rows, cross(posed.normal[:, None, :], by_normal)
+    return _Reflected(coordinates, rows, cross(posed.normal[:, None, :], by_normal))
 
 
-def _to_point(
-    posed: Posed, points: FloatArray, sights: Sights
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Direction to points, their coordinates, the derivative of these by the point, and the distance."""
+class _ToPoint(NamedTuple):
+    """Direction to points, their coordinates, the derivative of these by the point, and the distance [m]."""
+
+    direction: FloatArray
+    coordinates: FloatArray
+    by_point: FloatArray
+    distance_m: FloatArray
+
+
+def _to_point(posed: Posed, points: FloatArray, sights: Sights) -> _ToPoint:
     direction, length = unit_with_length(points - posed.centre)
     coordinates = sights.coordinates(direction)
-    return direction, coordinates, through_unit(sights.gradients(direction, coordinates), direction, length), length
+    by_point = through_unit(sights.gradients(direction, coordinates), direction, length)
+    return _ToPoint(direction, coordinates, by_point, length)
 
 
 def _beam(posed: Posed, spots: BeamSpots, prepared: Prepared) -> Equations:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,22 @@ class Residuals:
         return np.sqrt(np.bincount(self.owner, self.whitened**2, minlength=len(self.beam_rad)))
 
 
+class Whitened(NamedTuple):
+    """Residuals (m,), derivatives (m, k) and which rows can be computed (n,), as `Residuals` has them."""
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    computable: BoolArray
+
+
+class _Evaluated(NamedTuple):
+    """Whitened residuals, and for each group its equations and normals."""
+
+    whitened: Whitened
+    parts: list[Equations]
+    normals: list[FloatArray]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservationModel:
     """Observations of a heliostat made ready to be evaluated at many numbers.
@@ -99,16 +115,16 @@ class ObservationModel:
         object.__setattr__(self, "owners", np.repeat(np.arange(len(seen)), seen.n_components))
         object.__setattr__(self, "prepared", tuple(prepare(self.design, group) for group in seen.groups))
 
-    def whitened(self, values: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return residuals (m,), derivatives (m, k) and which rows can be computed (n,), as `Residuals` has them."""
-        whitened, jacobian, computable, _ = self._evaluated(values)
-        return whitened, jacobian, computable
+    def whitened(self, values: FloatArray) -> "Whitened":
+        """Return the residuals at some numbers."""
+        return self._evaluated(values).whitened
 
     def evaluate(self, values: FloatArray) -> "Residuals":
         """Return the residuals at some numbers, also in radians."""
-        whitened, jacobian, computable, parts = self._evaluated(values)
-        told = [_in_radians(prepared, *part) for prepared, part in zip(self.prepared, parts, strict=True)]
-        beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*told, strict=True))
+        found = self._evaluated(values)
+        whitened, jacobian, computable = found.whitened
+        angles = [_in_radians(*one) for one in zip(self.prepared, found.parts, found.normals, strict=True)]
+        beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*angles, strict=True))
         return Residuals(whitened, jacobian, self.owners, beam, normal, sigma, distance, computable)
 
     def _evaluated(self, values: FloatArray) -> "_Evaluated":
@@ -127,6 +143,7 @@ class ObservationModel:
         place = {self.design.parameters.names[index]: column for column, index in enumerate(moved.columns)}
         numbers = dict(zip(self.design.parameters.names, values.tolist(), strict=True))
         normals, whitened, jacobians, parts, first = poses.normals(self.design), [], [], [], 0
+        own_normals = []
         for group, prepared in zip(self.observations.groups, self.prepared, strict=True):
             rows = slice(first, first + len(group))
             first += len(group)
@@ -140,28 +157,33 @@ class ObservationModel:
                         jacobian[own, :, place[name]] += (root[own] @ derivative[:, :, k, None])[..., 0]
             whitened.append((root @ weighed.residual[..., None]).ravel())
             jacobians.append(jacobian.reshape(root.shape[0] * root.shape[1], len(place)))
-            parts.append((part, normals[rows]))
+            parts.append(part)
+            own_normals.append(normals[rows])
         residuals, derivatives = np.concatenate(whitened), np.concatenate(jacobians)
         if not computable.all():
             lost = ~computable[self.owners]
             residuals[lost], derivatives[lost] = 0.0, 0.0
-        return freeze(residuals), freeze(derivatives), computable, parts
+        return _Evaluated(Whitened(freeze(residuals), freeze(derivatives), computable), parts, own_normals)
 
 
-_Evaluated: TypeAlias = tuple[FloatArray, FloatArray, BoolArray, list[tuple[Equations, FloatArray]]]
+class _InRadians(NamedTuple):
+    """Beam and normal, measured minus predicted (n, 2), stated sigma (n,) [rad], and distance (n,) [m]."""
+
+    beam_rad: FloatArray
+    normal_rad: FloatArray
+    sigma_rad: FloatArray
+    distance_m: FloatArray
 
 
-def _in_radians(
-    prepared: Prepared, part: Equations, normals: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Beam and normal, measured minus predicted, stated sigma and distance."""
+def _in_radians(prepared: Prepared, part: Equations, normals: FloatArray) -> _InRadians:
     nothing = np.full((len(normals), 2), np.nan)
     if prepared.sights is None:
-        return nothing, nothing.copy(), prepared.sigma_rad, part.distance_m
+        return _InRadians(nothing, nothing.copy(), prepared.sigma_rad, part.distance_m)
     if part.beam is None:
-        return nothing, -part.residual, prepared.sigma_rad, part.distance_m
+        return _InRadians(nothing, -part.residual, prepared.sigma_rad, part.distance_m)
     needed, _ = unit_with_length(part.beam[0] + part.beam[1])
-    return -part.residual, Sights.along(normals).coordinates(needed), prepared.sigma_rad, part.distance_m
+    deviation = Sights.along(normals).coordinates(needed)
+    return _InRadians(-part.residual, deviation, prepared.sigma_rad, part.distance_m)
 
 
 def evaluate(

@@ -141,16 +141,15 @@ def check_header(header: Sequence[str], where: str, known: Iterable[str]) -> Non
             raise InputError(f"{where}: {name!r} is not a column here; {hint}")
 
 
-def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
+def parse_rows(header: Sequence[str], lines: Mapping[int, str]) -> Rows:
     """Read lines of a table of observations.
 
     header: Names of the columns.
-    lines: Number and text of each line.
+    lines: Text of each line by its number.
     Returns: The rows; cells that cannot be read are flagged.
     """
-    numbered = list(lines)
     cells, flags, reasons = [], [], []
-    for (_, text), row in zip(numbered, _cells([text for _, text in numbered]), strict=True):
+    for text, row in zip(lines.values(), _cells(list(lines.values())), strict=True):
         fits = len(row) == len(header)
         flags.append("" if fits else "unreadable")
         reasons.append("" if fits else f"{len(row)} cells, the header has {len(header)}: {text.strip()[:60]}")
@@ -158,7 +157,7 @@ def parse_rows(header: Sequence[str], lines: Iterable[tuple[int, str]]) -> Rows:
     columns = dict(zip(header, zip(*cells, strict=True), strict=True)) if cells else dict.fromkeys(header, ())
     texts = {name: tuple(cell.strip() for cell in columns[name]) for name in TEXT_COLUMNS if name in columns}
     blank = Rows(
-        tuple(f"line {line}" for line, _ in numbered),
+        tuple(f"line {line}" for line in lines),
         {},
         texts,
         np.full(len(cells), NO_TIME),

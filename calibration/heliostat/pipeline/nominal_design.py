@@ -64,9 +64,10 @@ def paint_design(properties: PaintProperties, name: str, plant: Plant) -> Helios
         for one in properties.actuators
     ]
     shifts = properties.translations_m
+    latitude, longitude, altitude = properties.position.tolist()
     design = linear_actuators(
         name,
-        enu_from_geodetic(*properties.position, plant.origin),
+        enu_from_geodetic(latitude, longitude, altitude, plant.origin),
         (numbers[0], numbers[1]),
         concentrator_m=shifts["concentrator"],
         joints_m=(shifts["joint_1"], shifts["joint_2"]),

@@ -51,7 +51,7 @@ def read_task(task: HeliostatTask, shared: Shared) -> Given:
 
 def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements | None"]:
     if task.header:
-        rows = parse_rows(task.header, [(int(number), text) for number, text in task.records])
+        rows = parse_rows(task.header, {int(number): text for number, text in task.records})
         if not shared.model.images:
             return rows, None
         # OpenCV costs 0.1 s, which only photos are worth.

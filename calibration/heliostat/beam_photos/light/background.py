@@ -8,7 +8,7 @@ is a quadratic surface. What is left around the beam (panels, edges of shadows) 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -166,10 +166,16 @@ def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background,
     return steps
 
 
-def _fitted(
-    values_dn: FloatArray, free: BoolArray, basis: FloatArray, full_scale_dn: float
-) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-    """Return smooth part, residuals (limited; 0 where not free), scatter, cofactor."""
+class _Smooth(NamedTuple):
+    """Smooth part; residuals, limited and 0 where a beam is; their scatter; cofactor of the coefficients."""
+
+    values_dn: FloatArray
+    residuals_dn: FloatArray
+    scatter_dn: float
+    cofactor: FloatArray
+
+
+def _fitted(values_dn: FloatArray, free: BoolArray, basis: FloatArray, full_scale_dn: float) -> _Smooth:
     # An odd step, so that the pixels taken do not stand in columns.
     step = (int(free.sum()) // _ENOUGH_PIXELS) | 1
     rows, wanted = basis[free][::step], values_dn[free][::step]
@@ -177,7 +183,8 @@ def _fitted(
     smooth = basis @ coefficients
     limit = _TUKEY_SIGMAS * scatter
     # What matters are errors that neighbours share; all pixels are as good as every step-th for them.
-    return smooth, np.where(free, np.clip(values_dn - smooth, -limit, limit), 0.0), scatter, cofactor / step
+    residuals = np.where(free, np.clip(values_dn - smooth, -limit, limit), 0.0)
+    return _Smooth(smooth, residuals, scatter, cofactor / step)
 
 
 def _basis(shape: tuple[int, ...], degree: int, empty: FloatArray | None) -> FloatArray:
@@ -200,7 +207,15 @@ def _polynomial(shape: tuple[int, int], degree: int) -> FloatArray:
     return np.asarray(freeze(np.stack(functions, axis=-1)))
 
 
-def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[FloatArray, float, FloatArray]:
+class _Robust(NamedTuple):
+    """Coefficients of a robust fit, scatter of the residuals, cofactor."""
+
+    coefficients: FloatArray
+    scatter: float
+    cofactor: FloatArray
+
+
+def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> _Robust:
     weights: FloatArray = np.ones(values.size)
     coefficients: FloatArray = np.zeros(rows.shape[1])
     normal: FloatArray = np.eye(rows.shape[1])
@@ -217,7 +232,7 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> tuple[Flo
         weights = Tukey(_TUKEY_SIGMAS).weight(residuals / scatter)
         if np.abs(coefficients - previous).max() < 0.02 * floor:
             break
-    return coefficients, scatter, np.asarray(np.linalg.inv(normal))
+    return _Robust(coefficients, scatter, np.asarray(np.linalg.inv(normal)))
 
 
 def _carried_on(residuals: FloatArray, free: BoolArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """Centroids of a beam by four methods, each with its influence function, so that one noise model gives all sigmas."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -323,12 +324,20 @@ def _block_shape(shape: tuple[int, ...], blocks: int) -> tuple[int, int]:
     return max(1, round(shape[0] / side)), max(1, round(shape[1] / side))
 
 
-def _block_variance(residuals: FloatArray, blocks: int) -> tuple[float, float, int]:
+class _Blocks(NamedTuple):
+    """Variance of the means of blocks, pixels in each, number of blocks."""
+
+    variance: float
+    pixels: float
+    blocks: int
+
+
+def _block_variance(residuals: FloatArray, blocks: int) -> _Blocks:
     shape = _block_shape(residuals.shape, blocks)
     share = area_resized((residuals != 0).astype(np.float32), shape)
     means = area_resized(residuals, shape)[share > 0.7] / share[share > 0.7]
     count = residuals.size / (shape[0] * shape[1])
-    return (float(np.mean(means**2)) if means.size else float(np.mean(residuals**2))), count, means.size
+    return _Blocks(float(np.mean((means if means.size else residuals) ** 2)), count, means.size)
 
 
 def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:

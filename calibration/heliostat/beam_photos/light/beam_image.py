@@ -1,6 +1,7 @@
 """Measure the beam of one heliostat in a rectified picture of the target: place, size, shape, what to trust."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -249,8 +250,15 @@ def _prepared(image: TargetImage, valid: BoolArray, empty: TargetSurface | None)
     )
 
 
-def _spot(picture: _Picture, region: BeamRegion) -> tuple[Spot, FloatArray, BoolArray]:
-    """Return the beam on the analysis grid, the background there, and the pixels free of a beam."""
+class _OnGrid(NamedTuple):
+    """The beam on the analysis grid, the background there, and the pixels free of a beam."""
+
+    spot: Spot
+    ground_dn: FloatArray
+    free: BoolArray
+
+
+def _spot(picture: _Picture, region: BeamRegion) -> _OnGrid:
     shape = (picture.values_dn.shape[0], picture.values_dn.shape[1])
     ground = area_resized(region.background.values_dn, shape)
     if picture.empty is not None:
@@ -275,7 +283,7 @@ def _spot(picture: _Picture, region: BeamRegion) -> tuple[Spot, FloatArray, Bool
         region.outline_dn,
         region.smoothing * max(shape),
     )
-    return spot, ground, free & picture.valid & ~marks
+    return _OnGrid(spot, ground, free & picture.valid & ~marks)
 
 
 def _bridged(difference: FloatArray, unknown: BoolArray, marks: BoolArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ def find_beam_region(
         raise EstimationError(f"only {int(seen.sum())} of {seen.size} coarse pixels show the target")
     fit = partial(background_around, values, empty=pattern, full_scale_dn=full_scale_dn)
     background = _start(values, seen, fit, _EDGES if edges_first else 0)
-    background, free, little = _settled(values, seen, fit, background)
+    background, free, little = _separate(values, seen, fit, background)
     smoothed = _smoothed(values - background.values_dn, seen)
     share = _outline_share(smoothed, background)
     inside, bright = _outline(smoothed, seen, share)
@@ -123,10 +124,16 @@ def _coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
     return max(2, round(shape[0] * scale)), max(2, round(shape[1] * scale))
 
 
-def _settled(
-    values: FloatArray, seen: BoolArray, fit: "partial[Background]", background: Background
-) -> tuple[Background, BoolArray, bool]:
-    """Find beam and background in turn; return the background, what is free, and whether too little was."""
+class _Separated(NamedTuple):
+    """The background, the pixels free of the beam, and whether these were too few."""
+
+    background: Background
+    free: BoolArray
+    is_little: bool
+
+
+def _separate(values: FloatArray, seen: BoolArray, fit: "partial[Background]", background: Background) -> _Separated:
+    """Find beam and background in turn."""
     free, little = seen, False
     steps: list[FloatArray] = []
     for k in range(_ROUNDS):
@@ -144,7 +151,7 @@ def _settled(
         if k in _EDGE_ROUNDS and (steps or k == _EDGE_ROUNDS[0] or changed > 0.02):
             steps = shadow_steps(values, free, fit(free, carried_on=False), _EDGES)
         background = fit(free, steps=steps, carried_on=k > 0)
-    return background, free, little
+    return _Separated(background, free, little)
 
 
 def _start(values: FloatArray, seen: BoolArray, fit: "partial[Background]", edges: int) -> Background:

@@ -4,6 +4,8 @@ A surface that is smooth cannot follow a step, and carries its error under the b
 another tower casts on the target ends in a straight line, and so does a panel.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from heliogauge.validate import BoolArray, FloatArray
@@ -39,13 +41,21 @@ def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) ->
     if not power > 0:
         return None
     best = _search(across, down, wanted, orthogonal, _grid(0.0, np.pi, 0.0, 1.3, (_DIRECTIONS, _OFFSETS)))
-    fine = _grid(best[1], np.pi / _DIRECTIONS, best[2], 2.6 / _OFFSETS, (11, 11))
+    fine = _grid(best.angle, np.pi / _DIRECTIONS, best.offset, 2.6 / _OFFSETS, (11, 11))
     best = max(best, _search(across, down, wanted, orthogonal, fine))
-    if best[0] < _LEAST_GAIN * power:
+    if best.gain < _LEAST_GAIN * power:
         return None
     columns = ((np.arange(width) + 0.5) * (2 / width) - 1)[None, :]
     rows = ((np.arange(height) + 0.5) * (2 / height) - 1)[:, None]
-    return _step(columns * np.cos(best[1]) + rows * np.sin(best[1]) - best[2])
+    return _step(columns * np.cos(best.angle) + rows * np.sin(best.angle) - best.offset)
+
+
+class _Drop(NamedTuple):
+    """How far a step lowers the squares of the residuals, and its angle and offset."""
+
+    gain: float
+    angle: float
+    offset: float
 
 
 def _grid(angle: float, reach: float, offset: float, spread: float, counts: tuple[int, int]) -> FloatArray:
@@ -60,8 +70,8 @@ def _grid(angle: float, reach: float, offset: float, spread: float, counts: tupl
 
 def _search(
     across: FloatArray, down: FloatArray, wanted: FloatArray, orthogonal: FloatArray, candidates: FloatArray
-) -> tuple[float, float, float]:
-    """Return the largest drop of the squares, with the angle and offset that give it."""
+) -> _Drop:
+    """Return the largest drop of the squares."""
     directions = np.stack([np.cos(candidates[:, 0]), np.sin(candidates[:, 0])])
     # Single precision: gains are compared to a percent, and the table of all steps is what takes the time.
     steps = (np.stack([across, down], axis=1) @ directions).astype(np.float32)
@@ -76,7 +86,7 @@ def _search(
     usable = (beyond > _LEAST_SIDE) & (beyond < 1 - _LEAST_SIDE) & (power > 1e-3 * wanted.size)
     gain = np.where(usable, (wanted.astype(np.float32) @ steps) ** 2 / np.where(usable, power, 1.0), 0.0)
     k = int(np.argmax(gain))
-    return float(gain[k]), float(candidates[k, 0]), float(candidates[k, 1])
+    return _Drop(float(gain[k]), float(candidates[k, 0]), float(candidates[k, 1]))
 
 
 def _step(distance: FloatArray) -> FloatArray:

@@ -1,9 +1,10 @@
 """Photos of beams to places on the targets: read, find the target, rectify, measure; thousands of them in a stream."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -11,12 +12,13 @@ import numpy as np
 
 from calibration.heliostat.beam_photos.light.beam_centroids import CENTROID_METHODS
 from calibration.heliostat.beam_photos.light.beam_flags import REJECTED_BEAM, beam_reason
-from calibration.heliostat.beam_photos.light.beam_image import Beam, BeamSettings
+from calibration.heliostat.beam_photos.light.beam_image import BeamSettings
 from calibration.heliostat.beam_photos.pipeline.target_frames import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
     MarkerTemplates,
+    PhotoBeam,
     Source,
     TargetFinder,
     TargetFrame,
@@ -153,9 +155,9 @@ def measure_beams(
     for name, finder in finders.items():
         finder.look(files[list(targets).index(name)])
     threads = jobs or min(os.cpu_count() or 1, 8)
-    rows: list[tuple[Beam, str]] = []
+    rows: list[PhotoBeam] = []
     with (progress or SilentProgress()).stage("beams", len(files)) as stage, ThreadPoolExecutor(threads) as pool:
-        work = ((finders[target], file, chosen) for file, target in zip(files, targets, strict=True))
+        work = (partial(finders[target].measure, file, chosen) for file, target in zip(files, targets, strict=True))
         for future in _streamed(pool, work, threads):
             rows.append(future.result())
             stage.advance()
@@ -217,17 +219,16 @@ def write_beams(path: Path, beams: BeamMeasurements) -> None:
 
 
 def _streamed(
-    pool: ThreadPoolExecutor, work: Iterator[tuple[TargetFinder, Path, BeamSettings]], threads: int
-) -> Iterator["Future[tuple[Beam, str]]"]:
+    pool: ThreadPoolExecutor, work: Iterator[Callable[[], PhotoBeam]], threads: int
+) -> Iterator["Future[PhotoBeam]"]:
     """Hand out work in order, a few photos ahead of what is taken."""
-    waiting = [pool.submit(finder.measure, file, settings) for finder, file, settings in islice(work, _AHEAD * threads)]
+    waiting = [pool.submit(one) for one in islice(work, _AHEAD * threads)]
     while waiting:
         yield waiting.pop(0)
-        for finder, file, settings in islice(work, 1):
-            waiting.append(pool.submit(finder.measure, file, settings))
+        waiting += [pool.submit(one) for one in islice(work, 1)]
 
 
-def _gathered(files: tuple[Path, ...], targets: tuple[str, ...], rows: Sequence[tuple[Beam, str]]) -> BeamMeasurements:
+def _gathered(files: tuple[Path, ...], targets: tuple[str, ...], rows: Sequence[PhotoBeam]) -> BeamMeasurements:
     beams = [beam for beam, _ in rows]
     places = np.array([beam.spot.position_m for beam in beams])
     nowhere = np.full(2, np.nan)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -142,6 +142,13 @@ class TargetFrame:
         object.__setattr__(self, "corners_m", float_array("corners_m", self.corners_m, (4, 2)))
 
 
+class PhotoBeam(NamedTuple):
+    """The beam in a photo, and what was said of the photo beyond its flags."""
+
+    beam: Beam
+    note: str = ""
+
+
 class TargetFinder:
     """Rectifies the photos of one target; what does not change from photo to photo is made once.
 
@@ -174,20 +181,20 @@ class TargetFinder:
             except (EstimationError, InputError):
                 return  # Each photo then searches for itself, and says what is wrong with it.
 
-    def measure(self, file: Path, settings: BeamSettings) -> tuple[Beam, str]:
-        """Measure one photo; what cannot be measured is said, not raised."""
+    def measure(self, file: Path, settings: BeamSettings) -> PhotoBeam:
+        """Measure one photo; the note says what cannot be measured, nothing is raised."""
         try:
             photo = read_channel(file, self._frame.channel)
         except InputError as error:
-            return no_beam(BeamFlag.UNREADABLE), str(error)
+            return PhotoBeam(no_beam(BeamFlag.UNREADABLE), str(error))
         try:
             image = self._on_target(photo)
         except (EstimationError, InputError) as error:
-            return no_beam(BeamFlag.TARGET_NOT_FOUND), str(error)
+            return PhotoBeam(no_beam(BeamFlag.TARGET_NOT_FOUND), str(error))
         if self._empty is not None and self._empty.values_dn.shape != image.values_dn.shape:
             sizes = f"{image.values_dn.shape[::-1]} px, frames without a beam {self._empty.values_dn.shape[::-1]} px"
-            return no_beam(BeamFlag.TARGET_NOT_FOUND), f"the target measures {sizes}"
-        return measure_beam(image, empty=self._empty, settings=settings), ""
+            return PhotoBeam(no_beam(BeamFlag.TARGET_NOT_FOUND), f"the target measures {sizes}")
+        return PhotoBeam(measure_beam(image, empty=self._empty, settings=settings))
 
     def image(self, file: Path) -> TargetImage:
         """Read one photo and put it on the target's plane."""

@@ -6,6 +6,7 @@ crossings of the level half way between mark and target.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -181,11 +182,19 @@ def _largest(dark: BoolArray) -> BoolArray:
     return np.asarray(labels == int(np.argmax(areas)))
 
 
-def _edge(values: FloatArray, mark: BoolArray, level: float, sign: int) -> tuple[float, float, float]:
-    """Fit the line x = a + b y through the mark's left (-1) or right (+1) edge; return a, b and the sigma of x."""
+class _Line(NamedTuple):
+    """The line x = offset + slope y, and the sigma of x [px]."""
+
+    offset: float
+    slope: float
+    sigma: float
+
+
+def _edge(values: FloatArray, mark: BoolArray, level: float, sign: int) -> _Line:
+    """Fit a line through the mark's left (-1) or right (+1) edge."""
     if sign > 0:
-        a, b, sigma = _edge(values[:, ::-1], mark[:, ::-1], level, -1)
-        return values.shape[1] - 1 - a, -b, sigma
+        other = _edge(values[:, ::-1], mark[:, ::-1], level, -1)
+        return _Line(values.shape[1] - 1 - other.offset, -other.slope, other.sigma)
     rows = np.flatnonzero(mark.any(axis=1))
     first = np.argmax(mark[rows], axis=1)
     rows, first = rows[first > 0], first[first > 0]
@@ -196,7 +205,7 @@ def _edge(values: FloatArray, mark: BoolArray, level: float, sign: int) -> tuple
     return _line(rows.astype(np.float64), x)
 
 
-def _line(y: FloatArray, x: FloatArray) -> tuple[float, float, float]:
+def _line(y: FloatArray, x: FloatArray) -> _Line:
     """Fit x = a + b y to the outermost of the crossings: rows that cross another arm lie far inside."""
     outermost = float(np.quantile(x, 0.1))
     near = x < outermost + 0.25 * max(4.0, float(np.ptp(y)))
@@ -213,7 +222,7 @@ def _line(y: FloatArray, x: FloatArray) -> tuple[float, float, float]:
         weights = Tukey(4.7).weight(residuals / scatter)
     # Neighbouring rows share the blur of some two pixels.
     sigma = scatter * np.sqrt(2 / max(float(weights.sum()), 1.0)) * 2
-    return float(line[0] - line[1] * middle), float(line[1]), float(sigma)
+    return _Line(float(line[0] - line[1] * middle), float(line[1]), float(sigma))
 
 
 # --- templates ------------------------------------------------------------------------------------------------------
@@ -274,10 +283,16 @@ def _search(image: npt.NDArray[np.float32], templates: Sequence[MarkTemplate]) -
     return best[1], best[2]
 
 
-def _refined(
-    image: npt.NDArray[np.float32], template: MarkTemplate, scale: float, middle: FloatArray
-) -> tuple[FloatArray, float, float]:
-    """Register the picture to the template; return the anchor in the picture, the correlation, and its sigma."""
+class _Registered(NamedTuple):
+    """The anchor of a template in the picture [px], the correlation there, and the sigma of the anchor [px]."""
+
+    place_px: FloatArray
+    correlation: float
+    sigma_px: float
+
+
+def _refined(image: npt.NDArray[np.float32], template: MarkTemplate, scale: float, middle: FloatArray) -> _Registered:
+    """Register the picture to the template."""
     height, width = template.values_dn.shape
     # Rows of the warp take a pixel of the template to one of the picture.
     start = np.array([[scale, 0, middle[0] - scale * width / 2], [0, scale, middle[1] - scale * height / 2]])
@@ -296,10 +311,11 @@ def _refined(
     try:
         correlation, found = cv2.findTransformECC(wanted, window, warp, cv2.MOTION_AFFINE, criteria, None, 3)  # type: ignore[call-overload]
     except cv2.error:
-        return np.array([np.nan, np.nan]), 0.0, np.inf
+        return _Registered(np.array([np.nan, np.nan]), 0.0, np.inf)
     affine = np.asarray(found, dtype=np.float64)
     place = affine[:, :2] @ template.anchor_px + affine[:, 2] + low
-    return place, float(correlation), _registration_sigma(wanted, window, affine, template.anchor_px)
+    sigma = _registration_sigma(wanted, window, affine, template.anchor_px)
+    return _Registered(place, float(correlation), sigma)
 
 
 def _registration_sigma(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -103,6 +104,23 @@ class TargetView:
         return np.asarray(back @ self.covariance @ back.T)
 
 
+class _Layout(NamedTuple):
+    """Rows, columns and samples of the camera's picture per pixel and direction."""
+
+    rows: int
+    columns: int
+    finer: int
+
+
+class _Maps(NamedTuple):
+    """Column and row of each sample in a part of the camera's picture, and where that part begins [px]."""
+
+    columns_px: npt.NDArray[np.float32]
+    rows_px: npt.NDArray[np.float32]
+    left_px: int
+    top_px: int
+
+
 @dataclass(frozen=True, eq=False)
 class Rectifier:
     """Resample pictures of one camera onto the target's plane; the mapping is computed once for a series.
@@ -133,8 +151,7 @@ class Rectifier:
         object.__setattr__(self, "extent_m", extent)
 
     @cached_property
-    def _layout(self) -> tuple[int, int, int]:
-        """Rows, columns and samples of the camera's picture per pixel and direction."""
+    def _layout(self) -> "_Layout":
         left, right, low, high = self.extent_m
         corners = self.view.pixels_px([[left, high], [right, high], [right, low], [left, low]])
         sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
@@ -146,7 +163,7 @@ class Rectifier:
             rows, columns = max(8, round(tall * scale)), max(8, round(wide * scale))
         else:
             rows, columns = self.shape
-        return rows, columns, int(min(8, max(1, np.ceil(max(wide / columns, tall / rows) - 0.1))))
+        return _Layout(rows, columns, int(min(8, max(1, np.ceil(max(wide / columns, tall / rows) - 0.1)))))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -163,7 +180,7 @@ class Rectifier:
         return np.array([[dx, 0, left + dx / 2], [0, -dy, high - dy / 2], [0, 0, 1]])
 
     @cached_property
-    def _maps(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int]]:
+    def _maps(self) -> "_Maps":
         rows, columns, finer = self._layout
         left, right, low, high = self.extent_m
         x = left + (np.arange(columns * finer) + 0.5) * ((right - left) / (columns * finer))
@@ -172,7 +189,7 @@ class Rectifier:
         # Only the part of the picture around the target is converted and resampled.
         first = np.maximum(np.floor(np.nanmin(pixels.reshape(-1, 2), axis=0)).astype(int) - 2, 0)
         columns_px, rows_px = (np.ascontiguousarray(pixels[..., k] - np.float32(first[k])) for k in (0, 1))
-        return columns_px, rows_px, (int(first[0]), int(first[1]))
+        return _Maps(columns_px, rows_px, int(first[0]), int(first[1]))
 
     def rectify(self, image_dn: npt.NDArray[np.generic], *, full_scale_dn: float | None = None) -> TargetImage:
         """Resample one picture.
@@ -185,12 +202,12 @@ class Rectifier:
         if image_dn.ndim != 2:
             raise InputError(f"image: shape (height, width) is needed, not {image_dn.shape}; make colours grey first")
         scale = full_scale_dn or _full_scale(image_dn)
-        columns, rows, (left, top) = self._maps
+        columns, rows, left, top = self._maps
         right, low = int(np.nanmax(columns)) + left + 3, int(np.nanmax(rows)) + top + 3
         part = np.ascontiguousarray(image_dn[top : max(low, top), left : max(right, left)], dtype=np.float32)
         if min(part.shape) < 2:
             raise InputError("the target lies outside the picture; check the corners")
-        finer = self._layout[2]
+        finer = self._layout.finer
         how = cv2.INTER_LINEAR if finer > 1 else cv2.INTER_CUBIC
         inside = (columns >= 0) & (rows >= 0) & (columns <= part.shape[1] - 1) & (rows <= part.shape[0] - 1)
         values = cv2.remap(part, columns, rows, how, borderMode=cv2.BORDER_REPLICATE)

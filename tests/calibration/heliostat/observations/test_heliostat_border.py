@@ -29,7 +29,7 @@ def see(folder: Path) -> Observed:
     (task,) = source.tasks(source.names[:1])
     design = nominal_design(task, source.plant, measurement.model.kinematics)
     if task.header:
-        rows = parse_rows(task.header, [(int(number), text) for number, text in task.records])
+        rows = parse_rows(task.header, {int(number): text for number, text in task.records})
     else:
         rows = parse_calibrations(task.records, task.times, label="UTIS", origin=source.plant.origin)
     return observed(rows, design, source.plant, (), 1e-3 * measurement.model.evaluation.spot_sigma_mm)

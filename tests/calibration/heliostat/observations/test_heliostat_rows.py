@@ -10,7 +10,7 @@ HEADER = ("heliostat", "time_utc", "axis_1_rad", "axis_2_rad", "target", "x_m", 
 
 
 def rows(*lines: str):
-    return parse_rows(HEADER, [(number, line) for number, line in enumerate(lines, start=2)])
+    return parse_rows(HEADER, dict(enumerate(lines, start=2)))
 
 
 def test_numbers_texts_and_times_in_utc() -> None:

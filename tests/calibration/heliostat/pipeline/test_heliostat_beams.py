@@ -37,7 +37,7 @@ def measured(folder: Path, *cells: tuple[str, str, str], **images: Any) -> Any:
     lines = [
         (2 + n, f"2026-06-21T1{n}:00:00Z,0.1,0.2,{target},{image},{x},") for n, (target, image, x) in enumerate(cells)
     ]
-    return with_measured_beams(parse_rows(HEADER, lines), folder, PLANT, model(**images or {"whole": "edge"}))[0]
+    return with_measured_beams(parse_rows(HEADER, dict(lines)), folder, PLANT, model(**images or {"whole": "edge"}))[0]
 
 
 def test_the_beam_becomes_the_rows_place(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_photos_without_a_beam_are_reasons(tmp_path: Path) -> None:
 
 def test_a_place_that_is_told_is_kept(tmp_path: Path) -> None:
     lines = [(2, f"2026-06-21T10:00:00Z,0.1,0.2,{TARGET.name},lost.png,1.0,2.0")]
-    rows, beams = with_measured_beams(parse_rows(HEADER, lines), tmp_path, PLANT, model(whole="edge"))
+    rows, beams = with_measured_beams(parse_rows(HEADER, dict(lines)), tmp_path, PLANT, model(whole="edge"))
     assert beams is None
     np.testing.assert_array_equal(rows.vector("x_m", "y_m"), [[1.0, 2.0]])
 
