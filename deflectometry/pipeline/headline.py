@@ -10,8 +10,10 @@ from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, unit_of
+from heliogauge.slopes.grid import curl
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.slopes.statistics import Removal, SlopeStatistics, canting, curl, fit_quadratic, statistics
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import SlopeStatistics, canting, fit_quadratic, statistics
 from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]

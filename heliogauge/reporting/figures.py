@@ -33,8 +33,9 @@ from heliogauge.reporting.canvas import (
 )
 from heliogauge.reporting.image_figures import camera_image, outline_residuals, setup_sketch
 from heliogauge.reporting.line_figures import cross_sections, encircled_energy, histogram, sigma_shares, spot_image
+from heliogauge.slopes.grid import curl, curvature
 from heliogauge.slopes.map import SlopeMap, no_common_modes
-from heliogauge.slopes.statistics import Removal, curl, curvature, remove
+from heliogauge.slopes.removal import Removal, remove
 from heliogauge.validate import FloatArray
 
 __all__ = [

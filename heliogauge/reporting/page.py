@@ -12,7 +12,8 @@ from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.slopes.statistics import Removal, statistics
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import statistics
 
 __all__ = [
     "HasSummary",

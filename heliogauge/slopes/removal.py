@@ -91,54 +91,48 @@ def projection_of(columns: FloatArray) -> Projection:
 
 
 def removal_columns(slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal) -> FloatArray:
-    """Return the slope patterns that a removal takes out, shape (p, 2n)."""
-    one, zero = np.ones(nodes.count), np.zeros(nodes.count)
-    tilt = [np.concatenate([one, zero]), np.concatenate([zero, one])]
-    if removal is Removal.NOTHING:
-        return np.zeros((0, 2 * nodes.count))
-    if removal is Removal.TILT:
-        return np.stack(tilt)
+    """Return the slope patterns that a removal takes out, at the measured nodes, shape (p, 2n)."""
     x, y = nodes.x_m - nodes.x_m.mean(), nodes.y_m - nodes.y_m.mean()
+    return _patterns(removal, x, y, _focus_pattern(slope_map, nodes)[:, nodes.valid]).reshape(-1, 2 * nodes.count)
+
+
+def _patterns(removal: Removal, x_m: FloatArray, y_m: FloatArray, focus: FloatArray) -> FloatArray:
+    """Return the slope patterns of a removal, shape (p, 2, ...), at places from the middle; that of focus as given."""
+    one, zero = np.ones_like(x_m), np.zeros_like(x_m)
+    tilt = [(one, zero), (zero, one)]
+    if removal is Removal.NOTHING:
+        return np.zeros((0, 2, *x_m.shape))
+    if removal is Removal.TILT:
+        return np.array(tilt)
     if removal is Removal.FOCUS:
-        return np.stack([*tilt, _focus_pattern(slope_map, nodes)])
-    return np.stack([*tilt, np.concatenate([x, zero]), np.concatenate([zero, y]), np.concatenate([y, x])])
+        return np.array([*tilt, tuple(focus)])
+    return np.array([*tilt, (x_m, zero), (zero, y_m), (y_m, x_m)])
 
 
 def _focus_pattern(slope_map: SlopeMap, nodes: MeasuredNodes) -> FloatArray:
-    """Return how the slopes follow a relative change of 1 / f, shape (2n,)."""
+    """Return how the slopes follow a relative change of 1 / f, on the whole grid, shape (2, ny, nx)."""
     if _is_flat(slope_map, nodes):
         # A flat design has no curvature to scale: there the pattern is that of 1 / f = 1 per metre.
-        pattern = 0.5 * np.stack([nodes.x_m - nodes.x_m.mean(), nodes.y_m - nodes.y_m.mean()])
-    else:
-        design = np.stack([slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]])
-        pattern = design - design.mean(axis=1, keepdims=True)
-    return np.asarray(pattern.reshape(-1))
+        return 0.5 * np.stack(_grid_about(slope_map, nodes))
+    design = slope_map.design_slope_x, slope_map.design_slope_y
+    return np.stack([slopes - float(slopes[nodes.valid].mean()) for slopes in design])
+
+
+def _grid_about(slope_map: SlopeMap, nodes: MeasuredNodes) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of all nodes from the mean of the measured ones, each of shape (ny, nx) [m]."""
+    x, y = np.meshgrid(slope_map.x_m - float(nodes.x_m.mean()), slope_map.y_m - float(nodes.y_m.mean()))
+    return x, y
 
 
 def remove(slope_map: SlopeMap, removal: Removal) -> SlopeMap:
     """Take tilt or a best fit out of a map.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The measured map.
-    removal : Removal
-        What to take out of the measured slopes.
+    removal: What to take out of the measured slopes.
+    Returns: The map with the measured slopes changed, common modes projected likewise, and `removed` extended by
+        what was taken out with its numbers. Heights are changed to match where the pattern has a height (tilt and
+        quadratic terms); for FOCUS on a curved design they become NaN.
+    EstimationError: The measured nodes do not determine what is to be removed.
 
-    Returns
-    -------
-    SlopeMap
-        The map with the measured slopes changed, common modes projected likewise, and `removed` extended by what was
-        taken out with its numbers. Heights are changed to match where the pattern has a height (tilt and quadratic
-        terms); for FOCUS on a curved design they become NaN.
-
-    Raises
-    ------
-    EstimationError
-        The measured nodes do not determine what is to be removed.
-
-    Notes
-    -----
     The random share stays as it was: the p amounts taken out lower it by p / 2n of itself only.
     """
     if removal is Removal.NOTHING:
@@ -146,46 +140,20 @@ def remove(slope_map: SlopeMap, removal: Removal) -> SlopeMap:
     nodes = measured_nodes(slope_map)
     projection = projection_of(removal_columns(slope_map, nodes, removal))
     amounts = projection.amounts(nodes.errors)
-    x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())
-    grid_x, grid_y = np.meshgrid(slope_map.x_m - x0, slope_map.y_m - y0)
-    patterns = _grid_patterns(slope_map, nodes, removal, grid_x, grid_y)
+    patterns = _patterns(removal, *_grid_about(slope_map, nodes), _focus_pattern(slope_map, nodes))
     change_x, change_y = np.tensordot(amounts, patterns, axes=1)
     return replace(
         slope_map,
         slope_x=slope_map.slope_x - change_x,
         slope_y=slope_map.slope_y - change_y,
-        height_m=slope_map.height_m - _removed_height(slope_map, nodes, removal, amounts, grid_x, grid_y),
+        height_m=slope_map.height_m - _removed_height(slope_map, nodes, removal, amounts),
         common=_project_modes(slope_map, nodes, projection),
         removed=joined_removals(slope_map.removed, removal_words(slope_map, nodes, removal, amounts)),
     )
 
 
-def _grid_patterns(
-    slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal, grid_x: FloatArray, grid_y: FloatArray
-) -> FloatArray:
-    """Return the removal's patterns on the whole grid, shape (p, 2, ny, nx)."""
-    one, zero = np.ones_like(grid_x), np.zeros_like(grid_x)
-    tilt = [(one, zero), (zero, one)]
-    if removal is Removal.TILT:
-        return np.array(tilt)
-    if removal is Removal.QUADRATIC:
-        return np.array([*tilt, (grid_x, zero), (zero, grid_y), (grid_y, grid_x)])
-    if _is_flat(slope_map, nodes):
-        return np.array([*tilt, (0.5 * grid_x, 0.5 * grid_y)])
-    design = [
-        slopes - float(slopes[nodes.valid].mean()) for slopes in (slope_map.design_slope_x, slope_map.design_slope_y)
-    ]
-    return np.array([*tilt, design])
-
-
-def _removed_height(
-    slope_map: SlopeMap,
-    nodes: MeasuredNodes,
-    removal: Removal,
-    amounts: FloatArray,
-    grid_x: FloatArray,
-    grid_y: FloatArray,
-) -> FloatArray:
+def _removed_height(slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal, amounts: FloatArray) -> FloatArray:
+    grid_x, grid_y = _grid_about(slope_map, nodes)
     height = amounts[0] * grid_x + amounts[1] * grid_y
     if removal is Removal.QUADRATIC:
         height += 0.5 * (amounts[2] * grid_x**2 + amounts[3] * grid_y**2) + amounts[4] * grid_x * grid_y

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.slopes.grid import Derivative, curl, curvature, difference, resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles, tangents
 from heliogauge.slopes.removal import (
@@ -21,25 +20,8 @@ from heliogauge.slopes.removal import (
     reference_words,
     removal_columns,
     removal_words,
-    remove,
 )
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
-
-__all__ = [
-    "Canting",
-    "Derivative",
-    "QuadraticFit",
-    "Removal",
-    "SlopeStatistics",
-    "canting",
-    "curl",
-    "curvature",
-    "difference",
-    "fit_quadratic",
-    "remove",
-    "resample",
-    "statistics",
-]
 
 
 class FocusDeviation(NamedTuple):
@@ -54,30 +36,20 @@ class FocusDeviation(NamedTuple):
 class SlopeStatistics:
     """RMS angles between measured and reference normals, with everything that must be said beside them.
 
-    Parameters
-    ----------
-    sdx_rad, sdy_rad : float
-        RMS of the angle's components in x and in y [rad].
-    sd_rad : float
-        RMS of the whole angle; its square is the sum of the squares of SDx and SDy [rad].
-    mean_x_rad, mean_y_rad : float
-        Mean of the two components before anything was removed [rad].
-    sigma_sdx_rad, sigma_sdy_rad, sigma_sd_rad : float
-        Standard deviation of the three RMS values, from random and common errors of measurement [rad].
-    noise_rms_x_rad, noise_rms_y_rad : float
-        RMS that the random noise alone would show; it is contained in SDx and SDy quadratically [rad].
-    removed : str
-        What was taken out, in words with numbers.
-    reference : str
-        The surface that the deviations refer to.
-    measured_share : float
-        Share of the mirror's area that was measured.
+    sdx_rad, sdy_rad: RMS of the angle's components in x and in y [rad].
+    sd_rad: RMS of the whole angle; its square is the sum of the squares of SDx and SDy [rad].
+    mean_x_rad, mean_y_rad: Mean of the two components before anything was removed [rad].
+    sigma_sdx_rad, sigma_sdy_rad, sigma_sd_rad: Standard deviation of the three RMS values, from random and common
+        errors of measurement [rad].
+    noise_rms_x_rad, noise_rms_y_rad: RMS that the random noise alone would show; it is contained in SDx and SDy
+        quadratically [rad].
+    removed: What was taken out, in words with numbers.
+    reference: The surface that the deviations refer to.
+    measured_share: Share of the mirror's area that was measured.
 
-    Notes
-    -----
     Gouws/STE guideline section 1.2.1.2 (spec C-03), with the components of `heliogauge.slopes.normal_angles`. Angles
-    of the *normal*: the beam turns by twice as much. The RMS of the slope errors themselves is larger by 1 + p^2 where
-    the slope is p.
+    of the *normal*: the beam turns by twice as much. The RMS of the slope errors themselves is larger by 1 + p^2
+    where the slope is p.
     """
 
     sdx_rad: float
@@ -97,20 +69,7 @@ class SlopeStatistics:
     def focus_deviation_m(self, distance_m: float) -> FocusDeviation:
         """Return the RMS miss at a distance from the mirror: ``FD = 2 d SD`` in x, in y and in both.
 
-        Parameters
-        ----------
-        distance_m : float
-            Distance from the mirror to the target [m].
-
-        Returns
-        -------
-        FocusDeviation
-            FDx, FDy and FD [m].
-
-        Raises
-        ------
-        InputError
-            The distance is not a positive number.
+        InputError: The distance is not a positive number.
         """
         reach = 2 * positive("distance_m", distance_m, "metres")
         return FocusDeviation(reach * self.sdx_rad, reach * self.sdy_rad, reach * self.sd_rad)
@@ -120,17 +79,10 @@ class SlopeStatistics:
 class QuadraticFit:
     """The surface ``z = A x^2 + B y^2 + C x + D y + E x y`` fitted to the measured slopes.
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (5,)
-        A, B [1/m], C, D and E [1/m].
-    covariance : ndarray, shape (5, 5)
-        Their covariance from the errors of measurement, random and common.
-    residual_slope_rms_x, residual_slope_rms_y : float
-        RMS of dz/dx and of dz/dy that the quadratic leaves.
+    coefficients (5,): A, B [1/m], C, D and E [1/m].
+    covariance (5, 5): Their covariance from the errors of measurement, random and common.
+    residual_slope_rms_x, residual_slope_rms_y: RMS of dz/dx and of dz/dy that the quadratic leaves.
 
-    Notes
-    -----
     ``dz/dx = 2 A x + C + E y`` and ``dz/dy = 2 B y + D + E x`` (spec C-32, SOFAST).
     """
 
@@ -173,22 +125,12 @@ class QuadraticFit:
 class Canting:
     """How far a facet as a whole points away from its design.
 
-    Parameters
-    ----------
-    components_rad : ndarray, shape (2,)
-        Components in x and in y of the angle from the mean design normal to the mean measured normal, with the signs
-        of slope errors: positive where the facet rises too much towards +x or +y [rad].
-    covariance_components_rad2 : ndarray, shape (2, 2)
-        Their covariance, random and common [rad^2].
-    angle_rad : float
-        The whole angle [rad].
-    sigma_angle_rad : float
-        Standard deviation of that angle [rad].
-    measured_share : float
-        Share of the facet that was measured.
+    components_rad (2,): Components in x and in y of the angle from the mean design normal to the mean measured
+        normal, with the signs of slope errors: positive where the facet rises too much towards +x or +y [rad].
+    covariance_components_rad2 (2, 2): Their covariance, random and common [rad^2].
+    sigma_angle_rad: Standard deviation of that angle [rad].
+    measured_share: Share of the facet that was measured.
 
-    Notes
-    -----
     Both mean normals are taken over the same, measured nodes (spec C-04 compares with the design at the centroid): a
     hole in the map of a curved facet then does not look like a tilt.
     """
@@ -203,26 +145,11 @@ class Canting:
 def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> SlopeStatistics:
     """Form the RMS angles between the measured normals and those of the design, or of a best fit.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The measured map.
-    removed : Removal, optional
-        What is taken out first: NOTHING or TILT refer to the design with its design focal length, FOCUS to the design
-        with its best-fit focal length, QUADRATIC to the best-fit astigmatic paraboloid.
+    removed: What is taken out first: NOTHING or TILT refer to the design with its design focal length, FOCUS to the
+        design with its best-fit focal length, QUADRATIC to the best-fit astigmatic paraboloid.
+    Returns: RMS values with sigma, noise share, reference and measured share.
+    EstimationError: Too few nodes, or nodes on a line, for what is to be removed.
 
-    Returns
-    -------
-    SlopeStatistics
-        RMS values with sigma, noise share, reference and measured share.
-
-    Raises
-    ------
-    EstimationError
-        Too few nodes, or nodes on a line, for what is to be removed.
-
-    Notes
-    -----
     Removal is of slopes, as in `remove`; the angles are those of the normals with the slopes that are left.
 
     Sigma is first order: with e the slope errors left, g = dSD/de and c the map's noise correlation,
@@ -277,23 +204,9 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
 def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     """Fit a quadratic surface to the measured slopes.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The measured map.
+    Returns: A, B, C, D, E with covariance; focal lengths and twist.
+    EstimationError: Fewer than three nodes, or all on a line.
 
-    Returns
-    -------
-    QuadraticFit
-        A, B, C, D, E with covariance; focal lengths and twist.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three nodes, or all on a line.
-
-    Notes
-    -----
     Unweighted least squares: equal weight is equal area. The covariance is that of the errors of measurement (random
     and common) propagated through the fit; what the real surface has beyond a quadratic is in the residual RMS.
     """
@@ -324,20 +237,9 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
 def canting(slope_map: SlopeMap) -> Canting:
     """Compare the facet's mean normal with its design's.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The map of one facet, tilt not removed.
-
-    Returns
-    -------
-    Canting
-        The angle between the mean normals and its components, with sigma and covariance.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three measured nodes.
+    slope_map: The map of one facet, tilt not removed.
+    Returns: The angle between the mean normals and its components, with sigma and covariance.
+    EstimationError: Fewer than three measured nodes.
     """
     nodes = measured_nodes(slope_map)
     valid = nodes.valid

@@ -197,10 +197,8 @@ class _Tracer:
         np.subtract(twice, sun_z, out=directions[2])
         return RayBlock(origins, directions)
 
-    def _sun(
-        self, share: Float32Array, turn: Float32Array, rng: np.random.Generator
-    ) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Return directions to points of the sun, not of unit length."""
+    def _sun(self, share: Float32Array, turn: Float32Array, rng: np.random.Generator) -> list[Float32Array]:
+        """Return x, y and z of directions to points of the sun, not of unit length."""
         position = np.sqrt(share) * np.float32(self._table.size - 1)
         step = position.astype(np.intp)
         radius = self._table.take(step, mode="clip")
@@ -213,5 +211,4 @@ class _Tracer:
             a += self._scatter * rng.standard_normal(a.size, dtype=np.float32)
             b += self._scatter * rng.standard_normal(b.size, dtype=np.float32)
         sun, across_x, across_y = self._frame
-        x, y, z = (sun[i] + a * across_x[i] + b * across_y[i] for i in range(3))
-        return x, y, z
+        return [sun[i] + a * across_x[i] + b * across_y[i] for i in range(3)]

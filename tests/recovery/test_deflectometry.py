@@ -10,7 +10,8 @@ from data_synth.fringes.presets import preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry import Options, load_deflectometry, run
 from deflectometry.pipeline import Align, build_setup
-from heliogauge.slopes.statistics import Removal, canting, statistics
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import canting, statistics
 from tests.recovery.agreement import agreement, measure
 
 SINGLE = ("small", "off-axis", "off-axis-20", "trough-panel", "sphere", "plane", "curved-screen")

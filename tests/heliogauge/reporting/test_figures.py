@@ -24,7 +24,7 @@ from heliogauge.reporting.canvas import (
     thinned,
 )
 from heliogauge.slopes.map import CommonModes, SlopeMap
-from heliogauge.slopes.statistics import Removal
+from heliogauge.slopes.removal import Removal
 from heliogauge.sunlight.beam import Illumination, facing_target, trace
 from heliogauge.sunlight.sun_shapes import PillboxSun
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from heliogauge.geometry.surfaces import Quadric, paraboloid, plane, trough
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles, tangents
-from heliogauge.slopes.statistics import Removal, canting, statistics
+from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.statistics import canting, statistics
 
 # Focal length 1.71 m and an aperture of 5.472 m: slope 0.8 at the rim, as of an EuroTrough; the dish has it on its rim.
 FOCAL_M = 1.71

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.surfaces import paraboloid
+from heliogauge.slopes.grid import curl, curvature, difference, resample
 from heliogauge.slopes.map import CommonModes, SlopeMap, monomials, no_common_modes
-from heliogauge.slopes.statistics import curl, curvature, difference, resample
 
 
 def make_map(error_x=0.0, error_y=0.0, *, design=None, sigma=1e-5, common=None, nx=21, ny=17, correlation=1.0):

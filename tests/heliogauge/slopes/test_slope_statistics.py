@@ -8,7 +8,8 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.surfaces import facet_on_optic, paraboloid, paraboloid_xy, plane, quadric, sphere, trough
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
-from heliogauge.slopes.statistics import Removal, canting, fit_quadratic, remove, statistics
+from heliogauge.slopes.removal import Removal, remove
+from heliogauge.slopes.statistics import canting, fit_quadratic, statistics
 
 X, Y = np.linspace(-0.6, 0.6, 24), np.linspace(-0.4, 0.4, 16)
 GRID_X, GRID_Y = np.meshgrid(X, Y)
