@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from observer import trough as trough
     from observer.keys import load_observer as load_observer
     from observer.pipeline.measure import Options as Options
-    from observer.pipeline.measure import Result as Result
     from observer.pipeline.measure import run as run
+    from observer.pipeline.result import Result as Result
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
         "Options": "observer.pipeline.measure",
-        "Result": "observer.pipeline.measure",
+        "Result": "observer.pipeline.result",
         "light": "observer.light",
         "load_observer": "observer.keys",
         "planning": "observer.planning",

@@ -38,8 +38,7 @@ def run_command(
     """
     from heliogauge.running.terminal import terminal_progress
     from observer.keys import load_observer
-    from observer.pipeline.headline import headline_text
-    from observer.pipeline.measure import Options, summarise
+    from observer.pipeline.measure import Options
     from observer.pipeline.measure_folder import run_into
     from observer.studies import overview
 
@@ -48,7 +47,7 @@ def run_command(
     if isinstance(result, overview.Result):
         tell(result.all_warnings, lambda: overview.headline_text(result), f"results: {out}", quiet=quiet)
     else:
-        tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
+        tell(result.doubts, result.headline, f"results: {out}", quiet=quiet)
 
 
 @app.command("align")

@@ -1,6 +1,6 @@
 """Files of a trough's results beside its slope map: angles, the collector, slices and a photo to look at."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +31,9 @@ OVERLAY_PHOTO = "reflection_overlay.jpg"
 OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.png", "mounts.png"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
+
+#: Columns of a table that says where the absorber is.
+ABSORBER_COLUMNS = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
 
 _SIGN = "theta_ra = theta_r + theta_a; theta_r positive where the normal is turned towards +x"
 _X = "across the aperture"
@@ -204,27 +207,31 @@ def number_in_cell(path: Path, line: int, name: str, cell: str) -> float | None:
 
 
 def read_absorber(path: Path) -> AbsorberPath:
-    """Read where the absorber is.
+    """Read where the absorber is, from the ``absorber.csv`` of a result.
 
-    path: Table with the columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m, such as the ``absorber.csv`` of a
-        result.
-    Returns: The axis; its stations are taken as independent of each other.
     InputError: Missing columns or cells that are not numbers.
     """
-    names = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
-    table = read_table_csv(path, names)
+    return absorber_of_table(read_table_csv(path, ABSORBER_COLUMNS), path)
+
+
+def absorber_of_table(table: Mapping[str, Sequence[str]], path: Path) -> AbsorberPath:
+    """Return where the absorber is as a table with `ABSORBER_COLUMNS` says.
+
+    path: Where the table was read, for messages.
+    Returns: The axis; its stations are taken as independent of each other.
+    InputError: Cells that are not numbers.
+    """
     rows: list[list[float]] = []
     for line in range(2, len(table["y_m"]) + 2):
-        values = [number_in_cell(path, line, name, table[name][line - 2]) for name in names]
+        values = [number_in_cell(path, line, name, table[name][line - 2]) for name in ABSORBER_COLUMNS]
         # A station that was not measured has empty cells.
         if None not in values:
             rows.append([float(value) for value in values if value is not None])
     if not rows:
-        raise InputError(f"{path}: no row is complete; the columns {', '.join(names)} are needed")
+        raise InputError(f"{path}: no row is complete; the columns {', '.join(ABSORBER_COLUMNS)} are needed")
     columns: FloatArray = np.array(rows).T
-    return AbsorberPath(
-        columns[0], columns[1], columns[2], np.diag(np.square(np.concatenate([columns[3], columns[4]])))
-    )
+    covariance = np.diag(np.square(np.concatenate([columns[3], columns[4]])))
+    return AbsorberPath(columns[0], columns[1], columns[2], covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,6 @@ from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refu
 from heliogauge.measurement.models import ImageFiles, MeasurementModel, Number, Positive, Section, Sigma, Text
 from photogrammetry.keys import (
     CameraSections,
-    CoordinateSection,
     DistanceSection,
     NetworkCameraSection,
     ScaleBarSection,
@@ -203,7 +202,6 @@ class ObserverMeasurement:
     photo_files: The photos of the pass, or the frames of its video (`heliogauge.images.video`).
     absorber_files: Photos that are taken for the absorber's position alone.
     doubts: What is wrong with a video and was got round.
-    coordinates: Known coordinates of targets in the trough's frame; None: as the list has them.
     """
 
     folder: Path
@@ -211,7 +209,11 @@ class ObserverMeasurement:
     photo_files: tuple[Path, ...]
     absorber_files: tuple[Path, ...]
     doubts: tuple[Doubt, ...] = ()
-    coordinates: tuple[CoordinateSection, ...] | None = None
+
+    @property
+    def all_photos(self) -> tuple[Path, ...]:
+        """Photos of the pass, then those of the absorber alone that are not among them."""
+        return tuple(dict.fromkeys((*self.photo_files, *self.absorber_files)))
 
     @property
     def input_files(self) -> tuple[Path, ...]:
@@ -222,7 +224,7 @@ class ObserverMeasurement:
         if model.module and all(one.targets_file for one in model.module):
             named.remove(model.targets.file)
         own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
-        return (*own, *dict.fromkeys(video_of(file) for file in (*self.photo_files, *self.absorber_files)))
+        return (*own, *dict.fromkeys(video_of(file) for file in self.all_photos))
 
 
 def load_observer(folder: Path) -> ObserverMeasurement:

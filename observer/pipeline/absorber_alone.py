@@ -21,10 +21,11 @@ from observer.absorber.product import (
 from observer.files import COLLECTOR, write_collector
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
-from observer.photo_edges.views import Shot, View
+from observer.photo_edges.views import Shot
+from observer.pipeline.cameras import Cameras
 from observer.pipeline.headline import absorber_numbers
-from observer.pipeline.inputs import absorber_start, as_photogrammetry, build_collector
-from observer.slopes.pose_modes import Photos
+from observer.pipeline.inputs import build_collector, build_survey, read_targets, refuse_modules
+from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
 from photogrammetry import pipeline as photogrammetry_pipeline
@@ -74,22 +75,25 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     InputError: Photos, targets or camera that cannot be used.
     EstimationError: The photos do not hang together, or do not show the absorber from two sides.
     """
+    refuse_modules(measurement)
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     collector = build_collector(model.collector)
-    network = photogrammetry_pipeline.run(
-        as_photogrammetry(measurement), photogrammetry_pipeline.Options(jobs=options.jobs), progress
-    )
+    survey = build_survey(measurement, read_targets(measurement.folder / model.targets.file))
+    network = photogrammetry_pipeline.run(survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress)
     with progress.stage("absorber"):
-        bundle = network.solved.bundle
-        poses = tuple(bundle.cam_from_world)
-        photos = Photos(poses, bundle.covariance.joint((), np.arange(len(poses))))
-        bearings = _bearings(measurement, network, 1e-3 * model.evaluation.row_step_mm, collector)
-        count = max(2, round(collector.length_m / model.absorber.station_step_m))
-        stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
-        solution = solve_absorber(bearings, photos, absorber_start(collector), stations)
+        cameras = Cameras.of(network, survey.photo_files)
+        expected = Expectation(
+            collector, AbsorberPath.designed(collector), collector.rows_m(1e-3 * model.evaluation.row_step_mm)
+        )
+        # Photos that are meant for it, where there are any, else all.
+        bearings = _bearings(
+            cameras, {file.name for file in measurement.absorber_files or survey.photo_files}, expected
+        )
+        stations = collector.stations_m(model.absorber.station_step_m)
+        solution = solve_absorber(bearings, cameras.photos, expected.absorber, stations)
     doubts = absorber_warnings(solution.path, solution, collector, is_design=False)
     return Result(
         model.name, collector, np.radians(model.collector.orientation_deg), network, solution,
@@ -97,22 +101,12 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     )  # fmt: skip
 
 
-def _bearings(
-    measurement: ObserverMeasurement, network: photogrammetry_pipeline.Result, step_m: float, collector: Collector
-) -> Bearings:
-    """Find the tube in the photos that are meant for it: its own ones where there are any, else all."""
-    bundle = network.solved.bundle
-    files = {file.name: file for file in (*measurement.photo_files, *measurement.absorber_files)}
-    meant = {file.name for file in measurement.absorber_files} or set(files)
-    rows = max(2, round(collector.length_m / step_m))
-    y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
-    expected = Expectation(collector, absorber_start(collector), y)
-    names = bundle.problem.observations.photos
-    cameras = [bundle.cameras[k] for k in bundle.problem.camera_index]
+def _bearings(cameras: Cameras, meant: set[str], expected: Expectation) -> Bearings:
+    """Find the tube in the photos that are meant for it."""
     parts = []
-    for k, (name, *view) in enumerate(zip(names, cameras, bundle.cam_from_world, strict=True)):
-        if name in meant:
-            parts += tube_bearings([Shot(read_luma(files[name]), k, View(*view))], expected)
+    for k, (file, view) in enumerate(zip(cameras.files, cameras.views, strict=True)):
+        if file.name in meant:
+            parts += tube_bearings([Shot(read_luma(file), k, view)], expected)
     if not parts:
         raise EstimationError(
             "absorber: none of its photos shows enough targets to know where it was taken from; see rejected.csv of "

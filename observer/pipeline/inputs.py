@@ -1,17 +1,29 @@
-"""From what measurement.toml says to a collector, a list of targets and a start for the absorber."""
+"""A measurement as values: what measurement.toml and its tables say, read once; no later stage looks there again."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.measurement.models import PhotosSection
+from heliogauge.results.folder import hash_files, refuse_copies
 from heliogauge.results.tables import read_table_csv
-from observer.files import number_in_cell
-from observer.keys import ObserverMeasurement, TroughSection
+from heliogauge.running.progress import Progress
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
+from heliogauge.validate import FloatArray
+from observer.files import ABSORBER_COLUMNS, absorber_of_table, number_in_cell
+from observer.keys import ObserverMeasurement, SunSection, TroughSection
+from observer.light.trace import Sunlight
+from observer.photo_edges.tone import Tone
+from observer.pipeline.photos import Finder, build_finder
+from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
+from observer.trough.expectation import Expectation
 from photogrammetry.keys import (
     CoordinateSection,
     DatumSection,
@@ -19,10 +31,145 @@ from photogrammetry.keys import (
     PhotogrammetryModel,
     TargetsSection,
 )
+from photogrammetry.matching import KnownTargets
+
+#: Columns of a table as text, by their names.
+Table = Mapping[str, Sequence[str]]
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1
+#: What the roughness across the trough is searched from [rad^2 / m^3].
+_FIRST_ROUGHNESS = 1e-3
 AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+#: Columns of the list of targets beside those of the sigmas, and of the table of a sun shape.
+TARGET_COLUMNS = ("target", "x_m", "y_m", "z_m")
+SUN_COLUMNS = ("angle_mrad", "radiance")
+
+
+class Tables(NamedTuple):
+    """Tables that measurement.toml names, as text; None where it names none."""
+
+    targets: Table
+    absorber: Table | None
+    sun: Table | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """What is known of a collector and its photos before these are read.
+
+    name: Name of what is measured.
+    collector: The design.
+    orientation_rad: Turn of the collector from zenith, by the right hand about +y [rad].
+    light: What shines, and what spreads it.
+    survey: The photo network.
+    finder: What is looked for in each photo.
+    targets_file: Name of the list of targets, for messages.
+    absorber: The tube's axis: of the table, or of the design where it is measured or assumed.
+    absorber_source: Whether it is measured in the photos, from a table, or as designed.
+    stations_m (n,): Places along the trough at which it is measured [m].
+    column_step_m: Wanted distance of the nodes of the map across the trough [m].
+    prior: How slopes may vary.
+    shape_from_slopes: Whether the mirror's surface follows its slopes; None: as the reflection shows.
+    doubts: What is wrong with the photos' files and was worked around.
+    input_sha256: Hash of each file.
+    """
+
+    name: str
+    collector: Collector
+    orientation_rad: float
+    light: Sunlight
+    survey: PhotogrammetryMeasurement
+    finder: Finder
+    targets_file: str
+    absorber: AbsorberPath
+    absorber_source: Literal["photos", "file", "design"]
+    stations_m: FloatArray
+    column_step_m: float
+    prior: Roughness
+    shape_from_slopes: bool | None
+    doubts: tuple[Doubt, ...]
+    input_sha256: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_inputs(measurement: ObserverMeasurement, progress: Progress) -> Inputs:
+    """Read everything but the photos.
+
+    measurement: Of a single collector.
+    InputError: Targets, camera, tables or dimensions that cannot be used, copies among the photos, or several modules.
+    """
+    refuse_modules(measurement)
+    tables = read_tables(measurement, measurement.model.targets.file)
+    with progress.stage("hash inputs"):
+        hashes = hash_files(measurement.input_files, measurement.folder)
+    refuse_copies(measurement.all_photos, hashes, measurement.folder)
+    coordinates = listed_coordinates(tables.targets, measurement.folder / measurement.model.targets.file)
+    return replace(build_inputs(measurement, tables, coordinates), input_sha256=hashes)
+
+
+def read_tables(measurement: ObserverMeasurement, targets_file: str) -> Tables:
+    """Read the tables that measurement.toml names.
+
+    targets_file: The list of targets.
+    InputError: A table that cannot be read, or lacks a column.
+    """
+    folder, absorber, sun = measurement.folder, measurement.model.absorber.file, measurement.model.sun.file
+    return Tables(
+        read_table_csv(folder / targets_file, TARGET_COLUMNS),
+        None if absorber is None else read_table_csv(folder / absorber, ABSORBER_COLUMNS),
+        None if sun is None else read_table_csv(folder / sun, SUN_COLUMNS),
+    )
+
+
+def refuse_modules(measurement: ObserverMeasurement) -> None:
+    """Refuse a flight over several modules where one collector is measured.
+
+    InputError: The measurement names modules.
+    """
+    if measurement.model.module:
+        raise InputError(
+            f"module: a flight over {len(measurement.model.module)} collectors; `heliogauge observer FOLDER -o OUT` or "
+            "observer.pipeline.modules, evaluates it"
+        )
+
+
+def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: Sequence[CoordinateSection]) -> Inputs:
+    """Return a measurement as values.
+
+    coordinates: Known coordinates of targets in the trough's frame.
+    Returns: Without the hashes of files.
+    InputError: Targets, camera, tables or dimensions that cannot be used.
+    """
+    model, folder = measurement.model, measurement.folder
+    collector = build_collector(model.collector)
+    light = Sunlight(
+        build_sun(model.sun, tables.sun, folder),
+        1e-3 * model.optics.specularity_mrad,
+        1e-3 * model.optics.tracking_error_mrad,
+    )
+    design = absorber = AbsorberPath.designed(collector)
+    if tables.absorber is not None:
+        absorber = absorber_of_table(tables.absorber, folder / str(model.absorber.file))
+    rows = collector.rows_m(1e-3 * model.evaluation.row_step_mm)
+    expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
+    survey, known = build_survey(measurement, coordinates), known_targets(coordinates)
+    tone = None if model.images.encoding == "auto" else Tone(model.images.encoding)
+    return Inputs(
+        model.name,
+        collector,
+        float(np.radians(model.collector.orientation_deg)),
+        light,
+        survey,
+        build_finder(survey, known, expected, tone),
+        model.targets.file,
+        absorber,
+        model.absorber.source,
+        collector.stations_m(model.absorber.station_step_m),
+        1e-3 * model.evaluation.column_step_mm,
+        Roughness(_FIRST_ROUGHNESS, 1e-3 * model.evaluation.longitudinal_slope_mrad),
+        model.evaluation.shape_from_slopes,
+        measurement.doubts,
+    )
 
 
 def build_collector(section: TroughSection) -> Collector:
@@ -36,21 +183,37 @@ def build_collector(section: TroughSection) -> Collector:
             1e-3 * section.glass_outer_diameter_mm, 1e-3 * section.glass_inner_diameter_mm, section.glass_index
         )
     return Collector(
-        section.aperture_width_m, section.length_m, section.focal_length_m, 1e-3 * section.absorber_diameter_mm, glass,
-        np.array(section.panel_edges_x_m), np.array(section.panel_edges_y_m), 1e-3 * section.panel_gap_mm,
-        np.array(section.support_y_m), section.support_width_m, 1e-3 * section.panel_height_sigma_mm,
-    )  # fmt: skip
+        section.aperture_width_m,
+        section.length_m,
+        section.focal_length_m,
+        1e-3 * section.absorber_diameter_mm,
+        glass,
+        np.array(section.panel_edges_x_m),
+        np.array(section.panel_edges_y_m),
+        1e-3 * section.panel_gap_mm,
+        np.array(section.support_y_m),
+        section.support_width_m,
+        1e-3 * section.panel_height_sigma_mm,
+    )
 
 
-def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
+def read_targets(path: Path) -> tuple[CoordinateSection, ...]:
     """Read the list of targets.
 
     path: Table with the columns target, x_m, y_m, z_m and sigma_x_mm, sigma_y_mm, sigma_z_mm (or sigma_mm for all
         three); an empty cell stands for a coordinate that is not known.
+    InputError: As from `listed_coordinates`.
+    """
+    return listed_coordinates(read_table_csv(path, TARGET_COLUMNS), path)
+
+
+def listed_coordinates(table: Table, path: Path) -> tuple[CoordinateSection, ...]:
+    """Return the coordinates of a list of targets.
+
+    path: Where the list was read, for messages.
     InputError: A missing column, a cell that is not a number, a target that is listed twice, or no known
         coordinate.
     """
-    table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
     one_for_all = "sigma_mm" in table
     wanted = ["sigma_mm"] if one_for_all else [f"sigma_{axis}_mm" for axis in AXES]
     missing = [name for name in wanted if name not in table]
@@ -76,27 +239,18 @@ def target_constraints(path: Path) -> tuple[CoordinateSection, ...]:
     return tuple(found)
 
 
-def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasurement:
-    """Return the photo network that tells where the cameras stood in the trough's frame.
+def build_survey(
+    measurement: ObserverMeasurement, coordinates: Sequence[CoordinateSection]
+) -> PhotogrammetryMeasurement:
+    """Return the photo network from which it is estimated where the cameras stood in the trough's frame.
 
     Returns: The same photos, with the listed coordinates as weighted observations.
-    InputError: A list of targets that cannot be used, or several modules.
     """
-    model = measurement.model
-    if model.module:
-        raise InputError(
-            f"module: a flight over {len(model.module)} collectors; `heliogauge observer FOLDER -o OUT`, or "
-            "observer.pipeline.modules, evaluates it"
-        )
-    files = (*measurement.photo_files, *(file for file in measurement.absorber_files
-                                         if file not in measurement.photo_files))  # fmt: skip
+    model, files = measurement.model, measurement.all_photos
     targets = TargetsSection.model_validate(model.targets.model_dump(exclude={"file"}, exclude_unset=True))
     if targets.dictionary is not None and not targets.is_listed and targets.find_uncoded is None:
-        # Dots that nobody lists add nothing to poses that a dozen known targets tell, and cost time in every photo.
+        # Dots that nobody lists add nothing to poses that a dozen known targets determine, and cost time.
         targets = targets.model_copy(update={"find_uncoded": False})
-    known = measurement.coordinates
-    if known is None:
-        known = target_constraints(measurement.folder / model.targets.file)
     network = PhotogrammetryModel(
         kind="photogrammetry",
         name=model.name,
@@ -104,15 +258,44 @@ def as_photogrammetry(measurement: ObserverMeasurement) -> PhotogrammetryMeasure
         images=PhotosSection(photos=tuple(str(file.relative_to(measurement.folder)) for file in files)),
         targets=targets,
         scale_bar=model.scale_bar,
-        constraint=(*known, *model.distance),
+        constraint=(*coordinates, *model.distance),
         datum=DatumSection(kind="inner"),
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
 
 
-def absorber_start(collector: Collector) -> AbsorberPath:
-    """Return the absorber where the design has it.
+def known_targets(coordinates: Sequence[CoordinateSection]) -> KnownTargets:
+    """Collect the targets whose three coordinates are listed.
 
-    Returns: In the focal line, as long as the collector.
+    Returns: Targets to start from; those known to worse than 0.1 m are not among them.
     """
-    return AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
+    values: dict[str, dict[str, tuple[float, float]]] = {}
+    for one in coordinates:
+        if 1e-3 * one.sigma_mm <= _LARGEST_SIGMA_M:
+            values.setdefault(one.target, {})[one.axis] = (one.value_m, 1e-3 * one.sigma_mm)
+    whole = {name: [axes[axis] for axis in AXES] for name, axes in values.items() if len(axes) == len(AXES)}
+    table = np.array(list(whole.values()), dtype=np.float64).reshape(-1, len(AXES), 2)
+    return KnownTargets(tuple(whole), np.ascontiguousarray(table[..., 0]), table[..., 1].max(axis=1, initial=0.0))
+
+
+def build_sun(section: SunSection, table: Table | None, folder: Path) -> SunShape:
+    """Return the sun shape that measurement.toml describes.
+
+    table: That of ``shape = "table"``.
+    InputError: A table that cannot be read as radiance over angle.
+    """
+    if section.shape == "pillbox":
+        return PillboxSun(1e-3 * section.half_angle_mrad)
+    if section.shape == "buie":
+        return BuieSun.of_share(section.circumsolar_ratio)
+    if table is None or section.file is None:
+        return GaussianSun(1e-3 * section.sigma_mrad)
+    path = folder / section.file
+    try:
+        angle, radiance = (np.array(table[name], dtype=np.float64) for name in SUN_COLUMNS)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; is the decimal sign a point?") from None
+    try:
+        return TabulatedSun(1e-3 * angle, radiance, Path(section.file).name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -6,13 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import EstimationError
 from heliogauge.results.folder import write_table_csv
-from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
-from observer.keys import OpticsSection, SunSection
 from observer.light.beam import BeamProfile, beam_profile, sun_profile
 from observer.light.best import Best, best_absorber, best_offset
 from observer.light.cases import (
@@ -88,55 +85,28 @@ class InterceptResult:
         )
 
 
-def build_sun(section: SunSection, folder: Path) -> SunShape:
-    """Return the sun shape that measurement.toml describes.
-
-    InputError: A table that cannot be read as radiance over angle.
-    """
-    if section.shape == "pillbox":
-        return PillboxSun(1e-3 * section.half_angle_mrad)
-    if section.shape == "buie":
-        return BuieSun.of_share(section.circumsolar_ratio)
-    if section.shape == "gaussian" or section.file is None:
-        return GaussianSun(1e-3 * section.sigma_mrad)
-    path = folder / section.file
-    table = read_table_csv(path, ("angle_mrad", "radiance"))
-    try:
-        angle, radiance = (np.array(table[name], dtype=np.float64) for name in ("angle_mrad", "radiance"))
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; is the decimal sign a point?") from None
-    try:
-        return TabulatedSun(1e-3 * angle, radiance, Path(section.file).name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
 def evaluate_intercept(
-    sun_shape: SunShape,
-    section: OpticsSection,
+    light: Sunlight,
     slope_map: SlopeMap,
     absorber: AbsorberPath,
     collector: Collector,
     slope_covariance: SumCovariance | None = None,
 ) -> InterceptResult:
-    """Compute what the measured trough collects in the light that measurement.toml describes.
+    """Compute what the measured trough collects in some light.
 
     slope_covariance: Covariance of weighted sums of slopes; by default what the map states.
     Returns: Intercept factors by three ways, with contributions, curves and prescriptions.
     EstimationError: No node of the mirror was measured.
     """
-    scatter = {
-        "specularity_rad": 1e-3 * section.specularity_mrad,
-        "tracking_error_rad": 1e-3 * section.tracking_error_mrad,
-    }
-    sun = sun_profile(sun_shape)
+    scatter = {"specularity_rad": light.specularity_rad, "tracking_error_rad": light.tracking_error_rad}
+    sun = sun_profile(light.sun)
     profile = beam_profile(sun, **scatter)
     trough = measured_trough(slope_map, absorber, collector, slope_covariance=slope_covariance)
     optics = {case: optics_of(trough, case, profile) for case in Case}
     own = optics[Case.AS_MEASURED]
     warnings: list[str] = []
     traced = trace_intercept(
-        slope_map, absorber, collector.absorber_diameter_m, Sunlight(sun_shape, **scatter),
+        slope_map, absorber, collector.absorber_diameter_m, light,
         rays=_RAYS, rng=np.random.Generator(np.random.SFC64(0)),
     )  # fmt: skip
     if abs(traced.ratio - own.ratio()) > 5 * traced.sampling_sigma + 3e-4:

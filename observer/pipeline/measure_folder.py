@@ -7,7 +7,8 @@ from heliogauge.results.folder import ResultFolder
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.keys import ObserverMeasurement
 from observer.pipeline import modules
-from observer.pipeline.measure import Options, Result, run, write
+from observer.pipeline.measure import Options, run
+from observer.pipeline.result import Result
 from observer.studies import overview
 
 
@@ -35,7 +36,7 @@ def run_into(
             return modules.run(measurement, working, options, progress, report=report)
         result = run(measurement, options, progress)
         with progress.stage("write results"):
-            write(result, working)
+            result.write(working)
         if report:
             with progress.stage("report"):
                 build_report(working)

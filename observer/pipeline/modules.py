@@ -13,10 +13,10 @@ from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress, Stage
 from observer.keys import ModuleSection, ObserverMeasurement
-from observer.pipeline.inputs import AXES, build_collector, target_constraints
-from observer.pipeline.measure import Options, Prepared, evaluate, prepare, write
+from observer.pipeline.inputs import AXES, Inputs, build_collector, build_inputs, listed_coordinates, read_tables
+from observer.pipeline.measure import Options, evaluate
 from observer.pipeline.photos import FirstLook, look_first_at_each
-from observer.pipeline.target_list import photos_with_poses
+from observer.pipeline.target_list import leave_out_lines
 from observer.studies import overview as pipeline_overview
 from observer.targets.module_targets import ListedPlaces, beside, in_frame
 from observer.trough.collector import Collector
@@ -26,11 +26,10 @@ from photogrammetry.start_values import LEAST_TARGETS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Module:
-    """One collector of the flight: what is asked for, what is known of it, and the names of its targets."""
+    """One collector of the flight: what measurement.toml says of it, as values too, and the names of its targets."""
 
     section: ModuleSection
-    measurement: ObserverMeasurement
-    prepared: Prepared
+    inputs: Inputs
     targets: frozenset[str]
 
 
@@ -56,12 +55,12 @@ def run(
     modules, failed = _modules(measurement)
     looks: list[FirstLook] = []
     if modules:
-        finders = [one.prepared.finder for one in modules]
+        finders = [one.inputs.finder for one in modules]
         looks = look_first_at_each(measurement.photo_files, finders, jobs=options.jobs, progress=progress)
     for number, module in enumerate(modules):
         name = module.section.name
         try:
-            _solve(module, looks[number], folder / name, (options, _Named(progress, name)), hashes, report=report)
+            _solve(module, looks[number], folder / name, options, _Named(progress, name), hashes, report=report)
         except MetrologyError as error:
             failed[name] = str(error)
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -74,8 +73,13 @@ def run(
     with progress.stage("overview"):
         places = {one.name: np.array(one.place_m) for one in done}
         found = pipeline_overview.run([folder / one.name for one in done], base=folder, places_m=places)
-        found = replace(found, name=measurement.model.name, failed=failed, input_sha256=hashes,
-                        durations_s=_by_module(progress.durations_s, found.labels))  # fmt: skip
+        found = replace(
+            found,
+            name=measurement.model.name,
+            failed=failed,
+            input_sha256=hashes,
+            durations_s=_by_module(progress.durations_s, found.labels),
+        )
         pipeline_overview.write(found, folder)
     if report:
         with progress.stage("report"):
@@ -87,32 +91,32 @@ def _solve(
     module: _Module,
     look: FirstLook,
     folder: Path,
-    how: tuple[Options, Progress],
+    options: Options,
+    progress: Progress,
     hashes: dict[str, str],
     *,
     report: bool,
 ) -> None:
     """Evaluate one module and write its folder, which is there whole or not at all."""
-    options, progress = how
     own = _own(look, module.targets)
     shown = {one.detections.photo for one in own.targets}
-    survey = module.prepared.survey
+    survey = module.inputs.survey
     survey = replace(survey, photo_files=tuple(file for file in survey.photo_files if file.name in shown))
     # A flight passes beside each module: photos of one rim only are no news.
-    survey, own, _ = photos_with_poses(survey, own, module.prepared.finder.known)
-    if len(own.targets) < 2:
+    listed = leave_out_lines(survey, own, module.inputs.finder.known)
+    if len(listed.first.targets) < 2:
         raise EstimationError(
-            f"{len(own.targets)} of {len(look.photos)} photos show enough of its {len(module.targets)} targets for "
-            f"their pose ({LEAST_TARGETS}, not on a line), two are needed; are names and places in the list of "
+            f"{len(listed.first.targets)} of {len(look.photos)} photos show enough of its {len(module.targets)} targets"
+            f" for their pose ({LEAST_TARGETS}, not on a line), two are needed; are names and places in the list of "
             "targets, and place_m, right?"
         )
-    measurement = replace(module.measurement, photo_files=survey.photo_files)
-    result = evaluate(measurement, replace(module.prepared, survey=survey), own, options, progress)
-    shown = {file.name for file in survey.photo_files}
+    shown = {file.name for file in listed.survey.photo_files}
     kept = {name: digest for name, digest in hashes.items() if Path(name).name in shown or not _is_photo(name, look)}
+    inputs = replace(module.inputs, survey=listed.survey, input_sha256=kept)
+    result = evaluate(inputs, listed.first, options, progress)
     with progress.stage("write results"):
         folder.mkdir()
-        write(replace(result, input_sha256=kept), folder)
+        result.write(folder)
     if report:
         with progress.stage("report"):
             build_report(folder)
@@ -138,15 +142,16 @@ def _own(look: FirstLook, targets: frozenset[str]) -> FirstLook:
 
 def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str, str]]:
     """Return the modules that can be looked for, and by their names the reasons of those that cannot."""
-    model, folder = measurement.model, measurement.folder
+    model = measurement.model
     modules, failed = [], {}
     for section in model.module:
         collector = section.collector or model.collector
         try:
-            if section.targets_file is not None:
-                known = target_constraints(folder / section.targets_file)
-            else:
-                known = _near(target_constraints(folder / model.targets.file), section, build_collector(collector))
+            list_file = section.targets_file or model.targets.file
+            tables = read_tables(measurement, list_file)
+            known = listed_coordinates(tables.targets, measurement.folder / list_file)
+            if section.targets_file is None:
+                known = _near(known, section, build_collector(collector))
             targets = frozenset(one.target for one in known)
             if len(targets) < LEAST_TARGETS:
                 raise InputError(
@@ -155,12 +160,10 @@ def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str,
                 )
             bars = tuple(one for one in model.scale_bar if {one.a, one.b} <= targets)
             lengths = tuple(one for one in model.distance if {one.a, one.b} <= targets)
-            own = model.model_copy(
-                update={"name": section.name, "collector": collector, "module": (), "scale_bar": bars,
-                        "distance": lengths}
-            )  # fmt: skip
-            single = replace(measurement, model=own, coordinates=known)
-            modules.append(_Module(section, single, prepare(single), targets))
+            named = {"name": section.name, "collector": collector, "module": ()}
+            own = model.model_copy(update={**named, "scale_bar": bars, "distance": lengths})
+            inputs = build_inputs(replace(measurement, model=own), tables, known)
+            modules.append(_Module(section, inputs, targets))
         except InputError as error:
             failed[section.name] = str(error)
     return modules, failed

@@ -221,12 +221,15 @@ class _Run:
         return pose
 
 
-def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation) -> Finder:
-    """Say what is looked for in each photo.
+def build_finder(
+    network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation, tone: Tone | None = None
+) -> Finder:
+    """Collect what is looked for in each photo.
 
     known: Those with listed coordinates.
     expected: Collector, absorber and rows.
-    Returns: With the cameras, where measurement.toml or their files tell them.
+    tone: How the photos are encoded; None: as their own edges show.
+    Returns: With the cameras, where measurement.toml or their files have them.
     InputError: Cameras or dictionary that cannot be used, or no targets.
     """
     section = network.model.targets
@@ -242,7 +245,7 @@ def build_finder(network: PhotogrammetryMeasurement, known: KnownTargets, expect
             sizes = dict.fromkeys(names, (width, height))
         built = build_cameras(network, names, sizes)
         cameras = {name: built.cameras[place] for name, place in built.camera_of.items()}
-    return Finder(section, build_search(section, network.folder), known, cameras, expected)
+    return Finder(section, build_search(section, network.folder), known, cameras, expected, tone)
 
 
 def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:

@@ -1,10 +1,10 @@
 """The list of targets beside what the photos show: known places, photos and entries left out, lists refused."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from observer.pipeline.inputs import AXES
+from observer.pipeline.inputs import AXES, Inputs
 from observer.pipeline.photos import Finder, FirstLook
 from observer.targets.list_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
 from observer.targets.module_targets import spans_an_area
@@ -14,34 +14,39 @@ from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
 from photogrammetry.start_values import LEAST_TARGETS
 
-#: A coordinate known to worse than this is no help to find a photo's pose [m].
-_LARGEST_SIGMA_M = 0.1
 #: Where a target is in a photo before all are adjusted: pose and centre together [px].
 _POINT_PX = 0.3
 
 
-def known_targets(network: PhotogrammetryMeasurement) -> KnownTargets:
-    """Collect the targets whose three coordinates are listed.
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckedList:
+    """The photo network and what was found in its photos, without what contradicts the list of targets.
 
-    Returns: Targets to start from; those known to worse than 0.1 m are not among them.
+    doubts: What was left out.
     """
-    values: dict[str, dict[str, tuple[float, float]]] = {}
-    for one in network.model.constraint:
-        if isinstance(one, CoordinateSection) and 1e-3 * one.sigma_mm <= _LARGEST_SIGMA_M:
-            values.setdefault(one.target, {})[one.axis] = (one.value_m, 1e-3 * one.sigma_mm)
-    whole = {name: [axes[axis] for axis in AXES] for name, axes in values.items() if len(axes) == len(AXES)}
-    table = np.array(list(whole.values()), dtype=np.float64).reshape(-1, len(AXES), 2)
-    return KnownTargets(tuple(whole), np.ascontiguousarray(table[..., 0]), table[..., 1].max(axis=1, initial=0.0))
+
+    survey: PhotogrammetryMeasurement
+    first: FirstLook
+    doubts: tuple[str, ...] = ()
 
 
-def photos_with_poses(
-    survey: PhotogrammetryMeasurement, first: FirstLook, known: KnownTargets
-) -> tuple[PhotogrammetryMeasurement, FirstLook, str | None]:
+def check_list(inputs: Inputs, first: FirstLook) -> CheckedList:
+    """Leave out photos that determine no pose and coordinates that the photos contradict.
+
+    first: What was found in the photos.
+    InputError: The list is not that of the targets in the photos.
+    """
+    found = leave_out_lines(inputs.survey, first, inputs.finder.known)
+    refuse_strange_list(found.survey, found.first, inputs.targets_file)
+    return leave_out_strays(found, inputs.finder)
+
+
+def leave_out_lines(survey: PhotogrammetryMeasurement, first: FirstLook, known: KnownTargets) -> CheckedList:
     """Leave out photos whose targets are all on one line, as those of one rim: the camera may be anywhere around it.
 
     first: What was found in the photos.
     known: Those whose coordinates are listed.
-    survey: Without those photos. A photo with targets that are not listed is kept, since others may tell them.
+    Returns: Without those photos. A photo with targets that are not listed is kept: others may determine them.
     """
     place = dict(zip(known.names, known.points_m, strict=True))
     on_line = set()
@@ -51,15 +56,15 @@ def photos_with_poses(
         if len(listed) == len(names) >= LEAST_TARGETS and not spans_an_area(listed):
             on_line.add(one.detections.photo)
     if not on_line:
-        return survey, first, None
+        return CheckedList(survey, first)
     targets = tuple(one for one in first.targets if one.detections.photo not in on_line)
     poses = {name: pose for name, pose in first.poses.items() if name not in on_line}
     files = tuple(file for file in survey.photo_files if file.name not in on_line)
     doubt = (
-        f"{len(on_line)} photos show targets along one line only, as those of one rim, which tell no pose, and were "
-        f"left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}"
+        f"{len(on_line)} photos show targets along one line only, as those of one rim, which determine no pose, and "
+        f"were left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}"
     )
-    return replace(survey, photo_files=files), replace(first, targets=targets, poses=poses), doubt
+    return CheckedList(replace(survey, photo_files=files), replace(first, targets=targets, poses=poses), (doubt,))
 
 
 def refuse_strange_list(survey: PhotogrammetryMeasurement, first: FirstLook, file: str) -> None:
@@ -76,7 +81,7 @@ def refuse_strange_list(survey: PhotogrammetryMeasurement, first: FirstLook, fil
 def refuse_loose_list(
     network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, collector: Collector
 ) -> None:
-    """Refuse a list of targets that does not tell where the trough's frame lies, or turns it upside down.
+    """Refuse a list of targets that does not determine where the trough's frame lies, or turns it upside down.
 
     InputError: z has the wrong sign.
     EstimationError: The frame is free to turn.
@@ -92,15 +97,12 @@ def refuse_loose_list(
     refuse_upside_down(table.xyz_m[used], collector)
 
 
-def without_strays(
-    survey: PhotogrammetryMeasurement, first: FirstLook, finder: Finder
-) -> tuple[PhotogrammetryMeasurement, str | None]:
+def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
     """Leave out the coordinates of targets that the photos show elsewhere, as where two were exchanged in the list.
 
-    first: What was found in the photos.
-    survey: Without those coordinates; the targets are measured like others that are not listed.
+    Returns: Without those coordinates; the targets are measured like others that are not listed.
     """
-    known = finder.known
+    known, survey, first = finder.known, found.survey, found.first
     place = {name: number for number, name in enumerate(known.names)}
     off: list[list[float]] = [[] for _ in known.names]
     pixel_m = []
@@ -117,18 +119,20 @@ def without_strays(
         pixel_m.append(float(np.median(seen[:, 2])) / camera.focal_x_px)
     shown = [number for number, values in enumerate(off) if values]
     if not shown:
-        return survey, None
+        return found
     usual = np.array([float(np.median(off[number])) for number in shown])
     step = float(np.median(pixel_m))
     which = stray_targets(usual, np.hypot(_POINT_PX, known.sigma_m[shown] / step))
     if not which.any():
-        return survey, None
+        return found
     names = [known.names[number] for number, stray in zip(shown, which, strict=True) if stray]
     kept = tuple(
         one for one in survey.model.constraint if not (isinstance(one, CoordinateSection) and one.target in names)
     )
     listed = ", ".join(f"{name} ({1e3 * step * far:.0f} mm)" for name, far in zip(names, usual[which], strict=True))
-    return replace(survey, model=survey.model.model_copy(update={"constraint": kept})), (
+    doubt = (
         f"targets: not where the list has them: {listed}; their coordinates were not used. Were two exchanged, one "
         "moved, or a number mistyped?"
     )
+    survey = replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
+    return CheckedList(survey, first, (*found.doubts, doubt))

@@ -12,7 +12,7 @@ from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.views import View
-from observer.pipeline.inputs import AXES, target_constraints
+from observer.pipeline.inputs import AXES, read_targets
 from observer.planning.keys import ObserverPlanModel
 from observer.planning.simulated_edges import in_image
 from observer.slopes.pose_modes import Photos
@@ -157,7 +157,7 @@ def planned_targets(
     section, design = model.targets, model.collector
     if section.list_file is not None:
         path = folder / section.list_file
-        return (target_constraints(path), *_places(path))
+        return (read_targets(path), *_places(path))
     half = (section.rim_count or 0) // 2
     across, along = design.aperture_width_m / 2 + _BESIDE_RIM_M, 0.49 * design.length_m
     height = design.aperture_width_m**2 / (16 * design.focal_length_m)

@@ -14,7 +14,7 @@ from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import COLLECTOR, read_absorber, write_collector
-from observer.pipeline.inputs import absorber_start, build_collector
+from observer.pipeline.inputs import build_collector
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
 from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network, planned_network
@@ -142,17 +142,17 @@ def planned_scene(
     InputError: An earlier result that cannot be read.
     """
     model = measurement.model
-    rows = max(2, round(collector.length_m / row_step_m))
-    y = np.asarray((np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2, dtype=np.float64)
     mirror: Mirror = TypicalMirror.drawn(
         collector, rng, 1e-3 * model.mirror.slope_error_mrad, 1e-3 * model.mirror.longitudinal_error_mrad
     )
-    absorber = absorber_start(collector)
+    absorber = AbsorberPath.designed(collector)
     if measurement.earlier is not None:
         mirror = MeasuredMirror.of(read_slope_map(measurement.earlier / "slope_map.nc"))
         path = read_absorber(measurement.earlier / "absorber.csv")
         absorber = AbsorberPath(path.y_m, path.x_m, path.z_m, np.zeros_like(path.covariance_m2))
-    truth = Expectation(collector, absorber, y, 1e-3 * model.evaluation.largest_slope_error_mrad)
+    truth = Expectation(
+        collector, absorber, collector.rows_m(row_step_m), 1e-3 * model.evaluation.largest_slope_error_mrad
+    )
     return Scene(truth, mirror, network.views)
 
 

@@ -134,10 +134,8 @@ def simulate(
     absorber, photos = truth.absorber, believed.photos
     if evaluation.measures_absorber:
         bearings = measured_bearings(scene, believed.views, noise, rng)
-        count = max(2, round(collector.length_m / evaluation.station_step_m))
-        stations = np.linspace(-0.5, 0.5, count + 1) * collector.length_m
-        start = AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
-        solution = solve_absorber(bearings, photos, start, stations)
+        stations = collector.stations_m(evaluation.station_step_m)
+        solution = solve_absorber(bearings, photos, AbsorberPath.designed(collector), stations)
         absorber, photos = solution.path, replace(photos, with_tube=solution.with_poses)
     edges = measured_edges(scene, true_edges(scene, noise), believed.views, rng)
     expected = Expectation(collector, absorber, y, truth.slope_error_rad)

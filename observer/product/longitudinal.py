@@ -47,7 +47,7 @@ def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: f
     points = np.stack([x, np.zeros_like(x), x**2 / (4 * collector.focal_length_m)], axis=1)
     eyes = points + _HEIGHT_M * np.array([0.0, np.tan(incidence_rad), 1.0])
     sights = Sights(points, eyes, np.zeros_like(x))
-    absorber = AbsorberPath.straight(0.0, collector.focal_length_m, collector.length_m / 2)
+    absorber = AbsorberPath.designed(collector)
     slope_x = x / (2 * collector.focal_length_m)
     angles = [
         misfit(sights, (slope_x, np.full_like(x, slope)), absorber, collector.absorber_diameter_m / 2).angle_rad

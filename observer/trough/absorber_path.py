@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, IntArray, float_array
+from observer.trough.collector import Collector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,11 @@ class AbsorberPath:
         """
         ends = np.array([-half_length_m, half_length_m])
         return cls(ends, np.full(2, x_m), np.full(2, z_m), np.zeros((4, 4)))
+
+    @classmethod
+    def designed(cls, collector: Collector) -> "AbsorberPath":
+        """Return the axis in the focal line of the design, as long as the collector, known without error."""
+        return cls.straight(0.0, collector.focal_length_m, collector.length_m / 2)
 
     @property
     def n(self) -> int:

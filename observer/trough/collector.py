@@ -135,6 +135,16 @@ class Collector:
         """Height of the rim above the vertex [m]."""
         return self.aperture_width_m**2 / (16 * self.focal_length_m)
 
+    def rows_m(self, step_m: float) -> FloatArray:
+        """Return equally spaced rows along the trough in the middles of equal cells, two at least, shape (r,) [m]."""
+        count = max(2, round(self.length_m / step_m))
+        return np.asarray((np.arange(count) + 0.5) * (self.length_m / count) - self.length_m / 2, dtype=np.float64)
+
+    def stations_m(self, step_m: float) -> FloatArray:
+        """Return equally spaced stations of the absorber from end to end, three at least, shape (n,) [m]."""
+        count = max(2, round(self.length_m / step_m))
+        return np.linspace(-0.5, 0.5, count + 1) * self.length_m
+
     def panel_index(self, x_m: FloatArray, y_m: FloatArray) -> np.ndarray:
         """Return which panel a point of the aperture belongs to.
 

@@ -5,16 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.folder import Summary, read_summary, write_summary
+from heliogauge.results.folder import Summary, read_summary
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from observer.keys import load_observer
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
 from observer.pipeline.photos import FirstLook
+from observer.pipeline.result import Result
 from photogrammetry.detection import Detections
 from photogrammetry.pipeline import OnePhoto
 
+A_DOUBT = Doubt("sparse", "a doubt")
 TOML = """
 kind = "observer"
 name = "a field"
@@ -67,6 +70,16 @@ def shown(photo: str, names: tuple[str, ...]) -> OnePhoto:
     return OnePhoto(table, np.tile(np.eye(2), (n, 1, 1)), (480, 640), (), none, np.zeros((0, 2, 2)))
 
 
+class Written(Result):
+    """A result that is only its summary."""
+
+    def write_files(self, folder: Path) -> None:
+        pass
+
+    def summarise(self) -> Summary:
+        return self._summary({"rms_theta_r_rad": 3e-3}, {})
+
+
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
     """Replace photos and solution: photo 0 shows A, 1 shows both, 2 B and one rim of A; B has no reflection."""
@@ -83,25 +96,17 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
         np.testing.assert_allclose(finders[1].known.points_m[:, 0], [-2.6] * 3 + [2.6] * 3)
         return [FirstLook(names, looked, {}, {}, {}, None) for _ in finders]
 
-    def evaluate(measurement, prepared, first, options, progress):
+    def evaluate(inputs, first, options, progress):
         with progress.stage("adjust"):
-            name = measurement.model.name
-        seen[name] = [one.detections.photo for one in first.targets]
-        assert prepared.survey.photo_files == measurement.photo_files
-        assert len(measurement.model.scale_bar) == (name == "A")
-        if name == "B":
+            seen[inputs.name] = [one.detections.photo for one in first.targets]
+        assert [file.name for file in inputs.survey.photo_files] == seen[inputs.name]
+        assert len(inputs.survey.model.scale_bar) == (inputs.name == "A")
+        if inputs.name == "B":
             raise EstimationError("reflection: only 0 edges")
-        return pipeline.Result(name, *([None] * 15), (), {})
-
-    def write(result, folder):
-        write_summary(folder / "summary.json", Summary(
-            "observer", result.name, {"rms_theta_r_rad": 3e-3}, doubts=("a doubt",),
-            input_sha256=result.input_sha256,
-        ))  # fmt: skip
+        return Written(*([None] * 15), name=inputs.name, doubts=(A_DOUBT,), input_sha256=inputs.input_sha256)
 
     monkeypatch.setattr(pipeline_modules, "look_first_at_each", look)
     monkeypatch.setattr(pipeline_modules, "evaluate", evaluate)
-    monkeypatch.setattr(pipeline_modules, "write", write)
     return seen
 
 
@@ -142,7 +147,7 @@ def test_lists_of_their_own_are_in_the_modules_own_frames(tmp_path: Path) -> Non
     assert {path.name for path in measurement.input_files[:3]} == {"measurement.toml", "a.csv", "b.csv"}
     modules, failed = pipeline_modules._modules(measurement)
     assert not failed
-    np.testing.assert_allclose(modules[1].prepared.finder.known.points_m[0], [-2.6, -1.5, 1.05])
+    np.testing.assert_allclose(modules[1].inputs.finder.known.points_m[0], [-2.6, -1.5, 1.05])
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,14 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.templates import write_template
 from heliogauge.results.folder import Summary, write_summary
 from heliogauge.results.tables import read_table_csv
-from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, TabulatedSun
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from observer.keys import ObserverModel, OpticsSection, SunSection
 from observer.light.cases import Case
+from observer.light.trace import Sunlight
+from observer.pipeline.inputs import SUN_COLUMNS, build_sun
 from observer.pipeline.intercept import (
     OFFSETS_RAD,
     InterceptResult,
-    build_sun,
     evaluate_intercept,
     intercept_numbers,
     write_intercept,
@@ -45,27 +46,31 @@ def result(folder: Path) -> InterceptResult:
     mirror = slope_map(gaussian_errors(3e-3, (60, 80)), sigma=1e-4)
     slopes = np.array(mirror.slope_x)
     slopes[:6] = np.nan
-    given = model(optics={"specularity_mrad": 1.0, "tracking_error_mrad": 2.0})
-    sun = build_sun(given.sun, folder)
-    return evaluate_intercept(sun, given.optics, replace(mirror, slope_x=slopes), absorber(), SOLTRACE)
+    given = model()
+    light = Sunlight(build_sun(given.sun, None, folder), 1e-3, 2e-3)
+    return evaluate_intercept(light, replace(mirror, slope_x=slopes), absorber(), SOLTRACE)
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array(cells, dtype=np.float64) for name, cells in read_table_csv(path, ()).items()}
 
 
+def tabulated(folder: Path) -> SunShape:
+    return build_sun(SunSection(shape="table", file="sun.csv"), read_table_csv(folder / "sun.csv", SUN_COLUMNS), folder)
+
+
 def test_sun_is_what_the_file_says(tmp_path: Path) -> None:
     (tmp_path / "sun.csv").write_text("angle_mrad,radiance\n0,10\n4,9\n5,0.5\n20,0\n")
-    table = build_sun(SunSection(shape="table", file="sun.csv"), tmp_path)
+    table = tabulated(tmp_path)
     assert isinstance(table, TabulatedSun)
     np.testing.assert_allclose(table.radiance([0.0, 4e-3, 12.5e-3]), [1.0, 0.9, 0.025])
-    gauss = build_sun(SunSection(), tmp_path)
+    gauss = build_sun(SunSection(), None, tmp_path)
     assert isinstance(gauss, GaussianSun)
     assert gauss.sigma_rad == pytest.approx(2.73e-3)
-    pillbox = build_sun(SunSection(shape="pillbox", half_angle_mrad=4.7), tmp_path)
+    pillbox = build_sun(SunSection(shape="pillbox", half_angle_mrad=4.7), None, tmp_path)
     assert isinstance(pillbox, PillboxSun)
     assert pillbox.limit_rad == pytest.approx(4.7e-3)
-    buie = build_sun(SunSection(shape="buie", circumsolar_ratio=0.2), tmp_path)
+    buie = build_sun(SunSection(shape="buie", circumsolar_ratio=0.2), None, tmp_path)
     assert isinstance(buie, BuieSun)
     assert buie.circumsolar_share == pytest.approx(0.2, abs=1e-5)
 
@@ -81,7 +86,7 @@ def test_sun_is_what_the_file_says(tmp_path: Path) -> None:
 def test_a_table_that_is_no_sun_is_named(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "sun.csv").write_text(text)
     with pytest.raises(InputError, match=message) as found:
-        build_sun(SunSection(shape="table", file="sun.csv"), tmp_path)
+        tabulated(tmp_path)
     assert "sun.csv" in str(found.value)
 
 
@@ -136,7 +141,7 @@ def test_curves_are_written_as_tables(tmp_path: Path) -> None:
 
 def test_an_absorber_away_from_the_light_is_said() -> None:
     mirror = slope_map(gaussian_errors(1e-3, (20, 40)))
-    found = evaluate_intercept(GaussianSun(2.73e-3), OpticsSection(), mirror, absorber(0.09, 1.71), SOLTRACE)
+    found = evaluate_intercept(Sunlight(GaussianSun(2.73e-3)), mirror, absorber(0.09, 1.71), SOLTRACE)
     numbers, why = intercept_numbers(found)
     assert found.doubts != ()
     assert numbers["best_tracking_offset_rad"] is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from heliogauge.errors import EstimationError, InputError
-from observer.pipeline.inputs import target_constraints
+from observer.pipeline.inputs import read_targets
 from observer.targets.list_checks import (
     refuse_loose_frame,
     refuse_strange_targets,
@@ -80,4 +80,4 @@ def test_strays_are_few_and_far():
 def test_tables_as_other_programs_save_them(tmp_path, content, said):
     (tmp_path / "targets.csv").write_bytes(content)
     with pytest.raises(InputError, match=said):
-        target_constraints(tmp_path / "targets.csv")
+        read_targets(tmp_path / "targets.csv")

@@ -9,8 +9,8 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.models import PhotosSection
-from observer.doubts.stated_camera import explained, stated_camera_doubt
 from observer.pipeline.photos import FirstLook
+from observer.pipeline.stated_camera import explained, stated_camera_doubt
 from observer.product.pictures import empty_slices
 from observer.trough.collector import ls2
 from photogrammetry import pipeline as photogrammetry_pipeline
@@ -82,7 +82,7 @@ def doubt(stated_px: float, sigma_px: float, seed: int) -> tuple[str | None, flo
         measured=collect_photos(first.targets),
         start=StartValues(first.poses),
     )
-    return stated_camera_doubt(network, survey, first.targets, first.poses), network.solved.image_sigma_factor
+    return stated_camera_doubt(network, survey, first), network.solved.image_sigma_factor
 
 
 def test_focal_length_that_targets_in_one_plane_hide_is_named() -> None:

@@ -1,6 +1,6 @@
 """Whether the stated camera fits the targets in the photos: where it does not, a few photos tell a better one."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import EstimationError, MetrologyError
-from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
 from observer.doubts.design_checks import camera_doubt
+from observer.pipeline.photos import FirstLook
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.keys import PhotogrammetryMeasurement
-from photogrammetry.pipeline import OnePhoto, collect_photos
+from photogrammetry.pipeline import collect_photos
 from photogrammetry.start_values import StartValues
 
 #: Image points that fit so much worse than they were measured make one ask; cameras that are right leave 0.8 to 1.0.
@@ -32,33 +32,26 @@ _FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", 
 
 
 def stated_camera_doubt(
-    network: photogrammetry_pipeline.Result,
-    survey: PhotogrammetryMeasurement,
-    targets: Sequence[OnePhoto],
-    poses: Mapping[str, RigidTransform],
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
 ) -> str | None:
     """Say whether the stated camera contradicts the targets, and what some photos say that it is.
 
-    targets: Of each photo.
-    poses: Provisional ``cam_from_frame`` of photos.
+    first: What was found in the photos.
     """
     factor = network.solved.image_sigma_factor
     stated = survey.model.camera
-    if not targets or len(stated) > 1 or stated[0].free is not None:
+    if not first.targets or len(stated) > 1 or stated[0].free is not None:
         return camera_doubt(factor)
-    said = _doubt_by_fit(network, survey, targets, poses) if factor >= _ASK_FACTOR else None
-    return said or camera_doubt(factor) or _doubt_of_focal_length(network, survey, targets, poses)
+    said = _doubt_by_fit(network, survey, first) if factor >= _ASK_FACTOR else None
+    return said or camera_doubt(factor) or _doubt_of_focal_length(network, survey, first)
 
 
 def _doubt_by_fit(
-    network: photogrammetry_pipeline.Result,
-    survey: PhotogrammetryMeasurement,
-    targets: Sequence[OnePhoto],
-    poses: Mapping[str, RigidTransform],
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
 ) -> str | None:
     """Say with which camera the targets fit much better; None where there is no such camera."""
     factor = network.solved.image_sigma_factor
-    found = _with_free(survey, targets, poses, _FREE, _PHOTOS)
+    found = _with_free(survey, first, _FREE, _PHOTOS)
     if found is None:
         return None
     better = found.solved.image_sigma_factor
@@ -73,13 +66,10 @@ def _doubt_by_fit(
 
 
 def _doubt_of_focal_length(
-    network: photogrammetry_pipeline.Result,
-    survey: PhotogrammetryMeasurement,
-    targets: Sequence[OnePhoto],
-    poses: Mapping[str, RigidTransform],
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
 ) -> str | None:
     """Say whether targets and list tell another focal length, however well they fit the stated one."""
-    found = _with_free(survey, targets, poses, ("focal_px",), _FOCAL_PHOTOS)
+    found = _with_free(survey, first, ("focal_px",), _FOCAL_PHOTOS)
     if found is None:
         return None
     was, now = network.camera.focal_x_px, found.camera.focal_x_px
@@ -97,23 +87,22 @@ def _doubt_of_focal_length(
 
 def _with_free(
     survey: PhotogrammetryMeasurement,
-    targets: Sequence[OnePhoto],
-    poses: Mapping[str, RigidTransform],
+    first: FirstLook,
     free: tuple[Intrinsic, ...],
     most: int,
 ) -> photogrammetry_pipeline.Result | None:
     """Adjust at most so many of the photos with a camera that they tell; None where they cannot."""
     section = survey.model.camera[0].model_copy(update={"free": free, "prior": False, "sigma": {}})
-    every = max(1, -(-len(targets) // most))
-    some = targets[::every]
+    every = max(1, -(-len(first.targets) // most))
+    some = first.targets[::every]
     names = {one.detections.photo for one in some}
-    own = {name: pose for name, pose in poses.items() if name in names}
+    poses = {name: pose for name, pose in first.poses.items() if name in names}
     files = tuple(file for file in survey.photo_files if file.name in names)
     freed = replace(survey, model=survey.model.model_copy(update={"camera": (section,)}), photo_files=files)
     try:
         return photogrammetry_pipeline.run(
             freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=collect_photos(some),
-            start=StartValues(own) if len(own) > 1 else None,
+            start=StartValues(poses) if len(poses) > 1 else None,
         )  # fmt: skip
     except MetrologyError:
         return None

@@ -1,0 +1,85 @@
+"""How far a result may be believed: what was stated beside what photos and result show, each contradiction a doubt."""
+
+import numpy as np
+
+from heliogauge.images.photos import read_luma
+from observer.doubts.design_checks import (
+    diameter_doubt,
+    diameter_of_absorber,
+    focal_length_doubt,
+    focal_length_of_mirror,
+    heights_doubt,
+    outline_doubts,
+    overexposure_doubt,
+    panels_doubt,
+    sparse_doubt,
+)
+from observer.photo_edges.outline import clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
+from observer.pipeline.cameras import Cameras
+from observer.pipeline.inputs import Inputs
+from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
+from observer.pipeline.stated_camera import stated_camera_doubt
+from observer.pipeline.target_list import CheckedList
+from observer.product.longitudinal import incidence_warning
+from observer.selection.edge_refusal import unchecked_doubt
+from observer.slopes.shape_share import shape_doubt
+from observer.trough.collector import Collector
+from observer.trough.visibility import coverage_warning, seeable_shares
+
+
+def judge(
+    inputs: Inputs, listed: CheckedList, cameras: Cameras, placed: PlacedAbsorber, mirror: SolvedMirror
+) -> tuple[str, ...]:
+    """Return what is doubtful of a solution, and of what was stated.
+
+    InputError: A photo cannot be read.
+    """
+    reflector, slope_map, eyes = mirror.reflector, mirror.slope_map, cameras.photos.eyes_m
+    along_rad = reflector.roughness.along_rad
+    camera = stated_camera_doubt(cameras.network, listed.survey, listed.first)
+    sparse = sparse_doubt(seeable_shares(mirror.visible, slope_map.aperture, slope_map.valid)[1], eyes)
+    # A wrong camera or a few photos contradict right dimensions.
+    with_sizes = camera is None and sparse is None
+    usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
+    found = (
+        *inputs.doubts,
+        *listed.doubts,
+        camera,
+        panels_doubt(reflector.roughness, inputs.collector),
+        heights_doubt(reflector) if with_sizes else None,
+        sparse,
+        *design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes),
+        *placed.doubts,
+        coverage_warning(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
+        incidence_warning(slope_map, eyes, inputs.collector, along_rad),
+        shape_doubt(reflector.shape, inputs.shape_from_slopes, usual_sigma),
+        unchecked_doubt(reflector.fate),
+    )
+    return tuple(text for text in found if text is not None)
+
+
+def design_doubts(
+    cameras: Cameras, mirror: SolvedMirror, collector: Collector, *, with_sizes: bool = True
+) -> tuple[str, ...]:
+    """Compare width, length, focal length and tube diameter as stated with what seven of the photos show.
+
+    with_sizes: Whether focal length and tube are judged.
+    Returns: What does not fit; and whether the mirror is overexposed.
+    InputError: A photo cannot be read.
+    """
+    targets = cameras.network.points
+    plates = plates_of(targets.ids, targets.xyz_m)
+    rims, clipped = [], []
+    for number in photos_from_above(cameras.photos.eyes_m):
+        image, view = read_luma(cameras.files[number]), cameras.views[number]
+        rims.append(rims_in_photo(image, view, collector, plates))
+        clipped.append(clipped_share(image, view, collector))
+    said = [overexposure_doubt(float(np.median(clipped)))]
+    if with_sizes:
+        focal_length = focal_length_of_mirror(mirror.slope_map, collector)
+        said += [
+            focal_length_doubt(focal_length, mirror.absorber, collector),
+            diameter_doubt(diameter_of_absorber(mirror.reflector, collector), collector),
+        ]
+    said += outline_doubts(*spans_of(np.array(rims)), collector)
+    return tuple(text for text in said if text is not None)
