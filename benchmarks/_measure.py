@@ -8,18 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.screen import ScreenResponse
-from data_synth.fringes import (
-    FULL_CAMERA,
-    FringeScene,
-    Knowledge,
-    SyntheticFringes,
-    facet_scene,
-    measurement_content,
-    rectangle,
-    response_table,
-    standard_errors,
-)
-from data_synth.optics import Design, SyntheticFacet, Wall
+from data_synth.fringes import FringeScene, Knowledge, measurement_content, response_table
 from deflectometry.exchange import OpencspOptions, import_opencsp
 from deflectometry.fringes import Observation, ScreenMapLimits
 from deflectometry.pipeline import DeflectometryMeasurement, MirrorInput, build_setup, describe_mirror
@@ -59,20 +48,6 @@ class StageClock(SilentProgress):
         self.cpu_s[stage.name] += time.process_time()
 
 
-def large_facet_scene() -> FringeScene:
-    """Return a facet before a larger wall whose image fills two thirds of 1624 x 1232 px, as far as edges need."""
-    design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.4, 1.8)
-    facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
-    return facet_scene(
-        "large facet",
-        (facet,),
-        camera=FULL_CAMERA,
-        wall=Wall(9.0, 6.0),
-        place_m=(0.0, 0.0, 9.65),
-        blur_sigma_px=0.1,
-    )
-
-
 def evaluation_inputs(scene: FringeScene, knowledge: Knowledge, seed: int = 0) -> tuple[Setup, MirrorInput]:
     """Build what the measurement file would say of a scene, without the file."""
     content = measurement_content(scene, ["x.png"] * scene.pattern.n_frames, knowledge, np.random.default_rng(seed))
@@ -83,7 +58,7 @@ def evaluation_inputs(scene: FringeScene, knowledge: Knowledge, seed: int = 0) -
         return setup, describe_mirror(measurement, setup)
 
 
-def observation_of(scene: FringeScene, fringes: SyntheticFringes, *, response: bool = False) -> Observation:
+def observation_of(scene: FringeScene, fringes, *, response: bool = False) -> Observation:
     """Return the frames of a scene as they would be read."""
     return Observation(
         frames=fringes.frames,

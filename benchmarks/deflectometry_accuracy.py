@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from _measure import EXPECTED, evaluation_inputs, import_real_facet, row, title
 
-from data_synth.fringes import STANDARD_PERIODS, FringeScene, Knowledge, expected_light, preset_scene
+from data_synth.fringes import FringeScene, Knowledge, expected_light, preset_scene
 from data_synth.optics import SurfaceErrors
 from deflectometry import Options, run
 from deflectometry.fringes import Observation, ScreenMapLimits, measure_screen_map
@@ -220,7 +220,7 @@ def edges_of_the_screen():
         f"First and last 0.2 % of the screen, noise 1 DN, {samples} pixels each: errors above 0.1 of the screen",
         ("unflagged", "asked", "incumbent", "arctan2 + round", "order flagged"),
     )
-    ladders = {"0.9, 3.9, 15.9, 63.9": STANDARD_PERIODS, "1, 4, 16, 64": (1.0, 4.0, 16.0, 64.0), "1": (1.0,)}
+    ladders = {"0.9, 3.9, 15.9, 63.9": (0.9, 3.9, 15.9, 63.9), "1, 4, 16, 64": (1.0, 4.0, 16.0, 64.0), "1": (1.0,)}
     for label, periods in ladders.items():
         for low, high in ((0.0, 0.002), (0.998, 1.0)):
             pattern = make_pattern(periods, periods)

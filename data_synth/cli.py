@@ -28,7 +28,8 @@ def fringes(
     preset: Annotated[
         str,
         typer.Option(
-            help="Scene: small, full, off-axis, off-axis-20, trough-panel, sphere, plane, curved-screen, ensemble."
+            help="Scene: small, full, large, off-axis, off-axis-20, trough-panel, sphere, plane, curved-screen, "
+            "ensemble."
         ),
     ] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all noise; the same seed gives the same files.")] = 0,

@@ -13,7 +13,7 @@ PICTURE = REPOSITORY / "docs" / "images" / "rooms.svg"
 
 #: Rooms of each package in the order in which data pass through them, then the service rooms.
 METHOD = {
-    "calibration.camera": ("corners", "start_values", "judgement"),
+    "calibration.camera": ("corners", "start_values", "adjustment", "judgement"),
     "calibration.screen": (),
     "photogrammetry": (
         "targets",

@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from data_synth.fringes.dataset import read_truth as read_truth
     from data_synth.fringes.dataset import write_dataset as write_dataset
     from data_synth.fringes.knowledge import Knowledge as Knowledge
-    from data_synth.fringes.presets import STANDARD_PERIODS as STANDARD_PERIODS
+    from data_synth.fringes.knowledge import measurement_content as measurement_content
+    from data_synth.fringes.knowledge import response_table as response_table
     from data_synth.fringes.presets import preset_scene as preset_scene
     from data_synth.fringes.scene import FringeScene as FringeScene
     from data_synth.fringes.scene import expected_light as expected_light
@@ -21,11 +22,12 @@ __getattr__, __dir__, __all__ = lazy_face(
         "DatasetOptions": "data_synth.fringes.dataset",
         "FringeScene": "data_synth.fringes.scene",
         "Knowledge": "data_synth.fringes.knowledge",
-        "STANDARD_PERIODS": "data_synth.fringes.presets",
         "expected_light": "data_synth.fringes.scene",
+        "measurement_content": "data_synth.fringes.knowledge",
         "preset_scene": "data_synth.fringes.presets",
         "read_truth": "data_synth.fringes.dataset",
         "render_fringes": "data_synth.fringes.scene",
+        "response_table": "data_synth.fringes.knowledge",
         "write_dataset": "data_synth.fringes.dataset",
     },
 )

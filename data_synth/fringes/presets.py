@@ -226,9 +226,17 @@ def ensemble_scene(*, columns: int = 6, rows: int = 4, camera: PinholeCamera | N
     return facet_scene(f"ensemble of {rows * columns} facets", tuple(facets), camera=chosen, blur_sigma_px=0.3)
 
 
+def large_scene() -> FringeScene:
+    """Return a facet of 2.4 m x 1.8 m before a larger wall; its image fills two thirds of 1624 x 1232 px."""
+    design, size = Design("paraboloid", {"focal_length_m": 100.0}), (2.4, 1.8)
+    facet = SyntheticFacet("facet", rectangle(*size), design, standard_errors(*size))
+    return facet_scene("large facet", (facet,), camera=FULL_CAMERA, wall=Wall(9.0, 6.0), place_m=(0.0, 0.0, 9.65))
+
+
 PRESETS: Mapping[str, Callable[[], FringeScene]] = {
     "small": small_scene,
     "full": full_scene,
+    "large": large_scene,
     "off-axis": off_axis_scene,
     "off-axis-20": lambda: off_axis_scene(20.0, 0.25),
     "trough-panel": trough_scene,
