@@ -20,8 +20,8 @@ from heliogauge.errors import EstimationError
 from heliogauge.images.photos import read_image
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, CameraModel, ResidualSpace, adjust, alignment, eccentricity
-from photogrammetry.centers import CENTER_OPERATORS
-from photogrammetry.detection import SearchLimits, find_candidates, measure_center
+from photogrammetry.centers import measure_center
+from photogrammetry.detection import SearchLimits, find_candidates
 from photogrammetry.start_values import build_network
 
 FOLDER = ROOT.parent / "shared" / "data" / "photogrammetry" / "dbat_camcal"
@@ -52,12 +52,12 @@ def nearest_candidates(image, marks_px):
     return found
 
 
-def measured(operator, images, spots):
-    """Centres of all spots, shape (m, 2), and their ellipses, (m, 2, 2); NaN where the operator refuses."""
+def measured(images, spots):
+    """Centres of all spots, shape (m, 2), and their ellipses, (m, 2, 2); NaN where there is none."""
     centers, shapes = np.full((len(spots), 2), np.nan), np.full((len(spots), 2, 2), np.nan)
     for k, (image, spot) in enumerate(zip(images, spots, strict=True)):
         try:
-            center = measure_center(image, spot.ellipse, operator) if spot is not None else None
+            center = measure_center(image, spot.ellipse) if spot is not None else None
         except EstimationError:
             center = None
         if center is not None:
@@ -90,7 +90,7 @@ def main():
         spots += nearest_candidates(image, marks[own])
         images += [image] * own.size
     found = {"marks": (marks, None)}
-    found |= {name: measured(operator, images, spots) for name, operator in CENTER_OPERATORS.items()}
+    found["blurred disc"] = measured(images, spots)
     photos = [str(number) for number in photo]
 
     def table(pixels):
@@ -99,7 +99,7 @@ def main():
         )
 
     title("sigma0 [px] of all 2074 image points", tuple(found))
-    row("asked, best seen elsewhere", "", "0.150, 0.148", "", "")
+    row("asked, best seen elsewhere", "", "0.150, 0.148")
     backward, forward = DistortionDirection.MEASURED_TO_IDEAL, DistortionDirection.IDEAL_TO_MEASURED
     measured_space, corrected = ResidualSpace.MEASURED, ResidualSpace.CORRECTED
     models = {
@@ -117,7 +117,7 @@ def main():
         for pixels, shapes in list(found.values())[1:]
     ]
     row("the last with eccentricity corrected", "", *own)
-    off = found["template"][0] - marks
+    off = found["blurred disc"][0] - marks
     row(
         "minus mark: mean x, mean y, rms about it",
         "",

@@ -1,6 +1,6 @@
 """Centres of round targets with covariance, to hundredths of a pixel.
 
-A `CENTER_OPERATORS` entry takes the pixels around an `Ellipse`; `template_center` is the one that measurements use.
+`measure_center` fits a blurred disc to the pixels around an `Ellipse`, `measure_centers` many of a photo at once.
 """
 
 from typing import TYPE_CHECKING
@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from photogrammetry.centers.centroid import CENTER_OPERATORS as CENTER_OPERATORS
     from photogrammetry.centers.ellipse import Ellipse as Ellipse
     from photogrammetry.centers.ellipse import NamedEllipses as NamedEllipses
     from photogrammetry.centers.ellipse import eccentricity_px as eccentricity_px
-    from photogrammetry.centers.template import template_center as template_center
+    from photogrammetry.centers.target_center import TargetCenter as TargetCenter
+    from photogrammetry.centers.template import measure_center as measure_center
+    from photogrammetry.centers.template import measure_centers as measure_centers
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
-        "CENTER_OPERATORS": "photogrammetry.centers.centroid",
         "Ellipse": "photogrammetry.centers.ellipse",
         "NamedEllipses": "photogrammetry.centers.ellipse",
+        "TargetCenter": "photogrammetry.centers.target_center",
         "eccentricity_px": "photogrammetry.centers.ellipse",
-        "template_center": "photogrammetry.centers.template",
+        "measure_center": "photogrammetry.centers.template",
+        "measure_centers": "photogrammetry.centers.template",
     },
 )

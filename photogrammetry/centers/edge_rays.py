@@ -1,4 +1,4 @@
-"""Ellipses through edges along rays, for all spots of a photo at once: precise enough to start a centre operator."""
+"""Ellipses through edges along rays, for all spots of a photo at once: precise enough to start a fit."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Ellipses as images of circles: dual conics, fits to edge points, and the eccentricity of their centres.
+"""Ellipses as images of circles, and the eccentricity of their centres.
 
 An ellipse is held as centre c and shape S, the set (x - c)' S^-1 (x - c) = 1. Its dual conic, the set of its tangents,
 is then C* = [[c c' - S, c], [c', 1]] up to scale: centre and shape are read from C* without any root.
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, float_array, freeze
 
 #: Points of the ellipse that are sent through the lens; the lens's curvature needs its first three harmonics.
@@ -36,8 +36,8 @@ class Ellipse:
     Examples
     --------
     >>> circle = Ellipse(np.array([5.0, 4.0]), 9.0 * np.eye(2))
-    >>> circle.radius_px, circle.axis_ratio
-    (3.0, 1.0)
+    >>> circle.radius_px
+    3.0
     """
 
     center_px: FloatArray
@@ -53,60 +53,6 @@ class Ellipse:
         object.__setattr__(self, "center_px", float_array("center_px", self.center_px, (2,)))
         object.__setattr__(self, "shape_px2", shape)
 
-    @classmethod
-    def from_axes(cls, center_px: npt.ArrayLike, semi_axes_px: tuple[float, float], angle_rad: float) -> "Ellipse":
-        """Make an ellipse from its semi-axes; the angle turns the first one from +x towards +y.
-
-        Parameters
-        ----------
-        center_px : array_like, shape (2,)
-            Centre (x, y) [px].
-        semi_axes_px : tuple of float
-            Both semi-axes [px].
-        angle_rad : float
-            Direction of the first one [rad].
-
-        Returns
-        -------
-        Ellipse
-            The ellipse.
-        """
-        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-        axes = np.array([[cosine, -sine], [sine, cosine]]) * np.asarray(semi_axes_px, dtype=np.float64)
-        return cls(np.asarray(center_px, dtype=np.float64), axes @ axes.T)
-
-    @classmethod
-    def from_dual_conic(cls, dual: npt.ArrayLike) -> "Ellipse":
-        """Make an ellipse from the matrix of its tangents.
-
-        Parameters
-        ----------
-        dual : array_like, shape (3, 3)
-            Symmetric; any scale.
-
-        Returns
-        -------
-        Ellipse
-            The ellipse.
-
-        Raises
-        ------
-        InputError
-            The conic is not an ellipse.
-        """
-        matrix = float_array("dual", dual, (3, 3))
-        center = matrix[:2, 2] / matrix[2, 2]
-        shape = np.outer(center, center) - matrix[:2, :2] / matrix[2, 2]
-        return cls(center, 0.5 * (shape + shape.T))
-
-    @property
-    def dual_conic(self) -> FloatArray:
-        """Matrix of its tangents l: l' C* l = 0, shape (3, 3)."""
-        point = np.append(self.center_px, 1.0)
-        dual = np.outer(point, point)
-        dual[:2, :2] -= self.shape_px2
-        return freeze(dual)
-
     @property
     def semi_axes_px(self) -> tuple[float, float]:
         """Semi-axes, the larger one first [px]."""
@@ -119,19 +65,6 @@ class Ellipse:
         """Geometric mean of the semi-axes: the circle of the same area [px]."""
         (xx, xy), (_, yy) = self.shape_px2
         return float((xx * yy - xy * xy) ** 0.25)
-
-    @property
-    def axis_ratio(self) -> float:
-        """Smaller over larger semi-axis; the cosine of the tilt of a distant circle."""
-        larger, smaller = self.semi_axes_px
-        return smaller / larger
-
-    @property
-    def circumference_px(self) -> float:
-        """Length of the outline (Ramanujan; relative error below 1e-4 down to an axis ratio of 0.2) [px]."""
-        a, b = self.semi_axes_px
-        h = ((a - b) / (a + b)) ** 2
-        return float(np.pi * (a + b) * (1 + 3 * h / (10 + np.sqrt(4 - 3 * h))))
 
     @property
     def frame_px(self) -> FloatArray:
@@ -225,87 +158,13 @@ class NamedEllipses:
         return NamedEllipses(self.names, centers, shapes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EllipseFit:
-    """An ellipse through edge points.
-
-    rms_px: Distance of the points from it, per degree of freedom [px].
-    center_per_normal (n, 2): How the centre moves when a point moves outwards along its normal [px/px].
-    normals (n, 2): Outward normals at the points.
-    """
-
-    ellipse: Ellipse
-    rms_px: float
-    center_per_normal: FloatArray
-    normals: FloatArray
-
-    @property
-    def covariance_px2(self) -> FloatArray:
-        """Covariance of the centre if the points scatter independently with `rms_px`, shape (2, 2) [px^2]."""
-        return freeze(self.rms_px**2 * self.center_per_normal.T @ self.center_per_normal)
-
-
-def fit_ellipse(points_px: npt.ArrayLike) -> EllipseFit:
-    """Fit an ellipse to edge points, in no particular order.
-
-    points_px (n, 2): At least six points, well round the ellipse [px].
-    EstimationError: Fewer than six points, or they lie on no ellipse.
-
-    Linear least squares of A x^2 + B x y + C y^2 + D x + E y = 1 (spec 002, B.14-B.19) in centred and scaled
-    coordinates, repeated twice with each equation divided by its gradient (Sampson), so that distances in pixels are
-    minimised. Without the weights, points on the flat sides of a tilted circle count too little.
-    """
-    points = float_array("points_px", points_px, (None, 2))
-    if len(points) < 6:
-        raise EstimationError(f"an ellipse with its precision needs 6 points, not {len(points)}")
-    middle = points.mean(axis=0)
-    scale = float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean())) or 1.0
-    x, y = ((points - middle) / scale).T
-    rows = np.stack([x * x, x * y, y * y, x, y], axis=1)
-    weights = np.ones(len(points))
-    for _ in range(3):
-        theta = np.asarray(np.linalg.lstsq(rows * weights[:, None], weights, rcond=None)[0], dtype=np.float64)
-        gradient = np.stack([2 * theta[0] * x + theta[1] * y + theta[3], theta[1] * x + 2 * theta[2] * y + theta[4]], 1)
-        steepness = np.maximum(np.hypot(*gradient.T), 1e-9)
-        weights = 1.0 / steepness
-    ellipse, center_per_theta = _ellipse_of_conic(theta)
-    weighted = rows * weights[:, None]
-    # A point that moves outwards by one unit changes its equation by its gradient, which the weight takes out again.
-    theta_per_normal = -np.linalg.solve(weighted.T @ weighted, weighted.T)
-    distances = (rows @ theta - 1) * weights * scale
-    rms = float(np.sqrt(distances @ distances / max(len(points) - 5, 1)))
-    outward = gradient * weights[:, None]
-    return EllipseFit(
-        Ellipse(ellipse.center_px * scale + middle, ellipse.shape_px2 * scale**2),
-        rms,
-        freeze((center_per_theta @ theta_per_normal).T),
-        freeze(outward),
-    )
-
-
-def _ellipse_of_conic(theta: FloatArray) -> tuple[Ellipse, FloatArray]:
-    """Ellipse of A x^2 + B x y + C y^2 + D x + E y = 1, and the derivative of its centre by A to E."""
-    quadratic = np.array([[theta[0], 0.5 * theta[1]], [0.5 * theta[1], theta[2]]])
-    determinant = quadratic[0, 0] * quadratic[1, 1] - quadratic[0, 1] ** 2
-    # Beyond a ratio of the axes of 1:10,000 rounding decides between ellipse, parabola and hyperbola.
-    if not (determinant > 1e-8 * np.trace(quadratic) ** 2 and quadratic[0, 0] > 0):
-        raise EstimationError("the edge points lie on no ellipse; they cover too little of the outline")
-    inverse = np.linalg.inv(quadratic)
-    center = -0.5 * inverse @ theta[3:]
-    x, y = center
-    # quadratic @ center = -theta[3:] / 2, differentiated by each parameter.
-    right = -np.array([[x, 0.5 * y, 0.0, 0.5, 0.0], [0.0, 0.5 * x, y, 0.0, 0.5]])
-    level = 1 + center @ quadratic @ center
-    return Ellipse(center, level * inverse), inverse @ right
-
-
 # --- images of circles ----------------------------------------------------------------------------------------------
 
 
 def circle_image_center_px(
     camera: Camera, centers_cam_m: npt.ArrayLike, normals_cam: npt.ArrayLike, radius_m: npt.ArrayLike
 ) -> FloatArray:
-    """Return where a centre operator finds circles: the centres of their images' ellipses.
+    """Return where centres of circles are measured: the centres of their images' ellipses.
 
     Shapes: radius_m (n,).
     centers_cam_m (n, 3): Centres of the circles in the camera's frame [m].
@@ -315,7 +174,7 @@ def circle_image_center_px(
     A circle of centre X, unit normal n and radius r has in the ideal image (at unit distance) the dual conic
     C* = P Q* P' = X X' - r^2 (I - n n'), from which centre and shape are read. The lens bends this ellipse: twelve of
     its points are sent through the camera, and the first harmonic of their departure, along the normals, from the
-    affine image of the ellipse is what an edge operator makes of the bending. At 30 px diameter and
+    affine image of the ellipse is what a fit to the edge makes of the bending. At 30 px diameter and
     k1 = -0.1 the bending shifts the centre by up to 0.006 px, a fifth of the eccentricity.
     """
     centers = float_array("centers_cam_m", centers_cam_m, (None, 3), finite=False)
@@ -333,7 +192,7 @@ def circle_image_center_px(
 
 
 def _through_lens(camera: Camera, middle: FloatArray, shape: FloatArray) -> FloatArray:
-    """Centres, for an edge operator, of ellipses of the ideal image after the lens has bent them."""
+    """Centres, for a fit to the edge, of ellipses of the ideal image after the lens has bent them."""
     root = np.sqrt(np.maximum(shape[:, 0, 0] * shape[:, 1, 1] - shape[:, 0, 1] ** 2, 0.0))
     trace = shape[:, 0, 0] + shape[:, 1, 1]
     frame = (shape + root[:, None, None] * np.eye(2)) / np.sqrt(trace + 2 * root)[:, None, None]

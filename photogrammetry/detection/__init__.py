@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from photogrammetry.detection import board_corners as board_corners
     from photogrammetry.detection.detect import SearchLimits as SearchLimits
     from photogrammetry.detection.detect import find_candidates as find_candidates
-    from photogrammetry.detection.detect import measure_center as measure_center
     from photogrammetry.detection.detections import Detections as Detections
     from photogrammetry.detection.markers import find_markers as find_markers
     from photogrammetry.detection.photo_targets import TargetSearch as TargetSearch
@@ -29,7 +28,6 @@ __getattr__, __dir__, __all__ = lazy_face(
         "find_candidates": "photogrammetry.detection.detect",
         "find_markers": "photogrammetry.detection.markers",
         "measure_at": "photogrammetry.detection.photo_targets",
-        "measure_center": "photogrammetry.detection.detect",
         "measure_targets": "photogrammetry.detection.photo_targets",
     },
 )

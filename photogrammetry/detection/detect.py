@@ -17,7 +17,6 @@ from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.edge_rays import outlines_along_rays
 from photogrammetry.centers.ellipse import Ellipse
-from photogrammetry.centers.operator import CenterOperator, TargetCenter, cut_window
 from photogrammetry.centers.pyramid import Pyramid, ellipse_frames, make_pyramid
 from photogrammetry.targets.ring_codes import Polarity
 
@@ -142,33 +141,6 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
         if needed:
             parts += _spots_on_level(image, level, asked)
     return _apart(_uniform(pyramid, _joined(parts), asked))
-
-
-def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, operator: CenterOperator) -> TargetCenter:
-    """Measure a target's centre in the photo's pixels.
-
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The target's outline in the photo, to a pixel or so.
-    operator : CenterOperator
-        The estimator.
-
-    Returns
-    -------
-    TargetCenter
-        The result in the photo's pixels.
-
-    Raises
-    ------
-    EstimationError
-        The target touches the border, or the estimator refuses.
-    """
-    window = cut_window(image_dn, start)
-    origin = np.array(window.origin_px, dtype=np.float64)
-    return operator(window.values_dn, start.moved(-origin)).moved(origin)
 
 
 # --- spots: vectorised over all of a scale --------------------------------------------------------------------------

@@ -10,12 +10,11 @@ from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import FlagArray, FloatArray
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
-from photogrammetry.centers.operator import REACH, CenterOperator, TargetCenter, UnmeasuredTargetError
 from photogrammetry.centers.pyramid import make_pyramid
-from photogrammetry.centers.template import template_center, template_centers
-from photogrammetry.centers.template_batch import stacked_centers
+from photogrammetry.centers.target_center import REACH, TargetCenter, UnmeasuredTargetError
+from photogrammetry.centers.template import centers_near, measure_center, measure_centers
 from photogrammetry.detection.decode import RingLimits, RingReading, read_rings, ring_outline
-from photogrammetry.detection.detect import SearchLimits, find_in_pyramid, measure_center
+from photogrammetry.detection.detect import SearchLimits, find_in_pyramid
 from photogrammetry.detection.detections import Detections
 from photogrammetry.targets.coded_targets import RingDictionary
 from photogrammetry.targets.ring_codes import VENDOR_RADII
@@ -38,8 +37,6 @@ class TargetSearch:
         How good a code ring must be.
     with_uncoded : bool, optional
         Also return dots without a code ring.
-    operator : CenterOperator, optional
-        Estimator of the centres.
     most_misfit : float, optional
         Residual of a dot without code as a share of its contrast, above which it is none.
     """
@@ -48,7 +45,6 @@ class TargetSearch:
     limits: SearchLimits = field(default_factory=SearchLimits)
     ring_limits: RingLimits = field(default_factory=RingLimits)
     with_uncoded: bool = True
-    operator: CenterOperator = template_center
     most_misfit: float = 0.08
 
 
@@ -118,7 +114,8 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     coded: list[tuple[TargetCenter, RingReading]] = []
     unused: list[UnusedTarget] = []
     covered = [dots[k] for k, _ in ringed]
-    for (_, reading), dot, center in zip(ringed, covered, _centers(image_dn, covered, search), strict=True):
+    measured = measure_centers(image_dn, covered, _template_reach(search))
+    for (_, reading), dot, center in zip(ringed, covered, measured, strict=True):
         if isinstance(center, TargetCenter):
             coded.append((center, reading))
         elif reading.code is not None:
@@ -168,16 +165,17 @@ def measure_at(
     list of (Detections, ndarray of shape (n, 2, 2))
         Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
-    if search.operator is not template_center:
-        return [_measured_one_by_one(*one, search) for one in zip(images_dn, photos, starts, strict=True)]
+    reach = _template_reach(search)
     photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])
     places = np.concatenate([one.centers_px for one in starts] or [np.zeros((0, 2))])
     shapes = np.concatenate([one.shapes_px2 for one in starts] or [np.zeros((0, 2, 2))])
-    stack = stacked_centers(images_dn, photo, places, shapes, _template_reach(search))
+    stack = centers_near(images_dn, photo, places, shapes, reach)
     for row in np.flatnonzero(~stack.settled).tolist():
-        center = _centers(images_dn[int(photo[row])], [Ellipse(places[row], shapes[row])], search)[0]
-        if isinstance(center, TargetCenter):
-            stack.put(row, center)
+        try:
+            center = measure_center(images_dn[int(photo[row])], Ellipse(places[row], shapes[row]), reach)
+        except EstimationError:
+            continue
+        stack.put(row, center)
     fine = stack.settled & (stack.residual_dn < search.most_misfit * np.abs(stack.contrast_dn))
     names = [name for one in starts for name in one.names]
     found = []
@@ -196,21 +194,6 @@ def measure_at(
     return found
 
 
-def _measured_one_by_one(
-    image_dn: npt.NDArray[np.generic], photo: str, starts: NamedEllipses, search: TargetSearch
-) -> tuple[Detections, FloatArray]:
-    dots = [Ellipse(*one) for one in zip(starts.centers_px, starts.shapes_px2, strict=True)]
-    centers = _centers(image_dn, dots, search)
-    found = [
-        (name, one)
-        for name, one in zip(starts.names, centers, strict=True)
-        if isinstance(one, TargetCenter) and one.misfit < search.most_misfit
-    ]
-    measured = [one for _, one in found]
-    shapes = np.array([one.ellipse.shape_px2 for one in measured]).reshape(-1, 2, 2)
-    return _detections(image_dn, photo, [name for name, _ in found], measured), shapes
-
-
 def _template_reach(search: TargetSearch) -> float:
     """Return how far from a dot's centre pixels may be used, in its radii: a code ring begins beyond."""
     gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
@@ -220,21 +203,6 @@ def _template_reach(search: TargetSearch) -> float:
 def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
     flag = why.flag if isinstance(why, UnmeasuredTargetError) else SampleFlag.PARTLY_COVERED
     return UnusedTarget(name, dot.center_px, flag, str(why))
-
-
-def _centers(
-    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], search: TargetSearch
-) -> Sequence[TargetCenter | EstimationError]:
-    """Measure centres: the template's all at once, those of other operators one by one."""
-    if search.operator is template_center:
-        return template_centers(image_dn, dots, _template_reach(search))
-    found: list[TargetCenter | EstimationError] = []
-    for dot in dots:
-        try:
-            found.append(measure_center(image_dn, dot, search.operator))
-        except EstimationError as error:
-            found.append(error)
-    return found
 
 
 def _uncoded(
@@ -256,8 +224,8 @@ def _uncoded(
             cut.append(UnusedTarget("", dot.center_px, SampleFlag.CUT_BY_BORDER, why))
         else:
             free.append(dot)
-    centers = [center for center in _centers(image_dn, free, search) if isinstance(center, TargetCenter)]
-    return [center for center in centers if center.misfit < search.most_misfit], cut
+    found = measure_centers(image_dn, free, _template_reach(search))
+    return [one for one in found if isinstance(one, TargetCenter) and one.misfit < search.most_misfit], cut
 
 
 def _whole(outline: Ellipse, shape: tuple[int, ...]) -> bool:

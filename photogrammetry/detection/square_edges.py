@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, freeze
-from photogrammetry.centers.template import normal_distribution
+from photogrammetry.centers.disc_model import normal_distribution
 
 #: Part of a side that is used; near the corners the other side's blur disturbs, and corners are rounded in print.
 _FROM, _TO = 0.1, 0.9

@@ -9,8 +9,9 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array
-from photogrammetry.centers.operator import TargetCenter
-from photogrammetry.detection.detect import Candidate, find_candidates, measure_center
+from photogrammetry.centers.target_center import TargetCenter
+from photogrammetry.centers.template import measure_center
+from photogrammetry.detection.detect import Candidate, find_candidates
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.photo_targets import TargetSearch
 from photogrammetry.start_values.network import LeftOut
@@ -219,7 +220,7 @@ def _under(spots: tuple[Candidate, ...], place: FloatArray) -> int | None:
 
 def _measure(found: _Found, k: int, image_dn: npt.NDArray[np.generic], spot: Candidate, search: TargetSearch) -> None:
     try:
-        found.centers[k] = measure_center(image_dn, spot.ellipse, search.operator)
+        found.centers[k] = measure_center(image_dn, spot.ellipse)
     except EstimationError as error:
         found.reasons[k] = str(error)
 

@@ -17,8 +17,8 @@ from calibration.camera.start_values.intrinsics import homography
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
 from heliogauge.running.progress import Progress
-from photogrammetry.centers import Ellipse, template_center
-from photogrammetry.detection import TargetSearch, measure_center, measure_targets
+from photogrammetry.centers import Ellipse, TargetCenter, measure_centers
+from photogrammetry.detection import TargetSearch, measure_targets
 from photogrammetry.targets import RingDictionary
 
 
@@ -125,22 +125,24 @@ def _with_centers(image: npt.NDArray[Any], rough: BoardPoints, board: CircleGrid
     """Measure the centres of dots that were found roughly."""
     shape = homography(rough, board.points_m)
     radius = 0.5 * board.diameter_share * board.pitch_m
-    places, pixels, covariances = [], [], []
+    starts = []
     for place, rough_px in zip(rough.index.tolist(), rough.pixels_px, strict=True):
         plane = board.points_m[place, :2]
         ends = np.column_stack([np.vstack([plane, plane + radius * np.eye(2)]), np.ones(3)]) @ shape.T
         ends = ends[:, :2] / ends[:, 2:]
         frame = (ends[1:] - ends[0]).T
-        try:
-            center = measure_center(image, Ellipse(rough_px, frame @ frame.T), template_center)
-        except EstimationError:
-            continue
-        places.append(place)
-        pixels.append(center.center_px)
-        covariances.append(0.5 * (center.covariance_px2 + center.covariance_px2.T))
-    if len(places) < 0.5 * rough.n:
-        raise EstimationError(f"{rough.photo}: only {len(places)} of {rough.n} dots can be measured as blurred discs")
-    return BoardPoints(rough.photo, np.array(places, dtype=np.intp), np.array(pixels), np.array(covariances))
+        starts.append(Ellipse(rough_px, frame @ frame.T))
+    centers = measure_centers(image, starts)
+    found = [(place, one) for place, one in zip(rough.index, centers, strict=True) if isinstance(one, TargetCenter)]
+    if len(found) < 0.5 * rough.n:
+        raise EstimationError(f"{rough.photo}: only {len(found)} of {rough.n} dots can be measured as blurred discs")
+    covariances = np.array([one.covariance_px2 for _, one in found])
+    return BoardPoints(
+        rough.photo,
+        np.array([place for place, _ in found], dtype=np.intp),
+        np.array([one.center_px for _, one in found]),
+        0.5 * (covariances + covariances.swapaxes(1, 2)),
+    )
 
 
 def _target_points(

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
-from photogrammetry.centers.operator import TargetCenter
-from photogrammetry.centers.template import template_centers
-from photogrammetry.centers.template_batch import stacked_centers
+from photogrammetry.centers.target_center import TargetCenter
+from photogrammetry.centers.template import centers_near, measure_centers
 from photogrammetry.detection.photo_targets import TargetSearch, measure_at
 from tests.photogrammetry.drawing import blurred_coverage, tilted
 
@@ -30,8 +29,8 @@ def test_same_centres_as_one_by_one(diameter):
     rng = np.random.default_rng(9)
     index = np.repeat(np.arange(3), 4)
     truth, outlines = np.concatenate(centers), np.concatenate(shapes)
-    found = stacked_centers(images, index, truth, outlines, 1.65)
-    alone = [template_centers(images[k], [Ellipse(p, s)])[0] for k, p, s in zip(index, truth, outlines, strict=True)]
+    found = centers_near(images, index, truth, outlines, 1.65)
+    alone = [measure_centers(images[k], [Ellipse(p, s)])[0] for k, p, s in zip(index, truth, outlines, strict=True)]
     assert found.settled.all()
     assert all(isinstance(one, TargetCenter) for one in alone)
     sigma = np.sqrt(np.einsum("nii->ni", found.covariance_px2))
@@ -44,25 +43,25 @@ def test_same_centres_as_one_by_one(diameter):
     np.testing.assert_allclose(found.contrast_dn, [one.contrast_dn for one in alone], rtol=0.02)
     np.testing.assert_allclose(found.residual_dn, [one.residual_dn for one in alone], rtol=0.05)
     # From a start that is as far off as may be, against truth: the sigma is the scatter.
-    other = stacked_centers(images, index, truth + rng.uniform(-0.4, 0.4, truth.shape), outlines * 1.03, 1.65)
+    other = centers_near(images, index, truth + rng.uniform(-0.4, 0.4, truth.shape), outlines * 1.03, 1.65)
     assert other.settled.all()
     assert 0.5 < np.mean(((other.centers_px - truth) / sigma) ** 2) < 1.8
 
 
 def test_dust_is_left_out_and_no_target_is_told():
     image, centers, shapes = photo(4)
-    clean = stacked_centers([image], np.zeros(4, np.intp), centers, shapes, 1.65)
+    clean = centers_near([image], np.zeros(4, np.intp), centers, shapes, 1.65)
     dusty = image.copy()
     column, row = (round(value) for value in centers[1])
     dusty[row - 6 : row - 4, column + 1] = 10
-    found = stacked_centers([dusty], np.zeros(4, np.intp), centers, shapes, 1.65)
+    found = centers_near([dusty], np.zeros(4, np.intp), centers, shapes, 1.65)
     assert found.settled.all()
     assert np.abs(found.centers_px - clean.centers_px)[1].max() < 0.02
     np.testing.assert_allclose(np.delete(found.centers_px, 1, 0), np.delete(clean.centers_px, 1, 0), atol=1e-4)
     nowhere = centers.copy()
     nowhere[2] = [60.0, 60.0]
-    assert not stacked_centers([image], np.zeros(4, np.intp), nowhere, shapes, 1.65).settled[2]
-    assert stacked_centers([image], np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), 1.65).settled.size == 0
+    assert not centers_near([image], np.zeros(4, np.intp), nowhere, shapes, 1.65).settled[2]
+    assert centers_near([image], np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), 1.65).settled.size == 0
 
 
 def test_several_photos_are_measured_at_once_and_apart():

@@ -1,0 +1,71 @@
+"""What is known of the centre of one target, and why there is none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
+from heliogauge.validate import FloatArray
+from photogrammetry.centers.ellipse import Ellipse
+
+#: How far from the centre pixels are used, in radii of the ellipse: a coded target's ring begins at 2.
+REACH = 1.65
+
+
+class UnmeasuredTargetError(EstimationError):
+    """A target has no centre; the flag tells why in one word.
+
+    flag: The reason.
+    message: The reason, with numbers.
+    """
+
+    def __init__(self, flag: SampleFlag, message: str) -> None:
+        super().__init__(message)
+        self.flag = flag
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetCenter:
+    """Centre of one target.
+
+    Parameters
+    ----------
+    ellipse : Ellipse
+        The target's outline; its centre is the result.
+    covariance_px2 : ndarray, shape (2, 2)
+        Covariance of the centre [px^2].
+    contrast_dn : float
+        Inside minus outside level; negative for a dark target [DN].
+    inside_dn : float
+        Level inside [DN].
+    blur_px : float
+        Width of the edge as the standard deviation of a Gaussian, without the pixel's own width [px].
+    residual_dn : float
+        Rms of what the model leaves, per degree of freedom [DN].
+    n_samples : int
+        Pixels used.
+    """
+
+    ellipse: Ellipse
+    covariance_px2: FloatArray
+    contrast_dn: float
+    inside_dn: float
+    blur_px: float
+    residual_dn: float
+    n_samples: int
+
+    @property
+    def center_px(self) -> FloatArray:
+        """The centre (x, y), shape (2,) [px]."""
+        return self.ellipse.center_px
+
+    @property
+    def sigma_px(self) -> float:
+        """Mean standard deviation of x and y [px]."""
+        return float(np.sqrt(0.5 * np.trace(self.covariance_px2)))
+
+    @property
+    def misfit(self) -> float:
+        """Residual relative to the contrast: what is no ellipse, or partly covered, shows here."""
+        return self.residual_dn / max(abs(self.contrast_dn), 1e-12)
