@@ -33,7 +33,7 @@ from heliogauge.measurement.models import (
 class CameraFile(Section):
     """A camera that was calibrated before: ``file = "camera.json"``."""
 
-    file: Text
+    file: Text = Field(description="File of a calibrated camera, such as camera.json.")
 
 
 class CameraParameters(Section):
@@ -42,27 +42,29 @@ class CameraParameters(Section):
     The sigmas are independent of each other; a full covariance comes with a camera file.
     """
 
-    width_px: Count
-    height_px: Count
-    focal_x_px: Positive
-    focal_y_px: Positive
-    center_x_px: Number
-    center_y_px: Number
-    skew: Number = 0.0
-    k1: Number = 0.0
-    k2: Number = 0.0
-    k3: Number = 0.0
-    p1: Number = 0.0
-    p2: Number = 0.0
-    distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] = "ideal_to_measured"
-    sigma_focal_px: Sigma = 0.0
-    sigma_center_px: Sigma = 0.0
-    sigma_skew: Sigma = 0.0
-    sigma_k1: Sigma = 0.0
-    sigma_k2: Sigma = 0.0
-    sigma_k3: Sigma = 0.0
-    sigma_p1: Sigma = 0.0
-    sigma_p2: Sigma = 0.0
+    width_px: Count = Field(description="Width of the images [px].")
+    height_px: Count = Field(description="Height of the images [px].")
+    focal_x_px: Positive = Field(description="Focal length over pixel pitch, along rows [px].")
+    focal_y_px: Positive = Field(description="Focal length over pixel pitch, along columns [px].")
+    center_x_px: Number = Field(description="Principal point, x; the centre of the top-left pixel is 0 [px].")
+    center_y_px: Number = Field(description="Principal point, y; the centre of the top-left pixel is 0 [px].")
+    skew: Number = Field(0.0, description="Skew of the image axes: columns that a unit of y/z adds [px].")
+    k1: Number = Field(0.0, description="Radial distortion, second power (Brown, normalised coordinates).")
+    k2: Number = Field(0.0, description="Radial distortion, fourth power.")
+    k3: Number = Field(0.0, description="Radial distortion, sixth power.")
+    p1: Number = Field(0.0, description="Tangential distortion, first coefficient.")
+    p2: Number = Field(0.0, description="Tangential distortion, second coefficient.")
+    distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] = Field(
+        "ideal_to_measured", description="As in OpenCV (ideal_to_measured) or as in photogrammetry."
+    )
+    sigma_focal_px: Sigma = Field(0.0, description="Standard deviation of the focal length; 0: exactly known [px].")
+    sigma_center_px: Sigma = Field(0.0, description="Standard deviation of each of its coordinates [px].")
+    sigma_skew: Sigma = Field(0.0, description="Standard deviation of skew.")
+    sigma_k1: Sigma = Field(0.0, description="Standard deviation of k1.")
+    sigma_k2: Sigma = Field(0.0, description="Standard deviation of k2.")
+    sigma_k3: Sigma = Field(0.0, description="Standard deviation of k3.")
+    sigma_p1: Sigma = Field(0.0, description="Standard deviation of p1.")
+    sigma_p2: Sigma = Field(0.0, description="Standard deviation of p2.")
 
 
 def _camera_form(value: Any) -> str:
@@ -82,27 +84,33 @@ CameraSection = Annotated[
 class _ScreenPose(Section):
     """Keys that every screen has: its pose ``cam_from_screen`` with sigma, and the response of camera and display."""
 
-    rotation_vector_rad: Vector3
-    translation_m: Vector3
-    sigma_rotation_mrad: Sigma3 = (0.0, 0.0, 0.0)
-    sigma_translation_mm: Sigma3 = (0.0, 0.0, 0.0)
-    sigma_points_mm: Sigma = 0.0
-    response_file: Text | None = None
+    rotation_vector_rad: Vector3 = Field(description="Rotation of cam_from_screen as a vector [rad].")
+    translation_m: Vector3 = Field(description="The screen's origin in the camera's frame [m].")
+    sigma_rotation_mrad: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma about each axis; one number stands for three [mrad]."
+    )
+    sigma_translation_mm: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma along each axis; one number stands for three [mm]."
+    )
+    sigma_points_mm: Sigma = Field(0.0, description="How far points are off the screen's shape, 1 sigma [mm].")
+    response_file: Text | None = Field(
+        None, description="Response of camera and display: columns camera_dn, display_level."
+    )
 
 
 class RectangularScreenSection(_ScreenPose):
     """A flat rectangular screen; its frame has the origin in the middle, x right, y up, z towards the viewer."""
 
-    shape: Literal["rectangle"]
-    width_m: Positive
-    height_m: Positive
+    shape: Literal["rectangle"] = Field(description="A flat rectangular screen.")
+    width_m: Positive = Field(description="Width of the displayed image, not of the housing [m].")
+    height_m: Positive = Field(description="Height of the displayed image [m].")
 
 
 class TabulatedScreenSection(_ScreenPose):
     """A screen of any shape: a CSV table with the columns u, v, x_m, y_m, z_m."""
 
-    shape: Literal["table"]
-    file: Text
+    shape: Literal["table"] = Field(description="A screen of any shape, as a table of points.")
+    file: Text = Field(description="Table of points of the screen: columns u, v, x_m, y_m, z_m.")
 
 
 ScreenSection = Annotated[RectangularScreenSection | TabulatedScreenSection, Discriminator("shape")]
@@ -114,15 +122,21 @@ ScreenSection = Annotated[RectangularScreenSection | TabulatedScreenSection, Dis
 class FringeSetSection(Section):
     """Frames of one axis and one number of periods: ``I_k = a + b cos(2 pi periods w - steps_k)``, w = u or v."""
 
-    axis: Literal["x", "y"]
-    periods: Positive
-    steps_deg: Annotated[tuple[Number, ...], Field(min_length=3)]
+    axis: Literal["x", "y"] = Field(
+        description="Direction in which the fringes change: x from left to right, y from top to bottom."
+    )
+    periods: Positive = Field(description="Number of fringe periods over the displayed image.")
+    steps_deg: Annotated[tuple[Number, ...], Field(min_length=3)] = Field(
+        description="Phase step of each frame of the set, three or more [deg]."
+    )
 
 
 class PatternSection(Section):
     """The fringe sets in the order in which their frames were taken: ``[[pattern.set]]``."""
 
-    set: Annotated[tuple[FringeSetSection, ...], Field(min_length=1)]
+    set: Annotated[tuple[FringeSetSection, ...], Field(min_length=1)] = Field(
+        description="The fringe sets in the order in which their frames were taken."
+    )
 
     @property
     def n_frames(self) -> int:
@@ -136,11 +150,15 @@ class ImagesSection(Section):
     Files that match are taken in natural order: ``fringe_2`` before ``fringe_10``.
     """
 
-    fringes: ImageFiles
-    dark: Text | None = None
-    bright: Text | None = None
-    saturation_dn: Positive | None = None
-    pixel_noise_dn: Positive | None = None
+    fringes: ImageFiles = Field(
+        description="The fringe images in the order of the pattern: a text with * (natural order) or a list."
+    )
+    dark: Text | None = Field(None, description="Image with a black screen; helps to find the mirror.")
+    bright: Text | None = Field(None, description="Image with a white screen; helps to find the mirror.")
+    saturation_dn: Positive | None = Field(
+        None, description="Level that counts as saturated; default: the file format's largest [DN]."
+    )
+    pixel_noise_dn: Positive | None = Field(None, description="1 sigma of a pixel; default: from the frames [DN].")
 
 
 # --- mirror ---------------------------------------------------------------------------------------------------------
@@ -152,36 +170,50 @@ class FacetSection(DesignKeys):
     Without a design of its own the facet has the ensemble's.
     """
 
-    name: Text
-    outline_m: Outline
-    position_m: Vector3
-    rotation_vector_rad: Vector3 = (0.0, 0.0, 0.0)
-    reference_point_m: Vector2 | None = None
+    name: Text = Field(description="Name of the facet, for tables and maps.")
+    outline_m: Outline = Field(description="Corners in the facet's frame, counter-clockwise seen from the front [m].")
+    position_m: Vector3 = Field(description="Origin of the facet in the ensemble's frame [m].")
+    rotation_vector_rad: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="Rotation of ensemble_from_facet as a vector [rad]."
+    )
+    reference_point_m: Vector2 | None = Field(
+        None, description="Reference of its results; default: the outline's centroid [m]."
+    )
 
 
 class PoseSection(Section):
     """A pose that was measured otherwise: ``cam_from_facet``, or ``cam_from_ensemble`` where there are facets."""
 
-    rotation_vector_rad: Vector3
-    translation_m: Vector3
-    sigma_rotation_mrad: Sigma3 = (0.0, 0.0, 0.0)
-    sigma_translation_mm: Sigma3 = (0.0, 0.0, 0.0)
+    rotation_vector_rad: Vector3 = Field(
+        description="Rotation of cam_from_facet or cam_from_ensemble as a vector [rad]."
+    )
+    translation_m: Vector3 = Field(description="Translation of cam_from_facet or cam_from_ensemble [m].")
+    sigma_rotation_mrad: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma about each axis; one number stands for three [mrad]."
+    )
+    sigma_translation_mm: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma along each axis; one number stands for three [mm]."
+    )
 
 
 class DistanceSection(Section):
     """The measured distance from a point of the mirror's frame to the origin of the screen's frame."""
 
-    distance_m: Positive
-    sigma_mm: Positive
-    point_m: Vector3 = (0.0, 0.0, 0.0)
+    distance_m: Positive = Field(
+        description="Measured distance from the point of the mirror to the origin of the screen's frame [m]."
+    )
+    sigma_mm: Positive = Field(description="Its standard deviation [mm].")
+    point_m: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="The point in the mirror's frame that it was measured from [m]."
+    )
 
 
 class KnownPointSection(Section):
     """A point with known coordinates in the mirror's frame that was measured in the image."""
 
-    point_m: Vector3
-    image_px: Vector2
-    sigma_px: Positive = 0.5
+    point_m: Vector3 = Field(description="The point in the mirror's frame [m].")
+    image_px: Vector2 = Field(description="Where it was measured in the image, x and y [px].")
+    sigma_px: Positive = Field(0.5, description="Standard deviation of each image coordinate [px].")
 
 
 class MirrorSection(DesignKeys):
@@ -193,14 +225,26 @@ class MirrorSection(DesignKeys):
     which a symmetric outline looks the same.
     """
 
-    outline_m: Outline | None = None
-    outline_sigma_mm: Sigma = 0.0
-    roll_deg: Number = 0.0
-    reference_point_m: Vector2 | None = None
-    facet: tuple[FacetSection, ...] = ()
-    pose: PoseSection | None = None
-    distance: DistanceSection | None = None
-    known_point: tuple[KnownPointSection, ...] = ()
+    outline_m: Outline | None = Field(
+        None, description="Corners in the facet's frame, counter-clockwise from the front; default: undefined [m]."
+    )
+    outline_sigma_mm: Sigma = Field(
+        0.0, description="How far the real sides may be from that outline, 1 sigma; 0: exact [mm]."
+    )
+    roll_deg: Number = Field(
+        0.0, description="From the image's x axis to the mirror's, counter-clockwise as displayed [deg]."
+    )
+    reference_point_m: Vector2 | None = Field(
+        None, description="Reference of the results; default: the outline's centroid [m]."
+    )
+    facet: tuple[FacetSection, ...] = Field(
+        (), description="Facets of an ensemble, one table each, instead of outline_m."
+    )
+    pose: PoseSection | None = Field(None, description="A pose measured otherwise; replaces the adjustment.")
+    distance: DistanceSection | None = Field(None, description="Distance from mirror to screen, for the adjustment.")
+    known_point: tuple[KnownPointSection, ...] = Field(
+        (), description="Points of the mirror that were measured in the image."
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -224,27 +268,29 @@ class MirrorSection(DesignKeys):
 
 
 class EvaluationSection(Section):
-    """Choices of the evaluation; the command line can override them.
+    """Choices of the evaluation; the command line can override them."""
 
-    ``align`` says which mean orientation the slopes refer to: ``outline`` keeps the pose that was found,
-    ``normal`` turns the mirror so that its mean normal is the design's.
-    """
-
-    align: Literal["normal", "outline"] = "normal"
-    grid_step_mm: Positive | None = None
-    remove: Literal["nothing", "tilt", "focus", "quadratic"] = "nothing"
+    align: Literal["normal", "outline"] = Field(
+        "normal", description="What slopes refer to: the pose found (outline), or the design's mean normal."
+    )
+    grid_step_mm: Positive | None = Field(None, description="Step of the maps; default: 0.4 of an image pixel [mm].")
+    remove: Literal["nothing", "tilt", "focus", "quadratic"] = Field(
+        "nothing", description="What is taken out of the maps and headline numbers."
+    )
 
 
 class DeflectometryModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "deflectometry"``."""
 
-    kind: Literal["deflectometry"]
-    camera: CameraSection
-    screen: ScreenSection
-    pattern: PatternSection
-    images: ImagesSection
-    mirror: MirrorSection
-    evaluation: EvaluationSection = EvaluationSection()
+    kind: Literal["deflectometry"] = Field(description="Fringe images of a mirror.")
+    camera: CameraSection = Field(description="The camera: a file from a calibration, or its parameters.")
+    screen: ScreenSection = Field(description="The screen: shape, size and pose.")
+    pattern: PatternSection = Field(description="The fringe pattern that was displayed.")
+    images: ImagesSection = Field(description="The images.")
+    mirror: MirrorSection = Field(description="The mirror: design, outline or facets, and what is known of its pose.")
+    evaluation: EvaluationSection = Field(
+        EvaluationSection(), description="Choices that the command line can override."
+    )
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every single file that is named (the fringes are not among them)."""

@@ -27,20 +27,30 @@ _LARGEST_STEP_MM = 500.0
 class TroughSection(Section):
     """The collector module: lengths of mirror, absorber and glass; edges of the panels; receiver supports."""
 
-    aperture_width_m: Positive
-    length_m: Positive
-    focal_length_m: Positive
-    absorber_diameter_mm: Positive
-    glass_outer_diameter_mm: Positive | None = None
-    glass_inner_diameter_mm: Positive | None = None
-    glass_index: Annotated[float, Field(strict=True, ge=1, lt=3)] = 1.47
-    panel_edges_x_m: tuple[Number, ...] = ()
-    panel_edges_y_m: tuple[Number, ...] = ()
-    panel_gap_mm: Sigma = 0.0
-    panel_height_sigma_mm: Sigma = 0.2
-    support_y_m: tuple[Number, ...] = ()
-    support_width_m: Positive = 0.3
-    orientation_deg: Number = 0.0
+    aperture_width_m: Positive = Field(description="Width of the aperture, across the trough [m].")
+    length_m: Positive = Field(description="Length of the module [m].")
+    focal_length_m: Positive = Field(description="Focal length of the parabola [m].")
+    absorber_diameter_mm: Positive = Field(description="Diameter of the absorber tube [mm].")
+    glass_outer_diameter_mm: Positive | None = Field(
+        None, description="Outer diameter of the glass tube; default: no glass [mm]."
+    )
+    glass_inner_diameter_mm: Positive | None = Field(None, description="Inner diameter of the glass tube [mm].")
+    glass_index: Annotated[float, Field(strict=True, ge=1, lt=3)] = Field(
+        1.47, description="Refractive index of the glass."
+    )
+    panel_edges_x_m: tuple[Number, ...] = Field(
+        (), description="Edges of the panels across the trough, outer ones too; default: one panel [m]."
+    )
+    panel_edges_y_m: tuple[Number, ...] = Field(
+        (), description="Edges of the panels along the trough, outer ones too; default: one panel [m]."
+    )
+    panel_gap_mm: Sigma = Field(0.0, description="Width of the gaps between panels [mm].")
+    panel_height_sigma_mm: Sigma = Field(
+        0.2, description="Error of each panel's mean height, 1 sigma; 1 if nobody measured it [mm]."
+    )
+    support_y_m: tuple[Number, ...] = Field((), description="Places of the receiver supports along the trough [m].")
+    support_width_m: Positive = Field(0.3, description="Width of a support along the trough [m].")
+    orientation_deg: Number = Field(0.0, description="Turn from the zenith, right-handed about +y [deg].")
 
     @model_validator(mode="after")
     def _whole_glass(self) -> Self:
@@ -56,11 +66,13 @@ class ModuleSection(Section):
     hand about +y; with a list of its own, which is in its own frame, they are for pictures only.
     """
 
-    name: Text
-    place_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    turn_deg: Number = 0.0
-    targets_file: Text | None = None
-    collector: TroughSection | None = None
+    name: Text = Field(description="Name of the module; its results get a folder of this name.")
+    place_m: tuple[Number, Number, Number] = Field(
+        (0.0, 0.0, 0.0), description="Its origin in the frame of the common targets [m]."
+    )
+    turn_deg: Number = Field(0.0, description="Its turn in that frame, right-handed about +y [deg].")
+    targets_file: Text | None = Field(None, description="A list of targets of its own, in its own frame.")
+    collector: TroughSection | None = Field(None, description="Where it is built otherwise: all keys of [collector].")
 
     @field_validator("name")
     @classmethod
@@ -77,10 +89,16 @@ class PassSection(Section):
     default the edges of the reflection tell.
     """
 
-    photos: ImageFiles | None = None
-    video: Text | None = None
-    encoding: Literal["auto", "linear", "srgb"] = "auto"
-    every_nth: Annotated[int, Field(strict=True, ge=1)] = 1
+    photos: ImageFiles | None = Field(
+        None, description="Photos of the passes: a text with * (natural order) or a list."
+    )
+    video: Text | None = Field(None, description="A video of the pass, instead of photos.")
+    encoding: Literal["auto", "linear", "srgb"] = Field(
+        "auto", description="Numbers proportional to light (linear) or stretched (srgb); auto: from the photos."
+    )
+    every_nth: Annotated[int, Field(strict=True, ge=1)] = Field(
+        1, description="Which of the video's frames are used: every n-th."
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -92,22 +110,20 @@ class PassSection(Section):
 
 
 class KnownTargetsSection(TargetsSection):
-    """Targets in the photos, and the table of their coordinates on the collector.
+    """Targets in the photos, and the table of their coordinates on the collector."""
 
-    Columns of the file: target, x_m, y_m, z_m, and sigma_x_mm, sigma_y_mm, sigma_z_mm (one column sigma_mm for all
-    three will do; an empty cell means that the coordinate is not known).
-    """
-
-    file: Text = "targets.csv"
+    file: Text = Field(
+        "targets.csv", description="Columns target, x_m, y_m, z_m, sigma_x_mm and so on; empty cell: not known."
+    )
 
 
 class AbsorberSection(Section):
     """How the absorber's position is found: from the same photos, from photos of its own, from a table, or assumed."""
 
-    source: Literal["photos", "file", "design"] = "photos"
-    photos: ImageFiles | None = None
-    file: Text | None = None
-    station_step_m: Positive = 0.25
+    source: Literal["photos", "file", "design"] = Field("photos", description="Where its position comes from.")
+    photos: ImageFiles | None = Field(None, description="Photos for the absorber alone; default: those of the pass.")
+    file: Text | None = Field(None, description="Columns y_m, x_a_m, z_a_m, sigma_x_a_m, sigma_z_a_m.")
+    station_step_m: Positive = Field(0.25, description="Distance of its places along the trough [m].")
 
     @model_validator(mode="after")
     def _fitting_source(self) -> Self:
@@ -121,11 +137,15 @@ class AbsorberSection(Section):
 class SunSection(Section):
     """Sun shape for the intercept factor."""
 
-    shape: Literal["gaussian", "pillbox", "buie", "table"] = "gaussian"
-    sigma_mrad: Positive = 2.73
-    half_angle_mrad: Positive = 4.65
-    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.7)] = 0.05
-    file: Text | None = None
+    shape: Literal["gaussian", "pillbox", "buie", "table"] = Field(
+        "gaussian", description="Shape of the sun for the intercept factor."
+    )
+    sigma_mrad: Positive = Field(2.73, description="Standard deviation of a Gaussian sun in one direction [mrad].")
+    half_angle_mrad: Positive = Field(4.65, description="Half angle of a pillbox sun [mrad].")
+    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.7)] = Field(
+        0.05, description="Share of circumsolar radiation of a Buie sun."
+    )
+    file: Text | None = Field(None, description="Table of a measured sun: columns angle_mrad, radiance.")
 
     @model_validator(mode="after")
     def _table_has_file(self) -> Self:
@@ -137,23 +157,26 @@ class SunSection(Section):
 class OpticsSection(Section):
     """What else spreads the beam: specularity and tracking error, standard deviations of the reflected beam."""
 
-    specularity_mrad: Sigma = 0.0
-    tracking_error_mrad: Sigma = 0.0
+    specularity_mrad: Sigma = Field(
+        0.0, description="Spread by the surface: 1 sigma of the reflected beam, one direction [mrad]."
+    )
+    tracking_error_mrad: Sigma = Field(
+        0.0, description="Standard deviation of the collector's rotation about its length [mrad]."
+    )
 
 
 class ObserverEvaluationSection(Section):
-    """How the map is made.
+    """How the map is made."""
 
-    ``shape_from_slopes`` integrates the slopes to the mirror's shape and looks again at the lines of sight with it, as
-    is right for real mirrors; false is for images of mirrors whose normals are turned on the design's surface. Without
-    it the reflection itself tells.
-    """
-
-    row_step_mm: Positive = 20.0
-    column_step_mm: Positive = 20.0
-    largest_slope_error_mrad: Positive = 12.0
-    longitudinal_slope_mrad: Positive = 2.0
-    shape_from_slopes: bool | None = None
+    row_step_mm: Positive = Field(20.0, description="Distance of the rows of the map, along the trough [mm].")
+    column_step_mm: Positive = Field(20.0, description="Distance of the columns of the map, across the trough [mm].")
+    largest_slope_error_mrad: Positive = Field(12.0, description="Largest slope error that is looked for [mrad].")
+    longitudinal_slope_mrad: Positive = Field(
+        2.0, description="1 sigma of slopes along the trough, if not measured [mrad]."
+    )
+    shape_from_slopes: bool | None = Field(
+        None, description="Lines of sight meet the mirror as measured, or its design; default: from the photos."
+    )
 
     @field_validator("row_step_mm", "column_step_mm")
     @classmethod
@@ -167,18 +190,20 @@ class ObserverEvaluationSection(Section):
 class ObserverModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "observer"``."""
 
-    kind: Literal["observer"]
-    collector: TroughSection
-    camera: CameraSections = (NetworkCameraSection(),)
-    images: PassSection
-    targets: KnownTargetsSection
-    scale_bar: tuple[ScaleBarSection, ...] = ()
-    distance: tuple[DistanceSection, ...] = ()
-    absorber: AbsorberSection = AbsorberSection()
-    sun: SunSection = SunSection()
-    optics: OpticsSection = OpticsSection()
-    evaluation: ObserverEvaluationSection = ObserverEvaluationSection()
-    module: tuple[ModuleSection, ...] = ()
+    kind: Literal["observer"] = Field(description="Photos of a trough that show the absorber's reflection.")
+    collector: TroughSection = Field(description="The collector module: mirror, absorber, glass, panels, supports.")
+    camera: CameraSections = Field(
+        (NetworkCameraSection(),), description="The camera, or a table for each; default: self-calibration."
+    )
+    images: PassSection = Field(description="Photos or a video of the pass.")
+    targets: KnownTargetsSection = Field(description="The targets on the collector.")
+    scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances of targets, as scale bars.")
+    distance: tuple[DistanceSection, ...] = Field((), description="Known distances of targets, as measured by tape.")
+    absorber: AbsorberSection = Field(AbsorberSection(), description="How the absorber's position is found.")
+    sun: SunSection = Field(SunSection(), description="The sun for the intercept factor.")
+    optics: OpticsSection = Field(OpticsSection(), description="What else spreads the beam.")
+    evaluation: ObserverEvaluationSection = Field(ObserverEvaluationSection(), description="How the map is made.")
+    module: tuple[ModuleSection, ...] = Field((), description="Several collectors in the same photos, a table each.")
 
     @model_validator(mode="after")
     def _several_modules(self) -> Self:

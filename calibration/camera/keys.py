@@ -15,50 +15,57 @@ from heliogauge.measurement.models import Count, Intrinsic, MeasurementModel, Ph
 class CalibratedCameraSection(Section):
     """The camera to calibrate: its size, to check the photos against, and which intrinsics are estimated."""
 
-    name: Text = "camera"
-    width_px: Count | None = None
-    height_px: Count | None = None
-    free: Annotated[tuple[Intrinsic, ...], Field(min_length=1)] = (
-        "focal_px",
-        "aspect",
-        "center_x_px",
-        "center_y_px",
-        "k1",
-        "k2",
-        "p1",
-        "p2",
-        "k3",
+    name: Text = Field("camera", description="Name of the camera in cameras.json.")
+    width_px: Count | None = Field(None, description="Width of the photos, as a check [px].")
+    height_px: Count | None = Field(None, description="Height of the photos, as a check [px].")
+    free: Annotated[tuple[Intrinsic, ...], Field(min_length=1)] = Field(
+        (
+            "focal_px",
+            "aspect",
+            "center_x_px",
+            "center_y_px",
+            "k1",
+            "k2",
+            "p1",
+            "p2",
+            "k3",
+        ),
+        description="Intrinsics that are estimated; the others are held at 0 or the middle.",
     )
 
 
 class ChessboardSection(Section):
     """A chessboard; columns and rows count inner corners."""
 
-    type: Literal["chessboard"]
-    columns: Count
-    rows: Count
-    square_mm: Positive | None = None
+    type: Literal["chessboard"] = Field(description="A chessboard.")
+    columns: Count = Field(description="Inner corners in a row.")
+    rows: Count = Field(description="Inner corners in a column; best even where columns is odd, or the reverse.")
+    square_mm: Positive | None = Field(None, description="Side of a square; without it lengths are in squares [mm].")
 
 
 class CharucoSection(Section):
     """A ChArUco board; columns and rows count squares."""
 
-    type: Literal["charuco"]
-    columns: Count
-    rows: Count
-    square_mm: Positive
-    marker_mm: Positive
-    dictionary: Text
+    type: Literal["charuco"] = Field(description="A ChArUco board.")
+    columns: Count = Field(description="Squares in a row.")
+    rows: Count = Field(description="Squares in a column.")
+    square_mm: Positive = Field(description="Side of a square [mm].")
+    marker_mm: Positive = Field(description="Side of a marker [mm].")
+    dictionary: Text = Field(description="OpenCV's dictionary of the markers, such as DICT_5X5_100.")
 
 
 class CircleGridSection(Section):
     """A grid of dots; in the asymmetric one every second row is shifted by half a pitch and rows are half as far."""
 
-    type: Literal["circles", "circles-asymmetric"]
-    columns: Count
-    rows: Count
-    pitch_mm: Positive | None = None
-    diameter_mm: Positive | None = None
+    type: Literal["circles", "circles-asymmetric"] = Field(
+        description="A grid of dots; asymmetric: every second row shifted by half a pitch."
+    )
+    columns: Count = Field(description="Dots in a row.")
+    rows: Count = Field(description="Rows of dots.")
+    pitch_mm: Positive | None = Field(
+        None, description="Distance of dots in a row; without it lengths are in pitches [mm]."
+    )
+    diameter_mm: Positive | None = Field(None, description="Diameter of the dots, for their eccentricity [mm].")
 
     @model_validator(mode="after")
     def _diameter_needs_the_pitch(self) -> Self:
@@ -68,15 +75,13 @@ class CircleGridSection(Section):
 
 
 class TargetFieldSection(Section):
-    """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent.
+    """A plate with coded targets; the file has the columns id, x_m, y_m and perhaps z_m, known to a few per cent."""
 
-    Without a file nothing is known of the targets' places, and they need not be near a plane. A dictionary that ends in
-    .csv or .toml is a file with ring codes of one's own.
-    """
-
-    type: Literal["targets"]
-    dictionary: Text
-    file: Text | None = None
+    type: Literal["targets"] = Field(description="Ring-coded targets, on a plate or anywhere.")
+    dictionary: Text = Field(description="Ring codes, such as aicon-12, or a file with one's own (.csv, .toml).")
+    file: Text | None = Field(
+        None, description="Rough places: columns id, x_m, y_m and perhaps z_m; default: not known."
+    )
 
     @property
     def named_files(self) -> tuple[tuple[str, str], ...]:
@@ -93,10 +98,12 @@ BoardSection = Annotated[
 class CameraCalibrationModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "camera"``."""
 
-    kind: Literal["camera"]
-    camera: CalibratedCameraSection = CalibratedCameraSection()
-    board: BoardSection
-    images: PhotosSection
+    kind: Literal["camera"] = Field(description="Photos of a board or of targets that calibrate a camera.")
+    camera: CalibratedCameraSection = Field(
+        CalibratedCameraSection(), description="The camera, and what is estimated of it."
+    )
+    board: BoardSection = Field(description="The board or the targets.")
+    images: PhotosSection = Field(description="The photos.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

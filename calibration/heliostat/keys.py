@@ -32,25 +32,32 @@ _PriorSigma = Annotated[float, Field(strict=True, ge=0)]
 class SiteSection(Section):
     """Where the plant is, and the air above it: for the sun's apparent position."""
 
-    latitude_deg: Annotated[float, Field(strict=True, ge=-90, le=90)]
-    longitude_deg: Annotated[float, Field(strict=True, ge=-180, le=360)]
-    altitude_m: Number = 0.0
-    pressure_hpa: Annotated[float, Field(strict=True, ge=300, le=1100)] | None = None
-    temperature_c: Annotated[float, Field(strict=True, ge=-60, le=70)] = 12.0
+    latitude_deg: Annotated[float, Field(strict=True, ge=-90, le=90)] = Field(
+        description="Latitude, north positive [deg]."
+    )
+    longitude_deg: Annotated[float, Field(strict=True, ge=-180, le=360)] = Field(
+        description="Longitude, east positive [deg]."
+    )
+    altitude_m: Number = Field(0.0, description="Height above sea level [m].")
+    pressure_hpa: Annotated[float, Field(strict=True, ge=300, le=1100)] | None = Field(
+        None, description="Air pressure; default: standard atmosphere there [hPa]."
+    )
+    temperature_c: Annotated[float, Field(strict=True, ge=-60, le=70)] = Field(
+        12.0, description="Air temperature [degrees Celsius]."
+    )
 
 
 class HeliostatTargetSection(Section):
-    """A flat target: its centre, size and the azimuth it faces, or its four measured corners.
+    """A flat target: its centre, size and the azimuth it faces, or its four measured corners."""
 
-    Corners go upper left, upper right, lower right, lower left, as seen from the field.
-    """
-
-    name: Text
-    center_m: Vector3 | None = None
-    width_m: Positive | None = None
-    height_m: Positive | None = None
-    facing_azimuth_deg: Number | None = None
-    corners_m: Annotated[tuple[Vector3, ...], Field(min_length=4, max_length=4)] | None = None
+    name: Text = Field(description="Name of the target in the observations.")
+    center_m: Vector3 | None = Field(None, description="Its centre: east, north, up [m].")
+    width_m: Positive | None = Field(None, description="Its width [m].")
+    height_m: Positive | None = Field(None, description="Its height [m].")
+    facing_azimuth_deg: Number | None = Field(None, description="Azimuth that it faces; 180: south [deg].")
+    corners_m: Annotated[tuple[Vector3, ...], Field(min_length=4, max_length=4)] | None = Field(
+        None, description="Instead: upper left, upper right, lower right, lower left, from the field [m]."
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -72,22 +79,22 @@ class HeliostatTargetSection(Section):
 class HeliostatCameraSection(Section):
     """A camera in which the sun is seen reflected: where it is, with sigma, or that this is not known."""
 
-    name: Text
-    center_m: Vector3 | None = None
-    sigma_m: Positive | None = None
+    name: Text = Field(description="Name of the camera in the observations.")
+    center_m: Vector3 | None = Field(None, description="Its place: east, north, up; default: estimated [m].")
+    sigma_m: Positive | None = Field(None, description="Standard deviation of that place, each coordinate [m].")
 
 
 class FileSection(Section):
     """A table that stands in a file of its own."""
 
-    file: Text
+    file: Text = Field(description="Name of the table, relative to the folder.")
 
 
 class ParameterSection(Section):
     """What is known of a parameter beforehand: value, and sigma (0 holds it, inf leaves it to the observations)."""
 
-    value: Number | None = None
-    sigma: _PriorSigma | None = None
+    value: Number | None = Field(None, description="Its value; default: of the preset or the table of heliostats.")
+    sigma: _PriorSigma | None = Field(None, description="Its standard deviation: 0 holds it, inf leaves it open.")
 
 
 def _as_pair(value: Any) -> Any:
@@ -102,23 +109,27 @@ FreeNames = Annotated[
 
 
 class KinematicsSection(Section):
-    """The model: a preset, which of its parameters are estimated, and what is known of them.
+    """The model: a preset, which of its parameters are estimated, and what is known of them."""
 
-    ``counts_per_turn`` turns motor counts of rotary drives into angles (one number or one for each axis; negative
-    where the count runs against the axis). ``worm_ratio`` is the cycles of the periodic error per turn (per metre of
-    stroke of a linear actuator); ``worm2`` has its second harmonic too. ``axes`` and ``normal`` are directions east,
-    north, up at readings 0 of the preset "two-axes".
-    """
-
-    preset: Preset = "azimuth-elevation"
-    free: FreeNames | None = None
-    terms: tuple[DriveTerm, ...] = ()
-    counts_per_turn: Annotated[tuple[Number, Number], BeforeValidator(_as_pair)] | None = None
-    worm_ratio: Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)] | None = None
-    printed_signs: bool = False
-    axes: tuple[Vector3, Vector3] | None = None
-    normal: Vector3 | None = None
-    parameters: dict[str, ParameterSection] = Field(default_factory=dict)
+    preset: Preset = Field("azimuth-elevation", description="Kinematic model of the heliostats.")
+    free: FreeNames | None = Field(
+        None, description="Estimated parameters: a usual choice of the preset (8) or a list of names."
+    )
+    terms: tuple[DriveTerm, ...] = Field((), description="Errors of the drives on top of the model.")
+    counts_per_turn: Annotated[tuple[Number, Number], BeforeValidator(_as_pair)] | None = Field(
+        None, description="Motor counts per turn, one number or one for each axis; negative: reversed."
+    )
+    worm_ratio: Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)] | None = Field(
+        None, description="Cycles of the periodic error per turn (linear actuators: per metre)."
+    )
+    printed_signs: bool = Field(False, description="Tilts of azimuth-elevation as printed by Malan (2014).")
+    axes: tuple[Vector3, Vector3] | None = Field(
+        None, description="Directions of both axes at readings 0 (two-axes): east, north, up."
+    )
+    normal: Vector3 | None = Field(None, description="Direction of the mirror's normal at readings 0 (two-axes).")
+    parameters: dict[str, ParameterSection] = Field(
+        default_factory=dict, description="What is known of single parameters, a table for each."
+    )
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -142,16 +153,26 @@ class BeamImagesSection(Section):
     are photos of the target without a beam, ``camera`` a calibrated camera's file.
     """
 
-    target: Text
-    whole: Literal["index", "edge"] | None = None
-    corners_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = None
-    corners_sigma_px: Positive = 0.3
-    markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = None
-    aruco_ids: Annotated[tuple[Index, ...], Field(min_length=4, max_length=4)] | None = None
-    dictionary: Text = "DICT_4X4_50"
-    dark_marks: Literal["outer", "inner"] | None = None
-    empty: ImageFiles | None = None
-    camera: Text | None = None
+    target: Text = Field(description="Name of the target in the photos.")
+    whole: Literal["index", "edge"] | None = Field(
+        None, description="The photo is the target: up to its edges (edge) or outermost pixel centres (index)."
+    )
+    corners_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = Field(
+        None, description="Corners: upper left, upper right, lower right, lower left [px]."
+    )
+    corners_sigma_px: Positive = Field(0.3, description="1 sigma of those pixels; 0.3: careful work by hand [px].")
+    markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = Field(
+        None, description="Pictures of the marks at the corners, in that order."
+    )
+    aruco_ids: Annotated[tuple[Index, ...], Field(min_length=4, max_length=4)] | None = Field(
+        None, description="ArUco markers at the corners, in that order."
+    )
+    dictionary: Text = Field("DICT_4X4_50", description="OpenCV's dictionary of those markers.")
+    dark_marks: Literal["outer", "inner"] | None = Field(
+        None, description="Dark marks at the corners: which of their corners count."
+    )
+    empty: ImageFiles | None = Field(None, description="Photos without a beam: a text with * or a list.")
+    camera: Text | None = Field(None, description="File of the calibrated camera, to correct its lens.")
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -166,38 +187,45 @@ class BeamImagesSection(Section):
 class PaintSection(Section):
     """Folders as of the PAINT database: of one heliostat, or of many beside the tower's file."""
 
-    folder: Text = "."
-    tower: Text | None = None
-    heliostats: tuple[Text, ...] = ()
+    folder: Text = Field(".", description="Folder as of the PAINT database.")
+    tower: Text | None = Field(None, description="The tower's file; default: beside the heliostats.")
+    heliostats: tuple[Text, ...] = Field((), description="Heliostats to read; default: all.")
 
 
 class HeliostatEvaluationSection(Section):
-    """How the fit is made, and on what it is tried out.
+    """How the fit is made, and on what it is tried out."""
 
-    ``model`` names a usual choice of free parameters, or "auto" for the one that predicts best; ``spot_sigma_mm`` is
-    the sigma of a beam's centre on the target where the table gives none.
-    """
-
-    split: Split = "chronological"
-    model: Text | None = None
-    label: Label = "UTIS"
-    spot_sigma_mm: Positive = 50.0
-    random_seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    split: Split = Field("chronological", description="Which observations are held out to try the model on.")
+    model: Text | None = Field(None, description="Usual choice of free parameters, or auto: by trial.")
+    label: Label = Field("UTIS", description="Centres of beams in PAINT's files: whose.")
+    spot_sigma_mm: Positive = Field(50.0, description="1 sigma of a beam's centre, if not in the table [mm].")
+    random_seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="Seed of the random split.")
 
 
 class HeliostatModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "heliostat"``."""
 
-    kind: Literal["heliostat"]
-    site: SiteSection | None = None
-    target: tuple[HeliostatTargetSection, ...] = ()
-    camera: tuple[HeliostatCameraSection, ...] = ()
-    heliostats: FileSection = FileSection(file="heliostats.csv")
-    kinematics: KinematicsSection = KinematicsSection()
-    observations: FileSection = FileSection(file="observations.csv")
-    images: tuple[BeamImagesSection, ...] = ()
-    paint: PaintSection | None = None
-    evaluation: HeliostatEvaluationSection = HeliostatEvaluationSection()
+    kind: Literal["heliostat"] = Field(
+        description="Observations of heliostats: sightings of beams, and drive readings."
+    )
+    site: SiteSection | None = Field(None, description="Place of the plant, and its air; PAINT's files may have it.")
+    target: tuple[HeliostatTargetSection, ...] = Field((), description="Targets of the beams, a table for each.")
+    camera: tuple[HeliostatCameraSection, ...] = Field((), description="Cameras that see the sun in the mirror.")
+    heliostats: FileSection = Field(
+        FileSection(file="heliostats.csv"),
+        description="Columns heliostat, e_m, n_m, u_m (or lat_deg, lon_deg, alt_m), parameters.",
+    )
+    kinematics: KinematicsSection = Field(
+        KinematicsSection(), description="The kinematic model, and what is known of its parameters."
+    )
+    observations: FileSection = Field(
+        FileSection(file="observations.csv"), description="Table of the observations, one row each."
+    )
+    images: tuple[BeamImagesSection, ...] = Field((), description="Photos of beams, a table for each target.")
+    paint: PaintSection | None = Field(None, description="Folders as of the PAINT database, instead of both tables.")
+    evaluation: HeliostatEvaluationSection = Field(
+        HeliostatEvaluationSection(), description="How the fit is made, and on what it is tried out."
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -14,13 +14,14 @@ from heliogauge.measurement.models import ImageFiles, Index, MeasurementModel, P
 
 
 class DisplaySection(Section):
-    """The grey levels that were shown, in the order of the photographs.
+    """The grey levels that were shown, in the order of the photographs."""
 
-    ``full_level`` is the display's brightest level: 255 for 8 bit, 1 where levels are written as fractions.
-    """
-
-    levels: Annotated[tuple[Sigma, ...], Field(min_length=3)]
-    full_level: Positive = 255.0
+    levels: Annotated[tuple[Sigma, ...], Field(min_length=3)] = Field(
+        description="Grey levels that were displayed, ascending, in the order of the photographs."
+    )
+    full_level: Positive = Field(
+        255.0, description="The display's brightest level: 255 for 8 bit, 1 for levels written as fractions."
+    )
 
     @model_validator(mode="after")
     def _ascending_within_the_range(self) -> Self:
@@ -36,14 +37,15 @@ class DisplaySection(Section):
 
 
 class GreyImagesSection(Section):
-    """Photographs of the grey levels, relative to the folder; a text with ``*`` stands for all files that match.
+    """Photographs of the grey levels, relative to the folder; a text with ``*`` stands for all files that match."""
 
-    ``region_px`` is x and y of the first and of the last pixel to use.
-    """
-
-    grey: ImageFiles
-    saturation_dn: Positive | None = None
-    region_px: tuple[Index, Index, Index, Index] | None = None
+    grey: ImageFiles = Field(description="One photograph for each level: a text with * (natural order) or a list.")
+    saturation_dn: Positive | None = Field(
+        None, description="Level that counts as saturated; default: the file format's largest [DN]."
+    )
+    region_px: tuple[Index, Index, Index, Index] | None = Field(
+        None, description="x, y of the first and last pixel to use; default: pixels that brighten [px]."
+    )
 
     @model_validator(mode="after")
     def _region_has_an_area(self) -> Self:
@@ -57,9 +59,11 @@ class GreyImagesSection(Section):
 class ResponseModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "response"``."""
 
-    kind: Literal["response"]
-    display: DisplaySection
-    images: GreyImagesSection
+    kind: Literal["response"] = Field(
+        description="Photographs of uniform grey levels: the response of camera and display."
+    )
+    display: DisplaySection = Field(description="The levels that were displayed.")
+    images: GreyImagesSection = Field(description="The photographs.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,10 +38,12 @@ class Section(BaseModel):
 class MeasurementModel(Section):
     """What every measurement.toml says; each kind adds its own sections."""
 
-    kind: str
-    name: Text
-    date: datetime.date | datetime.datetime | None = None
-    notes: str = ""
+    kind: str = Field(description="Which kind of measurement this is; decides which keys the file may have.")
+    name: Text = Field(description="Name of what is measured, for reports and files.")
+    date: datetime.date | datetime.datetime | None = Field(
+        None, description="Day or time of the measurement; only passed on."
+    )
+    notes: str = Field("", description="Free text for the reader; only passed on.")
 
 
 # --- images ---------------------------------------------------------------------------------------------------------
@@ -55,7 +57,9 @@ ImageFiles = Annotated[
 class PhotosSection(Section):
     """Photos, relative to the folder; a text with ``*`` stands for all files that match."""
 
-    photos: ImageFiles
+    photos: ImageFiles = Field(
+        description="Photos beside measurement.toml: a text with * (in natural order) or a list."
+    )
 
 
 # --- cameras --------------------------------------------------------------------------------------------------------
@@ -77,19 +81,24 @@ _ALL_DESIGN_KEYS = ("focal_length_m", "focal_length_x_m", "focal_length_y_m", "r
 
 
 class DesignKeys(Section):
-    """A design surface; `DESIGN_KEYS` says which numbers each shape needs.
+    """A design surface; `DESIGN_KEYS` says which numbers each shape needs."""
 
-    ``coefficients`` are A .. F of ``z = A x^2 + B y^2 + C x + D y + E x y + F`` [1/m, 1/m, 1, 1, 1/m, m].
-    """
-
-    design: Literal["plane", "paraboloid", "paraboloid_xy", "trough", "sphere", "quadric"] | None = None
-    focal_length_m: Positive | None = None
-    focal_length_x_m: Positive | None = None
-    focal_length_y_m: Positive | None = None
-    radius_m: Positive | None = None
-    coefficients: tuple[Number, Number, Number, Number, Number, Number] | None = None
-    design_center_m: Vector2 = (0.0, 0.0)
-    design_orientation: Literal["axis", "normal"] = "normal"
+    design: Literal["plane", "paraboloid", "paraboloid_xy", "trough", "sphere", "quadric"] | None = Field(
+        None, description="Shape of the design surface; each has its own focal length, radius or coefficients."
+    )
+    focal_length_m: Positive | None = Field(None, description="Focal length of a paraboloid or trough [m].")
+    focal_length_x_m: Positive | None = Field(None, description="Focal length in x of paraboloid_xy [m].")
+    focal_length_y_m: Positive | None = Field(None, description="Focal length in y of paraboloid_xy [m].")
+    radius_m: Positive | None = Field(None, description="Radius of a sphere [m].")
+    coefficients: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
+        None, description="A to F of a quadric z = A x^2 + B y^2 + C x + D y + E x y + F [1/m, 1/m, 1, 1, 1/m, m]."
+    )
+    design_center_m: Vector2 = Field(
+        (0.0, 0.0), description="Place of the facet's origin on the optic, x and y; [0, 0]: on axis [m]."
+    )
+    design_orientation: Literal["axis", "normal"] = Field(
+        "normal", description="Facet's z axis: along the surface's normal there, or the optic's axis."
+    )
 
     @model_validator(mode="after")
     def _numbers_fit_the_shape(self) -> Self:

@@ -13,15 +13,14 @@ from photogrammetry.keys import DistanceSection, NetworkCameraSection, ScaleBarS
 
 
 class PlannedTargetsSection(Section):
-    """Table of the targets, as of ``kind = "observer"``, or how many along the rims; how well their images are found.
+    """Table of the targets, as of ``kind = "observer"``, or how many along the rims; how well their images are found."""
 
-    ``rim_count`` targets stand evenly along both rims, known to ``sigma_mm``.
-    """
-
-    file: Text | None = None
-    rim_count: Annotated[int, Field(strict=True, ge=4, le=500)] | None = None
-    sigma_mm: Positive = 1.0
-    sigma_px: Positive = 0.1
+    file: Text | None = Field(None, description="Table of the targets, as for a measurement.")
+    rim_count: Annotated[int, Field(strict=True, ge=4, le=500)] | None = Field(
+        None, description="Targets that stand evenly along both rims, an even number."
+    )
+    sigma_mm: Positive = Field(1.0, description="1 sigma of coordinates on the rims [mm].")
+    sigma_px: Positive = Field(0.1, description="Standard deviation of a target's image [px].")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -42,59 +41,73 @@ class PlannedTargetsSection(Section):
 class PlannedPassSection(Section):
     """Photos straight across the aperture, from x = -reach_m to +reach_m, looking at the collector."""
 
-    height_m: Positive = 15.0
-    reach_m: Positive = 3.0
-    photos: Annotated[int, Field(strict=True, ge=2, le=2000)] = 100
-    y_m: Number = 0.0
-    look_y_m: Number = 0.0
+    height_m: Positive = Field(15.0, description="Height of the camera above the vertex [m].")
+    reach_m: Positive = Field(3.0, description="Photos from x = -reach_m to +reach_m [m].")
+    photos: Annotated[int, Field(strict=True, ge=2, le=2000)] = Field(100, description="Number of photos of the pass.")
+    y_m: Number = Field(0.0, description="Where along the trough the camera is [m].")
+    look_y_m: Number = Field(0.0, description="Where along the trough it looks [m].")
 
 
 class PlannedMirrorSection(Section):
     """The mirror as it is expected: RMS slope errors, or the slope map of an earlier result."""
 
-    slope_error_mrad: Positive = 3.0
-    longitudinal_error_mrad: Sigma = 0.0
-    like: Text | None = None
-    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    slope_error_mrad: Positive = Field(3.0, description="RMS slope error across the trough that is expected [mrad].")
+    longitudinal_error_mrad: Sigma = Field(0.0, description="RMS slope error along the trough that is expected [mrad].")
+    like: Text | None = Field(None, description="Earlier result whose mirror and absorber are taken.")
+    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="Seed of the typical mirror.")
 
 
 class PlannedAbsorberSection(Section):
     """Whether the photos will tell the absorber's place, or its design is believed."""
 
-    source: Literal["photos", "design"] = "photos"
-    station_step_m: Positive = 0.25
+    source: Literal["photos", "design"] = Field(
+        "photos", description="Whether photos measure its place, or the design is taken."
+    )
+    station_step_m: Positive = Field(0.25, description="Distance of its places along the trough [m].")
 
 
 class PlannedNoiseSection(Section):
     """How well edges are found, in pixels."""
 
-    reflection_px: Positive = 0.05
-    absorber_px: Positive = 0.05
+    reflection_px: Positive = Field(0.05, description="Standard deviation of an edge of the reflection [px].")
+    absorber_px: Positive = Field(0.05, description="Standard deviation of the tube's middle [px].")
 
 
 class MonteCarloSection(Section):
     """Repeat the simulated measurement with everything uncertain disturbed; ``runs = 0`` does without."""
 
-    runs: Annotated[int, Field(strict=True, ge=0, le=5000)] = 0
-    row_step_mm: Positive = 200.0
-    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    runs: Annotated[int, Field(strict=True, ge=0, le=5000)] = Field(
+        0, description="Repetitions with everything uncertain disturbed; 0: none."
+    )
+    row_step_mm: Positive = Field(200.0, description="Distance of the rows that are repeated [mm].")
+    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="Seed of the disturbances.")
 
 
 class ObserverPlanModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "observer-plan"``."""
 
-    kind: Literal["observer-plan"]
-    collector: TroughSection
-    camera: NetworkCameraSection
-    targets: PlannedTargetsSection = PlannedTargetsSection()
-    scale_bar: tuple[ScaleBarSection, ...] = ()
-    distance: tuple[DistanceSection, ...] = ()
-    flight: Annotated[tuple[PlannedPassSection, ...], Field(min_length=1)] = (PlannedPassSection(),)
-    mirror: PlannedMirrorSection = PlannedMirrorSection()
-    absorber: PlannedAbsorberSection = PlannedAbsorberSection()
-    noise: PlannedNoiseSection = PlannedNoiseSection()
-    monte_carlo: MonteCarloSection = MonteCarloSection()
-    evaluation: ObserverEvaluationSection = ObserverEvaluationSection()
+    kind: Literal["observer-plan"] = Field(description="Plan of a pass over a trough.")
+    collector: TroughSection = Field(description="The collector module, as for a measurement.")
+    camera: NetworkCameraSection = Field(
+        description="The camera: a file or size and focal length; sigma: of its calibration."
+    )
+    targets: PlannedTargetsSection = Field(PlannedTargetsSection(), description="The targets.")
+    scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances of targets, as scale bars.")
+    distance: tuple[DistanceSection, ...] = Field((), description="Known distances of targets, as measured by tape.")
+    flight: Annotated[tuple[PlannedPassSection, ...], Field(min_length=1)] = Field(
+        (PlannedPassSection(),), description="Passes across the aperture, a table each."
+    )
+    mirror: PlannedMirrorSection = Field(PlannedMirrorSection(), description="The mirror that is expected.")
+    absorber: PlannedAbsorberSection = Field(
+        PlannedAbsorberSection(), description="How the absorber's position will be known."
+    )
+    noise: PlannedNoiseSection = Field(PlannedNoiseSection(), description="How well edges are found.")
+    monte_carlo: MonteCarloSection = Field(
+        MonteCarloSection(), description="Repeat the simulated measurement with everything uncertain disturbed."
+    )
+    evaluation: ObserverEvaluationSection = Field(
+        ObserverEvaluationSection(), description="How the map is made, as for a measurement."
+    )
 
     @model_validator(mode="after")
     def _planned_camera(self) -> Self:

@@ -38,23 +38,24 @@ _PIXEL_KEYS = frozenset(
 
 
 class MillimetreSection(Section):
-    """A camera as photogrammetric programs print it, in millimetres on the sensor.
+    """A camera as photogrammetric programs print it, in millimetres on the sensor."""
 
-    ``form = "brown"``: radial K1 to K3, tangential P1, P2, affine aspect and shear (DBAT, PhotoModeler);
-    ``form = "aicon"``: A1 to A3 with ``zero_radius_mm``, B1, B2, C1, C2. The formulas are those of
-    `heliogauge.camera.millimetres`.
-    """
-
-    form: Literal["brown", "aicon"] = "brown"
-    focal_mm: Positive
-    pixel_mm: Positive
-    principal_mm: Vector2 | None = None
-    principal_origin: Literal["center", "corner"] = "center"
-    y_axis: Literal["up", "down"] = "up"
-    radial: Vector3 = (0.0, 0.0, 0.0)
-    tangential: Vector2 = (0.0, 0.0)
-    affine: Vector2 = (0.0, 0.0)
-    zero_radius_mm: Sigma = 0.0
+    form: Literal["brown", "aicon"] = Field(
+        "brown", description="Formula of the lens: Brown's (DBAT, PhotoModeler) or AICON's."
+    )
+    focal_mm: Positive = Field(description="Camera constant [mm].")
+    pixel_mm: Positive = Field(description="Height of a pixel on the sensor [mm].")
+    principal_mm: Vector2 | None = Field(
+        None, description="Principal point, x and y; default: the middle of the image [mm]."
+    )
+    principal_origin: Literal["center", "corner"] = Field(
+        "center", description="Origin of the principal point: middle of the image, or corner of the first pixel."
+    )
+    y_axis: Literal["up", "down"] = Field("up", description="Direction of the y axis of the lens formulas.")
+    radial: Vector3 = Field((0.0, 0.0, 0.0), description="Radial coefficients, in powers of 1/mm.")
+    tangential: Vector2 = Field((0.0, 0.0), description="Tangential coefficients, in powers of 1/mm.")
+    affine: Vector2 = Field((0.0, 0.0), description="Aspect and shear.")
+    zero_radius_mm: Sigma = Field(0.0, description="Radius at which AICON's radial distortion is zero [mm].")
 
     @model_validator(mode="after")
     def _radius_of_aicon(self) -> Self:
@@ -70,28 +71,44 @@ class NetworkCameraSection(Section):
     intrinsics; ``prior = true`` weighs them by the covariance of the file, ``sigma`` by single sigmas.
     """
 
-    name: Text = "camera"
-    photos: Annotated[tuple[Text, ...], Field(min_length=1)] | None = None
-    file: Text | None = None
-    width_px: Count | None = None
-    height_px: Count | None = None
-    focal_px: Positive | None = None
-    focal_length_35mm: Positive | None = None
-    aspect: Number = 0.0
-    center_x_px: Number | None = None
-    center_y_px: Number | None = None
-    skew: Number = 0.0
-    k1: Number = 0.0
-    k2: Number = 0.0
-    k3: Number = 0.0
-    p1: Number = 0.0
-    p2: Number = 0.0
-    millimetres: MillimetreSection | None = None
-    distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] | None = None
-    residuals: Literal["measured", "corrected"] = "measured"
-    free: tuple[Intrinsic, ...] | None = None
-    prior: bool = False
-    sigma: dict[Intrinsic, Positive] = Field(default_factory=dict)
+    name: Text = Field("camera", description="Name of the camera in cameras.json.")
+    photos: Annotated[tuple[Text, ...], Field(min_length=1)] | None = Field(
+        None, description="Patterns of the photos it took; default: the rest."
+    )
+    file: Text | None = Field(None, description="File of a calibrated camera.")
+    width_px: Count | None = Field(None, description="Width of the photos; needed with image points [px].")
+    height_px: Count | None = Field(None, description="Height of the photos [px].")
+    focal_px: Positive | None = Field(
+        None, description="Focal length over pixel pitch: known, unless free names it [px]."
+    )
+    focal_length_35mm: Positive | None = Field(
+        None, description="Focal length for 36 mm x 24 mm film, as a start [mm]."
+    )
+    aspect: Number = Field(0.0, description="Ratio of the focal lengths along rows and columns, minus 1.")
+    center_x_px: Number | None = Field(None, description="Principal point, x; default: the middle of the image [px].")
+    center_y_px: Number | None = Field(None, description="Principal point, y; default: the middle of the image [px].")
+    skew: Number = Field(0.0, description="Skew of the image axes: columns that a unit of y/z adds [px].")
+    k1: Number = Field(0.0, description="Radial distortion, second power (Brown, normalised coordinates).")
+    k2: Number = Field(0.0, description="Radial distortion, fourth power.")
+    k3: Number = Field(0.0, description="Radial distortion, sixth power.")
+    p1: Number = Field(0.0, description="Tangential distortion, first coefficient.")
+    p2: Number = Field(0.0, description="Tangential distortion, second coefficient.")
+    millimetres: MillimetreSection | None = Field(
+        None, description="The camera as photogrammetric programs print it, in millimetres on the sensor."
+    )
+    distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] | None = Field(
+        None, description="Default: ideal to measured points; measured to ideal with millimetres."
+    )
+    residuals: Literal["measured", "corrected"] = Field(
+        "measured", description="Where residuals are formed: in the measured image, or corrected for the lens (DBAT)."
+    )
+    free: tuple[Intrinsic, ...] | None = Field(
+        None, description="Intrinsics that are estimated; default: none if known, else all but skew; [] for none."
+    )
+    prior: bool = Field(False, description="Weigh what is free by the covariance of the file.")
+    sigma: dict[Intrinsic, Positive] = Field(
+        default_factory=dict, description="Standard deviations of start values of those in free."
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -23,35 +23,45 @@ from photogrammetry.keys.targets import TargetsSection
 class ImagePointsSection(Section):
     """Image points measured by another program, instead of photos."""
 
-    file: Text = "image_points.csv"
-    pixel_origin: Literal["center", "corner"] = "center"
-    default_sigma_px: Positive = 0.1
+    file: Text = Field(
+        "image_points.csv", description="Columns image, target, x_px, y_px, perhaps sigma_x_px, sigma_y_px."
+    )
+    pixel_origin: Literal["center", "corner"] = Field(
+        "center", description="Where (0, 0) is: centre, or outer corner of the top-left pixel (DBAT, COLMAP)."
+    )
+    default_sigma_px: Positive = Field(0.1, description="1 sigma of coordinates where the table has none [px].")
 
 
 class ScaleBarSection(Section):
     """A known distance between two targets."""
 
-    a: Text
-    b: Text
-    length_m: Positive
-    sigma_mm: Positive
-    check_only: bool = False
+    a: Text = Field(description="Target at one end.")
+    b: Text = Field(description="Target at the other end.")
+    length_m: Positive = Field(description="Distance of the two targets [m].")
+    sigma_mm: Positive = Field(description="Its standard deviation [mm].")
+    check_only: bool = Field(False, description="Keep it out of the adjustment, as a test of the result.")
 
 
 class PermissibleLengthErrorSection(Section):
     """Largest permissible length measurement error, ``a + L / k`` but at most b (VDI/VDE 2634 part 1)."""
 
-    a_mm: Positive
-    k: Annotated[float, Field(strict=True, gt=0)] = float("inf")
-    b_mm: Annotated[float, Field(strict=True, gt=0)] = float("inf")
+    a_mm: Positive = Field(description="The part that does not depend on the length [mm].")
+    k: Annotated[float, Field(strict=True, gt=0)] = Field(
+        float("inf"), description="Length over added error: 100000 is 0.01 mm for a metre."
+    )
+    b_mm: Annotated[float, Field(strict=True, gt=0)] = Field(
+        float("inf"), description="Limit that it never exceeds [mm]."
+    )
 
 
 class ControlPointSection(Section):
     """A target with known coordinates; without sigma it is held."""
 
-    target: Text
-    xyz_m: Vector3
-    sigma_mm: Sigma3 = (0.0, 0.0, 0.0)
+    target: Text = Field(description="Name of the target.")
+    xyz_m: Vector3 = Field(description="Its known coordinates [m].")
+    sigma_mm: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma of each coordinate; one number stands for three; 0: held [mm]."
+    )
 
     @model_validator(mode="after")
     def _all_or_none(self) -> Self:
@@ -63,38 +73,40 @@ class ControlPointSection(Section):
 class CoordinateSection(Section):
     """A known coordinate of one target."""
 
-    kind: Literal["coordinate"]
-    target: Text
-    axis: Literal["x", "y", "z"]
-    value_m: Number
-    sigma_mm: Positive
+    kind: Literal["coordinate"] = Field(description="A known coordinate of one target.")
+    target: Text = Field(description="Name of the target.")
+    axis: Literal["x", "y", "z"] = Field(description="Which coordinate.")
+    value_m: Number = Field(description="Its value [m].")
+    sigma_mm: Positive = Field(description="Its standard deviation [mm].")
 
 
 class DistanceSection(Section):
     """A known distance of two targets, as a scale bar."""
 
-    kind: Literal["distance"]
-    a: Text
-    b: Text
-    distance_m: Positive
-    sigma_mm: Positive
+    kind: Literal["distance"] = Field(description="A known distance of two targets.")
+    a: Text = Field(description="One target.")
+    b: Text = Field(description="The other target.")
+    distance_m: Positive = Field(description="Their distance [m].")
+    sigma_mm: Positive = Field(description="Its standard deviation [mm].")
 
 
 class PlaneSection(Section):
     """Targets in one plane; without a normal the plane is unknown."""
 
-    kind: Literal["plane"]
-    targets: Annotated[tuple[Text, ...], Field(min_length=1)]
-    sigma_mm: Positive
-    normal: Vector3 | None = None
-    offset_m: Number = 0.0
+    kind: Literal["plane"] = Field(description="Targets in one plane.")
+    targets: Annotated[tuple[Text, ...], Field(min_length=1)] = Field(description="Names of the targets.")
+    sigma_mm: Positive = Field(description="Standard deviation of their distances from the plane [mm].")
+    normal: Vector3 | None = Field(None, description="Normal of a known plane; default: estimated.")
+    offset_m: Number = Field(0.0, description="Distance of a known plane from the origin [m].")
 
 
 class StartSection(Section):
     """Start values that are known: coordinates of targets, poses of photos; an inner datum refers to the former."""
 
-    points: Text | None = None
-    cameras: Text | None = None
+    points: Text | None = Field(
+        None, description="points.csv with start coordinates of targets; an inner datum refers to them."
+    )
+    cameras: Text | None = Field(None, description="cameras.json with start poses of the photos.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,9 +117,13 @@ class StartSection(Section):
 class KnownFilesSection(Section):
     """Tables of what is known, instead of or besides the sections in the file; `photogrammetry.keys.known_files`."""
 
-    control_points: Text | None = None
-    scale_bars: Text | None = None
-    coordinates: Text | None = None
+    control_points: Text | None = Field(
+        None, description="Control points: columns target, x_m, y_m, z_m, perhaps sigma_x_mm and so on."
+    )
+    scale_bars: Text | None = Field(
+        None, description="Scale bars: columns a, b, length_m, sigma_mm, perhaps check_only."
+    )
+    coordinates: Text | None = Field(None, description="Coordinates: columns target, axis, value_m, sigma_mm.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,15 +138,15 @@ class CollectorSection(Section):
     in ``along`` is ``length_m`` apart.
     """
 
-    width_m: Positive
-    focal_length_m: Positive
-    left: Annotated[tuple[Text, ...], Field(min_length=2)]
-    right: Annotated[tuple[Text, ...], Field(min_length=2)]
-    end: Annotated[tuple[Text, ...], Field(min_length=1)]
-    along: tuple[tuple[Text, Text], ...] = ()
-    length_m: Positive | None = None
-    sigma_mm: Positive
-    length_sigma_mm: Positive | None = None
+    width_m: Positive = Field(description="Width of the aperture between the rims' targets [m].")
+    focal_length_m: Positive = Field(description="Focal length of the parabola [m].")
+    left: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(description="Targets on the rim at x = -width / 2.")
+    right: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(description="Targets on the rim at x = +width / 2.")
+    end: Annotated[tuple[Text, ...], Field(min_length=1)] = Field(description="Targets of the end at y = 0.")
+    along: tuple[tuple[Text, Text], ...] = Field((), description="Pairs of targets that are length_m apart along y.")
+    length_m: Positive | None = Field(None, description="Distance of those pairs along y [m].")
+    sigma_mm: Positive = Field(description="Standard deviation of the known coordinates [mm].")
+    length_sigma_mm: Positive | None = Field(None, description="1 sigma of that distance; default: sigma_mm [mm].")
 
     @model_validator(mode="after")
     def _length_and_pairs(self) -> Self:
@@ -150,9 +166,11 @@ class CollectorSection(Section):
 class DatumSection(Section):
     """How position, rotation and scale are defined where constraints and control points leave them open."""
 
-    kind: Literal["inner", "minimal", "photos", "control"] = "inner"
-    targets: tuple[Text, ...] = ()
-    photos: tuple[Text, ...] = ()
+    kind: Literal["inner", "minimal", "photos", "control"] = Field(
+        "inner", description="What places the network: inner constraints, three targets, photos that stay; or nothing."
+    )
+    targets: tuple[Text, ...] = Field((), description="Targets that take part; default: all.")
+    photos: tuple[Text, ...] = Field((), description="Photos that stay: one, and one more without a scale.")
 
     @model_validator(mode="after")
     def _fitting_names(self) -> Self:
@@ -168,9 +186,13 @@ class DatumSection(Section):
 class AdjustmentSection(Section):
     """How the network is adjusted."""
 
-    reject: bool = True
-    family_significance: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.05
-    sigmas: Literal["stated", "from residuals"] | None = None
+    reject: bool = Field(True, description="Leave out image points that contradict the others.")
+    family_significance: Annotated[float, Field(strict=True, gt=0, lt=1)] = Field(
+        0.05, description="Probability of leaving out any good point of all."
+    )
+    sigmas: Literal["stated", "from residuals"] | None = Field(
+        None, description="Sigmas of image points; default: from residuals for photos, stated for tables."
+    )
 
 
 KnowledgeSection = Annotated[CoordinateSection | DistanceSection | PlaneSection, Discriminator("kind")]
@@ -179,22 +201,34 @@ KnowledgeSection = Annotated[CoordinateSection | DistanceSection | PlaneSection,
 class PhotogrammetryModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "photogrammetry"``."""
 
-    kind: Literal["photogrammetry"]
-    camera: CameraSections = (NetworkCameraSection(),)
-    images: PhotosSection | None = None
-    image_points: ImagePointsSection | None = None
-    targets: TargetsSection | None = None
-    natural: NaturalSection | None = None
-    scale_bar: tuple[ScaleBarSection, ...] = ()
-    permissible_length_error: PermissibleLengthErrorSection | None = None
-    control_point: tuple[ControlPointSection, ...] = ()
-    constraint: tuple[KnowledgeSection, ...] = ()
-    start: StartSection | None = None
-    files: KnownFilesSection = KnownFilesSection()
-    collector: CollectorSection | None = None
-    datum: DatumSection = DatumSection()
-    adjustment: AdjustmentSection = AdjustmentSection()
-    surface: SurfaceSection | None = None
+    kind: Literal["photogrammetry"] = Field(description="Photos, or image points, of targets.")
+    camera: CameraSections = Field(
+        (NetworkCameraSection(),), description="The camera, or a table for each; default: self-calibration."
+    )
+    images: PhotosSection | None = Field(None, description="The photos.")
+    image_points: ImagePointsSection | None = Field(
+        None, description="Image points of another program, instead of photos."
+    )
+    targets: TargetsSection | None = Field(None, description="The targets in the photos.")
+    natural: NaturalSection | None = Field(
+        None, description="Features of the surface itself; needs pip install heliogauge[natural]."
+    )
+    scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances between targets.")
+    permissible_length_error: PermissibleLengthErrorSection | None = Field(
+        None, description="Largest permissible length error a + L / k, at most b (VDI/VDE 2634)."
+    )
+    control_point: tuple[ControlPointSection, ...] = Field((), description="Targets with known coordinates.")
+    constraint: tuple[KnowledgeSection, ...] = Field((), description="Known coordinates, distances and planes.")
+    start: StartSection | None = Field(
+        None, description="Start values from an earlier result; default: from the image points alone."
+    )
+    files: KnownFilesSection = Field(
+        KnownFilesSection(), description="Tables of what is known, besides the sections here."
+    )
+    collector: CollectorSection | None = Field(None, description="Targets on the rim of a parabolic trough.")
+    datum: DatumSection = Field(DatumSection(), description="What places the network where the rest leaves it open.")
+    adjustment: AdjustmentSection = Field(AdjustmentSection(), description="How the network is adjusted.")
+    surface: SurfaceSection | None = Field(None, description="The surface under the targets: fit, slope map, canting.")
 
     @model_validator(mode="after")
     def _photos_or_points(self) -> Self:

@@ -13,37 +13,51 @@ TargetNames = Annotated[tuple[Text, ...], Field(min_length=1)]
 class ReferenceTargetSection(Section):
     """A target whose place on the design is known: ``[[surface.reference]]``."""
 
-    target: Text
-    xyz_m: Vector3
+    target: Text = Field(description="Name of the target.")
+    xyz_m: Vector3 = Field(description="Its place in the design's frame [m].")
 
 
 class SurfaceFacetSection(DesignKeys):
     """One facet: its targets, and its design pose ``design_from_facet`` where it has a design of its own."""
 
-    name: Text
-    targets: TargetNames
-    outline_m: Outline | None = None
-    position_m: Vector3 = (0.0, 0.0, 0.0)
-    rotation_vector_rad: Vector3 = (0.0, 0.0, 0.0)
-    reference_point_m: Vector2 | None = None
+    name: Text = Field(description="Name of the facet.")
+    targets: TargetNames = Field(description="Its targets: names, ranges 1..12, patterns A*.")
+    outline_m: Outline | None = Field(None, description="Corners of its slope map, in its design's frame [m].")
+    position_m: Vector3 = Field((0.0, 0.0, 0.0), description="Origin of its own design in the frame of all [m].")
+    rotation_vector_rad: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="Rotation of design_from_facet as a vector [rad]."
+    )
+    reference_point_m: Vector2 | None = Field(
+        None, description="Reference of its results; default: the outline's centroid [m]."
+    )
 
 
 class SurfaceSection(DesignKeys):
     """The design surface, or a CAD mesh, that the targets are compared with; another date; what is written."""
 
-    fit: Literal["rigid", "focal-length", "none"] = "rigid"
-    robust: bool = True
-    targets: TargetNames | None = None
-    reference: tuple[ReferenceTargetSection, ...] = ()
-    facet: tuple[SurfaceFacetSection, ...] = ()
-    outline_m: Outline | None = None
-    slope_map: bool = True
-    grid_step_mm: Positive | None = None
-    mesh: Text | None = None
-    mesh_unit: Literal["m", "mm"] = "m"
-    ply: bool = False
-    compare_with: Text | None = None
-    stable_targets: TargetNames | None = None
+    fit: Literal["rigid", "focal-length", "none"] = Field(
+        "rigid", description="Placing of the design: rigid motion, focal length estimated too, or none."
+    )
+    robust: bool = Field(True, description="Points far from the rest do not count (see surface.csv).")
+    targets: TargetNames | None = Field(None, description="Names, ranges 1..40, patterns A*; default: all.")
+    reference: tuple[ReferenceTargetSection, ...] = Field(
+        (), description="Targets with a known place on the design, three or more."
+    )
+    facet: tuple[SurfaceFacetSection, ...] = Field((), description="Facets on one structure: canting, focal length.")
+    outline_m: Outline | None = Field(
+        None, description="Corners of the slope map; default: the targets' convex hull [m]."
+    )
+    slope_map: bool = Field(True, description="Write slope_map.nc.")
+    grid_step_mm: Positive | None = Field(
+        None, description="Step of the slope map; default: half the targets' distance [mm]."
+    )
+    mesh: Text | None = Field(None, description="CAD mesh to compare with, instead of a design.")
+    mesh_unit: Literal["m", "mm"] = Field("m", description="Unit of the mesh's coordinates.")
+    ply: bool = Field(False, description="Write points.ply; needs pip install heliogauge[3d].")
+    compare_with: Text | None = Field(None, description="Folder of an earlier result: what moved since.")
+    stable_targets: TargetNames | None = Field(
+        None, description="Targets at rest since then; default: found by a test."
+    )
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:

@@ -10,18 +10,18 @@ from heliogauge.measurement.models import Positive, Section, Text, Vector3
 class UncodedSection(Section):
     """A target without a code: its name and where it is, to some millimetres."""
 
-    target: Text
-    xyz_m: Vector3
-    sigma_mm: Positive
+    target: Text = Field(description="Name of the target.")
+    xyz_m: Vector3 = Field(description="Where it is, to some millimetres [m].")
+    sigma_mm: Positive = Field(description="Standard deviation of that place, each coordinate [mm].")
 
 
 class CharucoTargetSection(Section):
     """A ChArUco board in the scene, of the markers of the dictionary; columns and rows count squares."""
 
-    columns: Annotated[int, Field(strict=True, ge=4)]
-    rows: Annotated[int, Field(strict=True, ge=4)]
-    square_mm: Positive
-    marker_mm: Positive
+    columns: Annotated[int, Field(strict=True, ge=4)] = Field(description="Squares in a row.")
+    rows: Annotated[int, Field(strict=True, ge=4)] = Field(description="Squares in a column.")
+    square_mm: Positive = Field(description="Side of a square [mm].")
+    marker_mm: Positive = Field(description="Side of a marker [mm].")
 
     @model_validator(mode="after")
     def _markers_in_squares(self) -> Self:
@@ -41,22 +41,46 @@ class TargetsSection(Section):
     (``tracked_from``).
     """
 
-    dictionary: Text | None = None
-    sense: Literal["clockwise", "counterclockwise"] | None = None
-    ring_inner_radius: Positive | None = None
-    ring_outer_radius: Positive | None = None
-    diameter_mm: Positive | None = None
-    polarity: Literal["black-on-white", "white-on-black", "both"] = "both"
-    smallest_px: Annotated[float, Field(strict=True, ge=3)] = 6.0
-    largest_px: Positive = 300.0
-    find_uncoded: bool | None = None
-    uncoded: tuple[UncodedSection, ...] = ()
-    uncoded_file: Text | None = None
-    up: Vector3 | None = None
-    front: Vector3 | None = None
-    tracked_from: Text | None = None
-    charuco: CharucoTargetSection | None = None
-    search_radius_px: Annotated[float, Field(strict=True, ge=4)] = 100.0
+    dictionary: Text | None = Field(
+        None, description="Ring codes (aicon-12, metashape-14), square markers (DICT_4X4_100), or a file."
+    )
+    sense: Literal["clockwise", "counterclockwise"] | None = Field(
+        None, description="Sense of the printed codes; default: the dictionary's."
+    )
+    ring_inner_radius: Positive | None = Field(
+        None, description="Inner radius of the code ring, in radii of the dot; default: the dictionary's."
+    )
+    ring_outer_radius: Positive | None = Field(
+        None, description="Outer radius of the code ring, in radii of the dot; default: the dictionary's."
+    )
+    diameter_mm: Positive | None = Field(
+        None, description="Diameter of all dots: helps targets seen twice, and is checked [mm]."
+    )
+    polarity: Literal["black-on-white", "white-on-black", "both"] = Field(
+        "both", description="Which is printed on which."
+    )
+    smallest_px: Annotated[float, Field(strict=True, ge=3)] = Field(
+        6.0, description="Smallest diameter of a dot in the photos [px]."
+    )
+    largest_px: Positive = Field(300.0, description="Largest diameter of a dot in the photos [px].")
+    find_uncoded: bool | None = Field(
+        None, description="Find dots without a code; default: beside ring codes, or if listed."
+    )
+    uncoded: tuple[UncodedSection, ...] = Field((), description="Names and rough places of dots without a code.")
+    uncoded_file: Text | None = Field(None, description="Table of those: columns id, x_m, y_m, z_m, sigma_mm.")
+    up: Vector3 | None = Field(
+        None, description="Direction in the list that points up in the photos, for symmetric layouts."
+    )
+    front: Vector3 | None = Field(None, description="Direction in the list towards the camera, for symmetric layouts.")
+    tracked_from: Text | None = Field(
+        None, description="Marks set by hand in one photo, then followed: columns image, target, x_px, y_px."
+    )
+    charuco: CharucoTargetSection | None = Field(
+        None, description="A ChArUco board in the scene: its inner corners become points."
+    )
+    search_radius_px: Annotated[float, Field(strict=True, ge=4)] = Field(
+        100.0, description="Farthest movement of a followed target from one photo to the next [px]."
+    )
 
     @model_validator(mode="after")
     def _one_list(self) -> Self:

@@ -24,20 +24,21 @@ Angle = Annotated[float, Field(strict=True, ge=0, le=85)]
 
 
 class PlannedObjectSection(Section):
-    """The object: a file of targets, or a design surface with targets at equal spacing.
+    """The object: a file of targets, or a design surface with targets at equal spacing."""
 
-    The file has the columns id, x_m, y_m, z_m and perhaps normal_x, normal_y, normal_z (out of the target's face).
-    """
-
-    targets: Text | None = None
-    design: Literal["plane", "paraboloid", "sphere", "trough"] | None = None
-    focal_length_m: Number | None = None
-    radius_m: Number | None = None
-    width_m: Positive | None = None
-    height_m: Positive | None = None
-    spacing_m: Positive | None = None
-    center_m: tuple[Number, Number] = (0.0, 0.0)
-    diameter_mm: Sigma = 0.0
+    targets: Text | None = Field(
+        None, description="Targets: columns id, x_m, y_m, z_m and perhaps normal_x, normal_y, normal_z."
+    )
+    design: Literal["plane", "paraboloid", "sphere", "trough"] | None = Field(
+        None, description="Design surface with targets at equal spacing, instead of a table."
+    )
+    focal_length_m: Number | None = Field(None, description="Focal length of a paraboloid or trough [m].")
+    radius_m: Number | None = Field(None, description="Radius of a sphere [m].")
+    width_m: Positive | None = Field(None, description="Size along x [m].")
+    height_m: Positive | None = Field(None, description="Size along y [m].")
+    spacing_m: Positive | None = Field(None, description="Distance of neighbouring targets [m].")
+    center_m: tuple[Number, Number] = Field((0.0, 0.0), description="The object's middle on the design, x and y [m].")
+    diameter_mm: Sigma = Field(0.0, description="Diameter of the dots; 0: does not matter [mm].")
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -56,13 +57,15 @@ class PlannedObjectSection(Section):
 class PlannedCameraSection(Section):
     """The camera: a file, or size and focal length; ``free`` is what the measurement will estimate."""
 
-    file: Text | None = None
-    width_px: Count | None = None
-    height_px: Count | None = None
-    focal_px: Positive | None = None
-    free: tuple[Intrinsic, ...] = SELF_CALIBRATED
-    sigma_px: Positive
-    smallest_px: Sigma = 6.0
+    file: Text | None = Field(None, description="File of a calibrated camera, instead of size and focal length.")
+    width_px: Count | None = Field(None, description="Width of the photos [px].")
+    height_px: Count | None = Field(None, description="Height of the photos [px].")
+    focal_px: Positive | None = Field(None, description="Focal length over pixel pitch [px].")
+    free: tuple[Intrinsic, ...] = Field(
+        SELF_CALIBRATED, description="Intrinsics that the measurement will estimate; [] for a camera that is known."
+    )
+    sigma_px: Positive = Field(description="Standard deviation of an image coordinate [px].")
+    smallest_px: Sigma = Field(6.0, description="Smallest diameter of a dot in the image [px].")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -77,40 +80,48 @@ class PlannedCameraSection(Section):
 class StationsSection(Section):
     """Where the camera can be."""
 
-    distance_m: Positive | None = None
-    rings_deg: Annotated[tuple[Angle, ...], Field(min_length=1)] = (20.0, 35.0, 50.0)
-    up: Vector3 = (0.0, 0.0, 1.0)
-    lowest_m: Number | None = None
-    highest_m: Number | None = None
-    turned: bool = True
-    largest_incidence_deg: Annotated[float, Field(strict=True, gt=0, le=90)] = 65.0
+    distance_m: Positive | None = Field(None, description="Distance from the object; default: it fills the image [m].")
+    rings_deg: Annotated[tuple[Angle, ...], Field(min_length=1)] = Field(
+        (20.0, 35.0, 50.0), description="Angles of the rings from the object's normal [deg]."
+    )
+    up: Vector3 = Field(
+        (0.0, 0.0, 1.0), description="The vertical in the object's frame; y for a mirror that looks at the horizon."
+    )
+    lowest_m: Number | None = Field(None, description="Lowest height along the vertical; default: any [m].")
+    highest_m: Number | None = Field(None, description="Highest height along the vertical; default: any [m].")
+    turned: bool = Field(True, description="Every other photo with the camera turned by 90 degrees.")
+    largest_incidence_deg: Annotated[float, Field(strict=True, gt=0, le=90)] = Field(
+        65.0, description="Largest angle of a ray from a target's normal [deg]."
+    )
 
 
 class PlannedBarSection(Section):
     """A scale bar with a target at either end."""
 
-    from_m: Vector3
-    to_m: Vector3
-    sigma_mm: Positive
+    from_m: Vector3 = Field(description="One end of the bar in the object's frame [m].")
+    to_m: Vector3 = Field(description="The other end [m].")
+    sigma_mm: Positive = Field(description="Standard deviation of its length [mm].")
 
 
 class GoalSection(Section):
     """What is wanted."""
 
-    sigma_mm: Positive
-    of: Literal["rms", "largest"] = "rms"
-    most_photos: Annotated[int, Field(strict=True, ge=4, le=300)] = 80
+    sigma_mm: Positive = Field(description="Standard deviation of coordinates that is wanted [mm].")
+    of: Literal["rms", "largest"] = Field(
+        "rms", description="What it is of: the RMS of all coordinates' sigmas, or the largest."
+    )
+    most_photos: Annotated[int, Field(strict=True, ge=4, le=300)] = Field(80, description="Photos at most.")
 
 
 class PhotogrammetryPlanModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "photogrammetry-plan"``."""
 
-    kind: Literal["photogrammetry-plan"]
-    object: PlannedObjectSection
-    camera: PlannedCameraSection
-    stations: StationsSection = StationsSection()
-    scale_bar: tuple[PlannedBarSection, ...] = ()
-    goal: GoalSection
+    kind: Literal["photogrammetry-plan"] = Field(description="Plan of a photo network.")
+    object: PlannedObjectSection = Field(description="What is to be measured.")
+    camera: PlannedCameraSection = Field(description="The camera.")
+    stations: StationsSection = Field(StationsSection(), description="Where the camera can be.")
+    scale_bar: tuple[PlannedBarSection, ...] = Field((), description="Scale bars, with a target at either end.")
+    goal: GoalSection = Field(description="What is wanted.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
