@@ -6,6 +6,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from heliogauge import __version__
+from heliogauge.instruments import every_kind
+from heliogauge.measurement.key_tables import key_pages
 from heliogauge.measurement.templates import write_template
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -14,6 +16,9 @@ from face_pages import write_reference
 # The pages on measurement files show the templates that `heliogauge init` writes, not copies that could grow old.
 write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
 write_template("response", Path(__file__).resolve().parent / "_build" / "response", force=True)
+
+# Every key of every kind, as the models have it that check the file.
+(Path(__file__).resolve().parent / "_build" / "keys.md").write_text(key_pages(every_kind().values()), encoding="utf-8")
 
 # The reference lists the public faces as they are.
 write_reference(Path(__file__).resolve().parent / "_build" / "faces.md")

@@ -1,7 +1,7 @@
 """Every key that a measurement.toml may have, as tables for the documentation, from the models that check the file."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
 from inspect import cleandoc
 from types import NoneType
@@ -50,25 +50,30 @@ def key_sections(model: type[BaseModel], path: str = "", head: str = "") -> Iter
             inner_head = f"[{inner}.NAME]"
         else:
             inner_head = f"[[{inner}]]" if tuple in origins else f"[{inner}]"
-        for one in _models_of(field):
-            for section in key_sections(one, inner, inner_head):
-                if section.head == inner_head and field.description:
-                    section = KeySection(inner_head, f"{field.description}\n\n{section.summary}", section.rows)
-                yield section
+        for number, one in enumerate(_models_of(field)):
+            own, *below = key_sections(one, inner, inner_head)
+            first = f"{field.description}\n\n" if number == 0 and field.description else ""
+            yield replace(own, summary=first + own.summary)
+            yield from below
 
 
-def key_page(kind: Kind) -> str:
-    """Write the page of one kind of measurement: a table for each section (Markdown)."""
-    model: type[MeasurementModel] = resolve(kind.model)
-    lines = [f'# Keys of `kind = "{kind.name}"`', "", f"`heliogauge init {kind.name} FOLDER` writes a template.", ""]
-    for section in key_sections(model):
-        lines += [f"## `{section.head}`" if section.head else "## Top of the file", "", section.summary, ""]
-        if section.rows:
-            lines += ["| key | values | default | meaning |", "|---|---|---|---|"]
-        for row in section.rows:
-            cells = (f"`{row.key}`", row.values, row.default or "must be given", row.description)
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-        lines.append("")
+def key_pages(kinds: Iterable[Kind]) -> str:
+    """Write one chapter for each kind of measurement, with a table for each section (Markdown)."""
+    lines = []
+    for kind in kinds:
+        model: type[MeasurementModel] = resolve(kind.model)
+        lines += [f'## `kind = "{kind.name}"`', "", f"`heliogauge init {kind.name} FOLDER` writes a template.", ""]
+        earlier = ""
+        for section in key_sections(model):
+            head = f"`{section.head}`" if section.head else "Top of the file"
+            lines += [f"### {head}" if section.head != earlier else f"Or {head}:", "", section.summary, ""]
+            earlier = section.head
+            if section.rows:
+                lines += ["| key | values | default | meaning |", "|---|---|---|---|"]
+            for row in section.rows:
+                cells = (f"`{row.key}`", row.values, row.default or "must be given", row.description)
+                lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+            lines.append("")
     return "\n".join(lines)
 
 
