@@ -9,13 +9,15 @@ from heliogauge.validate import FloatArray
 from observer.light.beam import BeamProfile
 from observer.light.cases import Case, MeasuredTrough, joined, optics_of, sensitivity
 from observer.light.intercept import TroughOptics
-from observer.light.maximum import climb, largest_between
 
 #: Steps for second differences of the intercept factor: large beside the table's rounding, small beside its widths.
 _OFFSET_STEP_RAD = 1e-3
 _SHIFT_STEP_M = 1e-3
-#: How near the best offset is found, and the longest step of the absorber towards its best place.
-_OFFSET_TOLERANCE_RAD, _LONGEST_STEP_M = 1e-7, 5e-3
+#: How near the best offset is found, and the first step of the absorber towards its best place.
+_OFFSET_TOLERANCE_RAD, _FIRST_STEP_M = 1e-7, 5e-3
+#: The best place is found where a first step more would gain less than this. Factors from the table and their slopes
+#: agree to 1e-10 of the light: beyond 0.1 um, a ten-thousandth of its sigma, the place has no meaning.
+_LEAST_SLOPE = 1e-8
 #: An absorber farther away from its best place than this was not measured by the reflection [m].
 _LARGEST_SHIFT_M = 0.05
 #: Curvature below which the place of a maximum means nothing: 1e-5 of the light is lost at one step beside it.
@@ -42,6 +44,8 @@ def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, larges
     Returns: The offset of the sun towards +x.
     EstimationError: It lies beyond the largest.
     """
+    from scipy.optimize import minimize_scalar
+
     coarse = np.linspace(-largest_rad, largest_rad, 21)
     ratios = np.array([optics.ratio(offset) for offset in coarse])
     # Of a flat top the middle.
@@ -51,7 +55,13 @@ def best_offset(trough: MeasuredTrough, case: Case, optics: TroughOptics, larges
             f"tracking offset: the best one lies beyond {1e3 * largest_rad:g} mrad; are mirror and absorber in the "
             "same frame?"
         )
-    best = largest_between(optics.ratio, float(coarse[top[0] - 1]), float(coarse[top[-1] + 1]), _OFFSET_TOLERANCE_RAD)
+    found = minimize_scalar(
+        lambda offset: -optics.ratio(offset),
+        bounds=(float(coarse[top[0] - 1]), float(coarse[top[-1] + 1])),
+        method="bounded",
+        options={"xatol": _OFFSET_TOLERANCE_RAD},
+    )
+    best = float(found.x)
     step = _OFFSET_STEP_RAD
     sides = (best - step, best, best + step)
     bend = np.array([[np.array([1.0, -2.0, 1.0]) @ [optics.ratio(one) for one in sides] / step**2]])
@@ -67,6 +77,7 @@ def best_absorber(trough: MeasuredTrough, optics: TroughOptics, profile: BeamPro
 
     EstimationError: It is longer than 50 mm.
     """
+    from scipy.optimize import minimize
 
     def at(way_m: FloatArray) -> TroughOptics:
         # Linear in the way: 10 mm at 1.5 m leave out 0.04 mrad of a window of 45 mrad.
@@ -78,10 +89,11 @@ def best_absorber(trough: MeasuredTrough, optics: TroughOptics, profile: BeamPro
     def slope(way_m: FloatArray) -> FloatArray:
         return np.asarray(at(way_m).gradients()[1].sum(axis=0))
 
-    def value_and_slope(way_m: FloatArray) -> tuple[float, FloatArray]:
-        return at(way_m).ratio(), slope(way_m)
+    def lost(way: FloatArray) -> tuple[float, FloatArray]:
+        return -at(_FIRST_STEP_M * way).ratio(), -_FIRST_STEP_M * slope(_FIRST_STEP_M * way)
 
-    way = climb(value_and_slope, np.zeros(2), _LONGEST_STEP_M)
+    # In units of the first step: BFGS begins with a step of length one.
+    way = _FIRST_STEP_M * minimize(lost, np.zeros(2), jac=True, method="BFGS", options={"gtol": _LEAST_SLOPE}).x
     if np.abs(way).max() > _LARGEST_SHIFT_M:
         raise EstimationError(
             f"absorber: its best place is more than {1e3 * _LARGEST_SHIFT_M:g} mm from where it was measured; are "
