@@ -220,7 +220,7 @@ class MirrorSection(DesignKeys):
     """The mirror: design, outline or facets, and what is known of its pose.
 
     Facet frame: x width and y height seen from the front, z out of the mirror. The outline is a polygon in that
-    frame, counter-clockwise seen from the front. ``outline_sigma_mm`` says how well the polygon's sides are known,
+    frame, counter-clockwise seen from the front. ``outline_sigma_mm`` is the uncertainty of the polygon's sides,
     ``roll_deg`` how the mirror is turned in the image, counter-clockwise as displayed: this distinguishes positions in
     which a symmetric outline looks the same.
     """
@@ -261,7 +261,7 @@ class MirrorSection(DesignKeys):
         has_outline = self.outline_m is not None or bool(self.facet)
         if not (has_outline or self.pose or self.distance or len(self.known_point) >= 3):
             raise ValueError(
-                "nothing says where the mirror is; give outline_m, [mirror.pose], [mirror.distance] "
+                "the mirror's place is not determined; give outline_m, [mirror.pose], [mirror.distance] "
                 "or at least three [[mirror.known_point]]"
             )
         return self

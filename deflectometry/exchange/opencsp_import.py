@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.exchange.opencsp import (
+from deflectometry.exchange.opencsp_files import (
     STEPS_DEG,
     CalculationRecord,
     CameraRecord,

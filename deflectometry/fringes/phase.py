@@ -116,7 +116,7 @@ def wrap_phase(phase_rad: FloatArray) -> FloatArray:
 
 
 def linear_light(readings: FloatArray, response: LightResponse | None) -> tuple[FloatArray, FloatArray]:
-    """Return linear light and the squared slope that carries a variance of readings to it."""
+    """Return linear light and the squared slope by which a variance of readings becomes one of it."""
     if response is None:
         return readings, np.ones_like(readings)
     return response.linearise(readings), response.slope(readings) ** 2
@@ -139,7 +139,7 @@ def estimate_noise(
     EstimationError: No set has more than three frames, or no pixel is finite.
 
     Each residual r of weights q has the expected square ``sum_k q_k**2 slope_k**2 (read**2 + gain I_k)``, linear in
-    both unknowns: weighted regression of the squares, readings beyond 4 sigma left out (they carry 0.1 % of a normal
+    both unknowns: weighted regression of the squares, readings beyond 4 sigma left out (they hold 0.1 % of a normal
     variance). Pixels that show fringes decide where there are enough: dark pixels clip at zero and would look quiet.
     What harmonics of the display leave (`residual_distortion`) is taken out first: it is no noise.
     """
@@ -255,7 +255,7 @@ def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[flo
     scale = np.maximum(np.sqrt(np.diag(normal)), 1e-100)
     covariance = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10)
     read, gain = (covariance @ (right / scale)) / scale
-    # A square scatters by sqrt(2) of its mean. Where the signal varies too little to tell the photon share apart
+    # A square scatters by sqrt(2) of its mean. Where the signal varies too little to separate the photon share
     # (4 sigma), all of the noise counts as read noise; the variance at that signal is the same.
     if gain < 4 * np.sqrt(2.0 * covariance[1, 1]) / scale[1]:
         return max(float(right[0] / scale[0] ** 2), floor), 0.0

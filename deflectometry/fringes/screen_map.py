@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from deflectometry.fringes.fringe_orders import OrderSearch, combine_orders, estimate_systematic_phase, search_orders
 from deflectometry.fringes.phase import (
     QUANTISATION_VARIANCE_DN2,
     TURN_RAD,
@@ -18,7 +19,6 @@ from deflectometry.fringes.phase import (
     residual_distortion,
     solve_steps,
 )
-from deflectometry.fringes.unwrap import OrderSearch, combine_orders, estimate_systematic_phase, search_orders
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
@@ -167,7 +167,7 @@ def measure_screen_map(
     Returns
     -------
     ScreenMap
-        Positions with sigmas; every doubtful pixel is NaN and says why.
+        Positions with sigmas; every doubtful pixel is NaN, with its reason in the flags.
 
     Raises
     ------
@@ -178,11 +178,11 @@ def measure_screen_map(
 
     Notes
     -----
-    For each pixel and set: sinusoid by least squares (`deflectometry.phase.fit_phase`), its variance from the noise
-    model carried through the response's slope; the sets of an axis are combined by `deflectometry.unwrap`. A set is
-    left out where its amplitude is below what noise alone reaches with `no_fringe_probability` p, which is
-    ``sigma_phi > 1 / sqrt(2 ln(1 / p))`` (0.19 rad at 1e-6: the amplitude of noise is Rayleigh distributed); the
-    coarsest set must be above it.
+    For each pixel and set: sinusoid by least squares (`deflectometry.fringes.phase.solve_steps`), its variance that
+    of the noise model times the squared slope of the response; the sets of an axis are combined by
+    `deflectometry.fringes.fringe_orders`. A set is left out where its amplitude is below what noise alone reaches
+    with `no_fringe_probability` p, which is ``sigma_phi > 1 / sqrt(2 ln(1 / p))`` (0.19 rad at 1e-6: the amplitude
+    of noise is Rayleigh distributed); the coarsest set must be above it.
     """
     _check_frames(frames, pattern, region)
     chosen = limits if limits is not None else ScreenMapLimits()

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from deflectometry.frames.image_file_checks import check_size
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.pipeline.choices import Choices
@@ -14,14 +15,13 @@ from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes
 from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
 from deflectometry.shape.gridding import grid_slopes, plan_grid
-from deflectometry.shape.slope_image import SlopeImage, measure_slopes
+from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
 from heliogauge.doubts import Doubt, gather_doubts
-from heliogauge.errors import InputError
 from heliogauge.running.progress import Progress
 from heliogauge.slopes.map import SlopeMap
 
-#: Pixels that carry the common modes: with 400 the coefficients of degree 3 are known 30 times better than one pixel.
+#: Pixels for the common modes: with 400 the coefficients of degree 3 are known 30 times better than one pixel.
 MODE_PIXELS = 400
 
 
@@ -89,12 +89,7 @@ def evaluate_frames(
     EstimationError
         No mirror found, or none of its facets shows fringes.
     """
-    height, width = observation.frames.shape[1:]
-    if (width, height) != (setup.camera.width_px, setup.camera.height_px):
-        raise InputError(
-            f"frames: {width} x {height} px, but the camera is for {setup.camera.width_px} x "
-            f"{setup.camera.height_px} px; give the camera of these images, or images that were not cut or scaled"
-        )
+    check_size(observation.frames, setup.camera, "frames")
     with progress.stage("find mirror"):
         located = find_pose(observation, setup, mirror)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)

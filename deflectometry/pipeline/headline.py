@@ -85,7 +85,7 @@ def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
 
 
 def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
-    """Tell the shares of the uncertainty apart: random, and each common source, as RMS over the map."""
+    """Return the shares of the uncertainty: random, and each common source, as RMS over the map."""
     valid = slope_map.valid
     sigma_x, sigma_y = slope_map.sigma_slope()
     numbers: Numbers = {

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.screen import ScreenResponse
-from deflectometry.frames.checks import check_frames
-from deflectometry.frames.image_checks import check_noise, saturation_level
+from deflectometry.frames.image_file_checks import check_noise, saturation_level
+from deflectometry.frames.sequence_checks import check_frames
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits

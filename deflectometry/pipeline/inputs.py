@@ -203,7 +203,7 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
 
 
 def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
-    """Put together what the file says of the mirror."""
+    """Put together what the file states of the mirror."""
     section = measurement.model.mirror
     return MirrorInput(
         name=measurement.model.name,

@@ -1,6 +1,6 @@
 """A measurement folder to results: the stages follow each other in `run`."""
 
-from deflectometry.frames.image_checks import check_compression, check_size
+from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.evaluate import evaluate_frames

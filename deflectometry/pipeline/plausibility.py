@@ -29,7 +29,7 @@ _SHAPE_MRAD = 1.0
 _SHAPE_SHARE = 0.3
 #: Pixels inside the outline that good measurements lose: dust, a few at the noise's limits.
 _REJECTED_SHARE = 0.05
-#: How far the normal of a good mirror may be off that of its outline [rad], and how many sigma beyond that are said.
+#: How far the normal of a good mirror may be off that of its outline [rad], and how many sigma beyond that are a doubt.
 _MOUNTING_RAD = 3e-3
 _TURN_SIGMAS = 5.0
 
@@ -42,14 +42,14 @@ def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
     camera_m = cam_from_mirror.inverse().translation_m
     if not camera_m[2] > 0:
         raise EstimationError(
-            f"the camera is {-camera_m[2]:.3g} m behind the mirror; check [mirror.pose]: it must carry the mirror's "
-            "frame (z out of the mirror) into the camera's (z forward)"
+            f"the camera is {-camera_m[2]:.3g} m behind the mirror; check [mirror.pose]: it must transform the "
+            "mirror's frame (z out of the mirror) into the camera's (z forward)"
         )
     mirror_m = (setup.cam_from_screen.inverse() @ cam_from_mirror).translation_m
     if not mirror_m[2] > 0:
         raise EstimationError(
             f"the mirror is {-mirror_m[2]:.3g} m behind the screen; check rotation_vector_rad and translation_m of "
-            "[screen]: they must carry the screen's frame (x right, y up, z towards the viewer) into the camera's, "
+            "[screen]: they must transform the screen's frame (x right, y up, z towards the viewer) into the camera's, "
             "in radians and metres"
         )
 
@@ -91,7 +91,7 @@ def _number(numbers: Numbers, name: str) -> float:
 
 
 def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
-    """Tell how much of the mirror is missing, and why."""
+    """Yield how much of the mirror is missing, and why."""
     on_mirror = evaluation.facet_index >= 0
     rejected = on_mirror & (evaluation.screen_map.flags != 0)
     share = float(np.count_nonzero(rejected)) / max(int(np.count_nonzero(on_mirror)), 1)
@@ -105,7 +105,7 @@ def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
 
 
 def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
-    """Compare the orientation that the reflection says with the one that the outline says."""
+    """Compare the orientation from the reflection with the one from the outline."""
     located = evaluation.located
     if evaluation.choices.align is not Align.NORMAL or located.evidence is None:
         return
@@ -116,15 +116,15 @@ def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
         sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
         yield Doubt(
             "reflection_contradicts_outline",
-            f"the reflection says another orientation of the mirror than its outline: {1e3 * np.linalg.norm(turn):.1f} "
-            f"mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check camera (distortion and its "
+            f"the reflection gives another orientation of the mirror than its outline: "
+            f"{1e3 * np.linalg.norm(turn):.1f} mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check camera (distortion and its "
             "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images",
             {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
         )
 
 
 def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
-    """Tell slopes that no surface can have: the curl of a surface's slopes is zero."""
+    """Recognise slopes that no surface can have: the curl of a surface's slopes is zero."""
     doubtful = []
     for name, numbers in facets.items():
         curl, expected = _number(numbers, "curl_rms_per_m"), _number(numbers, "curl_expected_rms_per_m")

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headline_text
-from deflectometry.pose.mirror_pose import MirrorPose
+from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.patterns import FringePattern
 from heliogauge.geometry.rigid import skew

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from deflectometry.fringes.observation import Observation
+from deflectometry.pose.adjust_pose import MirrorPose, locate_mirror, pose_from_points
 from deflectometry.pose.given_pose import check_given_pose
-from deflectometry.pose.mirror_pose import MirrorPose, locate_mirror, pose_from_points
 from deflectometry.pose.pose_observations import Knowledge, UncertainPose
 from deflectometry.pose.pose_without_outline import outline_from_image
 from deflectometry.setup.camera_and_screen import Setup
@@ -48,7 +48,7 @@ class LocatedMirror:
     pose: Pose before alignment.
     margin_px: Distance to the outline below which pixels mix the mirror with its surroundings [px].
     source: Where the pose comes from, in words with numbers.
-    outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror. Differs from
+    outline_pose: Pose whose outline lies on the edges in the image: defines which pixels see the mirror. Differs from
         `pose` only where that was given.
     evidence: The adjustment, where the outline gave the pose.
     doubts: What makes the pose doubtful.

@@ -8,7 +8,7 @@ import numpy as np
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineFit, OutlineSearch, edge_margin_px
 from deflectometry.pose.pose_observations import KnownPoints, UncertainPose
-from deflectometry.pose.pose_start import mirror_regions
+from deflectometry.pose.start_poses import mirror_regions
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
@@ -18,7 +18,7 @@ from heliogauge.validate import Float32Array
 
 #: A sharp image: half a pixel's diagonal is what a pixel needs to lie wholly on the mirror.
 SHARP_MARGIN_PX = 0.5 * float(np.sqrt(2.0))
-#: Offsets of the outline beyond this many of their sigmas are said, and those beyond this share of the edge's width.
+#: Offsets of the outline beyond this many of their sigmas are a doubt, and those beyond this share of the edge's width.
 _OFF_SIGMAS = 3.0
 _OFF_WIDTH = 0.2
 #: A fit whose corners are farther off the given pose than this share of a facet follows other edges than the mirror's.
@@ -29,7 +29,7 @@ _FARTHEST = 0.1
 class OutlineCheck:
     """How a given pose fits the image.
 
-    outline_pose: Pose whose outline lies on the edges in the image: says which pixels see the mirror, not where the
+    outline_pose: Pose whose outline lies on the edges in the image: defines which pixels see the mirror, not where the
         mirror is.
     margin_px: Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
     residual_rms_px: RMS distance of the projected outline from the edges; NaN where no edges were found [px].

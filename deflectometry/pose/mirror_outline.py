@@ -90,7 +90,7 @@ def _sharpness(before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def beside_another(facets: Sequence[Facet], outline: OutlinePoints, reach_m: float) -> BoolArray:
-    """Tell which outline points have another facet right beside them, so that no dark level can be measured there.
+    """Return which outline points have another facet right beside them, so that no dark level can be measured there.
 
     facets: The facets that the outline was sampled from.
     outline: Points of `sample_outlines`.
@@ -167,7 +167,7 @@ class MirrorMasks:
 def mirror_masks(
     camera: Camera, cam_from_mirror: RigidTransform, facets: Sequence[Facet], *, margin_px: float
 ) -> MirrorMasks:
-    """Tell for every pixel of the camera's image whether it sees a facet, only a facet, or none.
+    """Return for every pixel of the camera's image whether it sees a facet, only a facet, or none.
 
     camera: The camera; its size is the size of the masks.
     margin_px: Distance to the outline below which a pixel mixes the facet with what is beside it: half a pixel's

@@ -41,7 +41,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMirrors:
-    """Bright regions, largest first, and the levels that tell them from the rest.
+    """Bright regions, largest first, and the levels that separate them from the rest.
 
     regions: The regions found; at least one.
     mask (h, w): The pixels of these regions, holes filled.
@@ -76,7 +76,7 @@ class EdgePoints:
 
 
 def find_mirrors(image_dn: npt.ArrayLike) -> FoundMirrors:
-    """Find the bright regions of an image, without being told a level or a size.
+    """Find the bright regions of an image, without a given level or size.
 
     image_dn (h, w): Modulation, or bright minus dark [DN]. Values that are not finite count as dark.
     Returns: Regions of at least a tenth of the largest one's area.

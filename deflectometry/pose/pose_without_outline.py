@@ -21,7 +21,7 @@ OUTLINE_CORNERS = 72
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageOutline:
-    """What the image alone says of a mirror.
+    """What the image alone shows of a mirror.
 
     region (h, w): Its pixels.
     contour_px (n, 2): Corners of its outline (x, y) [px].

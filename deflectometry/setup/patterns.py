@@ -1,4 +1,4 @@
-"""DESCRIPTION of the displayed fringes: which frames were shown, in which order, with which steps."""
+"""Description of the displayed fringes: which frames were shown, in which order, with which steps."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ def design_matrix(steps_rad: npt.ArrayLike) -> FloatArray:
 
 
 def determines_phase(steps_rad: npt.ArrayLike) -> bool:
-    """Tell whether frames with these steps determine offset, modulation and phase.
+    """Return whether frames with these steps determine offset, modulation and phase.
 
     Shapes: steps_rad (n,).
     Returns: True when at least three of the steps differ modulo 2 pi.

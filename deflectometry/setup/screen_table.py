@@ -13,7 +13,7 @@ _FARTHEST = 0.5
 #: A point this many times farther from the smooth wall than the usual one, and by this length, is a mistake.
 _OUTLIER_SIGMAS = 15.0
 _OUTLIER_M = 5e-3
-#: Pixels that see beyond the table before it is said.
+#: Share of pixels that see beyond the table from which it is a doubt.
 _BEYOND_SHARE = 0.01
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from deflectometry.shape.slope_image import SlopeImage
+from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import Align, FittedSurface, alignment_words
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
@@ -35,7 +35,7 @@ class GriddedFacet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridPlan:
-    """The grid of a map, and what the map says about itself in words.
+    """The grid of a map, and the words of its attributes.
 
     frame: The frame of x, y, z.
     removed: What was taken out of the measured slopes.
@@ -102,7 +102,7 @@ def grid_slopes(
     common: Common share of the uncertainty, kept with the map.
     Returns: Slopes, sigma, integrated height and flags at the nodes.
     InputError: A grid step that makes more nodes than memory holds.
-    EstimationError: No node carries a slope.
+    EstimationError: No node has a slope.
 
     Every node is projected into the image, and what the pixels differ from the smooth shape there is interpolated
     (cubic inside, linear beside gaps); the smooth shape itself is added exactly at the node. On grids coarser than
@@ -134,7 +134,7 @@ def grid_slopes(
     flags = np.full(aperture.shape, SampleFlag.OUTSIDE_MIRROR, dtype=np.uint32)
     flags[aperture] = sample.flags
     if not np.isfinite(sample.residual).any():
-        raise EstimationError(f"grid: no pixel of facet {facet.name} carries a slope; see the flags of pixels.nc")
+        raise EstimationError(f"grid: no pixel of facet {facet.name} has a slope; see the flags of pixels.nc")
     remainder = np.full((2, *aperture.shape), np.nan)
     remainder[:, aperture] = sample.residual
     doubts: tuple[Doubt, ...] = ()

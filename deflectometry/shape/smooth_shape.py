@@ -14,7 +14,7 @@ from heliogauge.geometry.surfaces import Facet, Quadric
 from heliogauge.slopes.map import monomials
 from heliogauge.validate import FloatArray
 
-#: Degree of the polynomial that carries the measured shape beside the design. Slopes depend on the height only
+#: Degree of the polynomial that holds the measured shape beside the design. Slopes depend on the height only
 #: through the place of the reflecting point: what degree 4 leaves (ripple of 1 mrad over 0.1 m is 16 um high)
 #: changes a slope at 10 m by less than 1 urad.
 SHAPE_DEGREE = 4

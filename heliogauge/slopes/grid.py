@@ -96,7 +96,7 @@ def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Slo
     x_m (nx,): New columns, ascending, in the same frame [m].
     y_m (ny,): New rows, ascending [m].
     Returns: The map on the new grid. A node has a value only where all nodes it draws on have one; otherwise it
-        carries their flags. Nodes beyond the old grid are outside the aperture.
+        has their flags. Nodes beyond the old grid are outside the aperture.
     InputError: The new grid is not finite or not ascending.
 
     The random sigma is that of the weighted mean of up to four nodes. Neighbours on a finer grid share their noise;

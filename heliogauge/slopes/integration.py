@@ -17,7 +17,7 @@ def integrate_slopes(slope_x: FloatArray, slope_y: FloatArray, step_m: tuple[flo
     slope_x, slope_y (ny, nx): dz/dx and dz/dy at the nodes; NaN where not known.
     step_m: Grid step in x and in y [m].
     Returns (ny, nx): Height with mean zero over each connected part [m]; NaN where not known.
-    EstimationError: No two neighbouring nodes carry slopes, or the solution does not settle.
+    EstimationError: No two neighbouring nodes have slopes, or the solution does not settle.
 
     Southwell (1980): for each pair of neighbours ``(z_j - z_i) / step = (s_i + s_j) / 2``; least squares over all
     pairs. The normal equations are a Poisson problem with gaps, solved by conjugate gradients with the cosine
@@ -27,7 +27,7 @@ def integrate_slopes(slope_x: FloatArray, slope_y: FloatArray, step_m: tuple[flo
     known = np.isfinite(slope_x) & np.isfinite(slope_y)
     pair_x, pair_y = known[:, 1:] & known[:, :-1], known[1:] & known[:-1]
     if not (pair_x.any() or pair_y.any()):
-        raise EstimationError("height: no two neighbouring nodes carry slopes; use a finer grid or check the flags")
+        raise EstimationError("height: no two neighbouring nodes have slopes; use a finer grid or check the flags")
     target_x = np.where(pair_x, 0.5 * step_m[0] * (slope_x[:, 1:] + slope_x[:, :-1]), 0.0)
     target_y = np.where(pair_y, 0.5 * step_m[1] * (slope_y[1:] + slope_y[:-1]), 0.0)
     height = _solve(_divergence(target_x, target_y), pair_x, pair_y)

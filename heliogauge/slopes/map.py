@@ -200,7 +200,7 @@ class SlopeMap:
 
     @property
     def valid(self) -> BoolArray:
-        """Nodes of the mirror that carry a measured value, shape (ny, nx)."""
+        """Nodes of the mirror that have a measured value, shape (ny, nx)."""
         return np.asarray(self.aperture & np.isfinite(self.slope_x) & ((self.flags & np.uint32(REJECTED)) == 0))
 
     @property

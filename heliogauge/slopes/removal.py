@@ -50,7 +50,7 @@ def measured_nodes(slope_map: SlopeMap) -> MeasuredNodes:
     count = int(np.count_nonzero(valid))
     if count < 3:
         raise EstimationError(
-            f"slope map: {count} of {np.count_nonzero(slope_map.aperture)} nodes carry a slope, at least 3 are needed"
+            f"slope map: {count} of {np.count_nonzero(slope_map.aperture)} nodes have a slope, at least 3 are needed"
         )
     grid_x, grid_y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     x, y = grid_x[valid], grid_y[valid]

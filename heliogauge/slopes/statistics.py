@@ -1,4 +1,4 @@
-"""What a slope map says in a few numbers, each with its sigma: SDx and SDy, focal lengths, twist, canting.
+"""A slope map in a few numbers, each with its sigma: SDx and SDy, focal lengths, twist, canting.
 
 Every mean and every fit weights the measured nodes equally: the grid is regular, so equal weight is equal projected
 area, as spec C-03 asks. Nodes that were not measured count nowhere, and the share that was measured is always given.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from deflectometry.fringes.fringe_orders import combine_orders, search_orders
 from deflectometry.fringes.phase import (
     QUANTISATION_VARIANCE_DN2,
     TURN_RAD,
@@ -16,7 +17,6 @@ from deflectometry.fringes.phase import (
     solve_steps,
     wrap_phase,
 )
-from deflectometry.fringes.unwrap import combine_orders, search_orders
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, freeze
 

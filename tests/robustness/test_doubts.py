@@ -9,7 +9,7 @@ from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from deflectometry import load_deflectometry, run
-from deflectometry.exchange.opencsp import read_opencsp_file
+from deflectometry.exchange.opencsp_files import read_opencsp_file
 from heliogauge.errors import InputError, MetrologyError
 
 GROSS, CURL, TURN, SHAPE = (

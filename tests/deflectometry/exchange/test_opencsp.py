@@ -11,7 +11,13 @@ import h5py
 import numpy as np
 import pytest
 
-from deflectometry.exchange.opencsp import CalculationRecord, CameraRecord, FringeRecord, TableRecord, read_opencsp_file
+from deflectometry.exchange.opencsp_files import (
+    CalculationRecord,
+    CameraRecord,
+    FringeRecord,
+    TableRecord,
+    read_opencsp_file,
+)
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import Options, run

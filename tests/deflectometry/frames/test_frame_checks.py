@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from deflectometry.frames.checks import FaultKind, FrameFault, check_frames
-from deflectometry.frames.content import estimate_steps
+from deflectometry.frames.frame_content import estimate_steps
+from deflectometry.frames.sequence_checks import FaultKind, FrameFault, check_frames
 from deflectometry.setup.patterns import FringePattern, equal_steps, make_pattern
 from tests.deflectometry.fringe_drawing import Scene
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.screen import ScreenResponse
-from deflectometry.frames.checks import FaultKind, check_frames
+from deflectometry.frames.sequence_checks import FaultKind, check_frames
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, equal_steps, make_pattern

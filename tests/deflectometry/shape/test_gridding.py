@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deflectometry.shape.gridding import GridPlan, default_step_m, grid_slopes
-from deflectometry.shape.slope_image import SlopeImage
+from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import start_surface
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera

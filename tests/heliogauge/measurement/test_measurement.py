@@ -118,7 +118,7 @@ def test_mistakes_name_key_value_and_remedy(template: Content, change: Change, w
 def test_mirror_must_be_found_somehow(template: Content) -> None:
     content = copy.deepcopy(template)
     del content["mirror"]["outline_m"], content["mirror"]["distance"]
-    with pytest.raises(InputError, match="nothing says where the mirror is"):
+    with pytest.raises(InputError, match="the mirror's place is not determined"):
         parse_measurement(content, FILE)
     content["mirror"]["known_point"] = [{"point_m": [k, 0, 0], "image_px": [k, 1]} for k in range(3)]
     assert len(parse_measurement(content, FILE).mirror.known_point) == 3

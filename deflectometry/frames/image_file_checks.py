@@ -1,4 +1,4 @@
-"""What image files say before any phase is computed: their size, where they saturate, what compression did to them."""
+"""What image files show before any phase is computed: their size, where they saturate, what compression did to them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +14,7 @@ from heliogauge.errors import EstimationError, InputError
 
 #: Largest readings of cameras with 10, 12 and 14 bits, as they are or moved to the upper end of 16 bits [DN].
 _FULL_WELLS_DN = frozenset(((1 << bits) - 1) << shift for bits in (10, 12, 14) for shift in (0, 16 - bits))
-#: A stated noise this many times off what the frames show is a mistake; half of it is said.
+#: A stated noise this many times off what the frames show is a mistake; half of it is a doubt.
 _NOISE_FACTOR = 4.0
 
 

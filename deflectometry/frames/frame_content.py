@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deflectometry.fringes.fringe_orders import combine_orders, search_orders
 from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel, solve_steps, wrap_phase
-from deflectometry.fringes.unwrap import combine_orders, search_orders
 from deflectometry.setup.patterns import Axis, FringePattern
 from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, FloatArray
@@ -154,7 +154,7 @@ def agreeing_sets(fit: SetFit, pattern: FringePattern, axis: Axis, noise: NoiseM
 
 
 def contradicts(turns: float) -> bool:
-    """Tell whether a contradiction returned by `agreeing_sets` is more than noise."""
+    """Return whether a contradiction returned by `agreeing_sets` is more than noise."""
     return turns >= _CONTRADICTION_TURNS
 
 
@@ -221,7 +221,7 @@ def frame_content(
         size = np.hypot(coefficients[:, 1], coefficients[:, 2]) + 1e-12
         # A frame with a tenth of the usual modulation shows no fringes, however well noise and offset are explained.
         explained[size < 0.1, j] = 0.0
-        # Six sigma are asked for before anything is said; the systematic misfit shall count once.
+        # A fault needs six sigma; the systematic misfit shall count once.
         spread = variance + systematic / 36
         sigma[:, j] = np.sqrt(spread * 0.5 * (inverse[1, 1] + inverse[2, 2])) / size
         exposure[position] = coefficients[position, 0]

@@ -58,7 +58,7 @@ def search_orders(periods: Sequence[float]) -> OrderSearch:
 class Position(NamedTuple):
     """Positions on the display along one axis, each of shape (...).
 
-    fraction: Fraction of the displayed image; noise may carry it a little beyond 0 and 1.
+    fraction: Fraction of the displayed image; noise may move it a little beyond 0 and 1.
     information: Its inverse variance, given that the orders are right.
     log_odds: Logarithm of the odds that every order is right.
     """
@@ -81,7 +81,7 @@ def combine_orders(
     periods). Each candidate is refined by the next sets in turn: order = nearest whole number, then the mean by
     inverse variance. A candidate costs the chi-square of its misfits plus that of lying outside [0, 1]; the best
     wins, and the odds against the next (and against the neighbouring order at each step) are ``exp(difference of
-    chi-square / 2)``. With whole periods everywhere w and w + 1 cannot be told apart at the edges; such samples carry
+    chi-square / 2)``. With whole periods everywhere w and w + 1 cannot be told apart at the edges; such samples have
     a probability near 0.5. Sets like (15, 16) without a coarse one work the same way.
     """
     coarsest = search.periods[0]

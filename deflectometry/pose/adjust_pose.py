@@ -14,7 +14,7 @@ from deflectometry.pose.mirror_outline import lit_share
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
-from deflectometry.pose.pose_start import mirror_regions, point_poses, start_poses
+from deflectometry.pose.start_poses import mirror_regions, point_poses, start_poses
 from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
@@ -168,7 +168,7 @@ def _check_distance(pose: MirrorPose, allowed_px: float) -> None:
 
 def _contradiction(test: DistanceTest) -> str:
     return (
-        f"the measured distance {test.measured_m:.4f} m contradicts the image, which says {test.image_only_m:.4f} m"
+        f"the measured distance {test.measured_m:.4f} m contradicts the image, which gives {test.image_only_m:.4f} m"
         f" (sigma {1e3 * test.sigma_image_only_m:.1f} mm)"
     )
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deflectometry.pose.adjust_pose import MirrorPose, locate_mirror, pose_from_points
 from deflectometry.pose.mirror_outline import beside_another, mirror_masks, sample_outlines
-from deflectometry.pose.mirror_pose import MirrorPose, locate_mirror, pose_from_points
 from deflectometry.pose.outline_edges import correlation_points
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from heliogauge.camera.distortion import BrownDistortion

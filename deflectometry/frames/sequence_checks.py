@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.frames.content import (
+from deflectometry.frames.frame_content import (
     FrameContent,
     FrameSample,
     SetFit,
@@ -20,7 +20,7 @@ from deflectometry.frames.content import (
     frame_content,
     sample_frames,
 )
-from deflectometry.frames.quality import (
+from deflectometry.frames.light_checks import (
     SIGNIFICANT,
     FaultKind,
     FrameFault,
@@ -421,7 +421,7 @@ def _corrupt(content: FrameContent, pattern: FringePattern, named: set[int]) -> 
 
 
 def _differs(found: StepEstimate, planned: FloatArray, *, flicker: float = 0.0) -> bool:
-    """Tell whether steps differ from the planned ones by more than noise and more than matters."""
+    """Return whether steps differ from the planned ones by more than noise and more than matters."""
     limit = _STEP_TOLERANCE_RAD + flicker + SIGNIFICANT * found.sigma_rad
     return bool((np.abs(found.steps_rad - planned) > limit).any())
 

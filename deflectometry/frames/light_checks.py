@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deflectometry.frames.content import FrameContent, FrameSample, SetFit, fit_sets
+from deflectometry.frames.frame_content import FrameContent, FrameSample, SetFit, fit_sets
 from deflectometry.fringes.phase import LightResponse, NoiseModel, residual_distortion, solve_steps
 from deflectometry.setup.patterns import FringePattern
 from heliogauge.doubts import Doubt
@@ -48,8 +48,10 @@ class FrameFault:
         Frames concerned, from 0; empty where it concerns all.
     message : str
         What was seen, in numbers, and what to do.
-    severity : {"error", "warning"}
-        An error makes the result wrong; a warning makes it worse.
+    severity : {"error", "doubt"}
+        An error makes the result wrong; a doubt makes it worse.
+    numbers : mapping of str to float
+        What was seen, by name with unit.
     """
 
     kind: FaultKind
@@ -163,7 +165,7 @@ def check_gamma(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise:
 
 
 def response_helps(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> bool:
-    """Tell whether the response takes away most of the second harmonic.
+    """Return whether the response takes away most of the second harmonic.
 
     What a right response leaves is the noise next to black: where 1 DN is many levels, the mean level of noisy
     readings lies below the level of their mean (13 % of second harmonic for a gamma of 2.2, 4 DN of offset and 1 DN
@@ -199,7 +201,7 @@ def _second_harmonic(values: FloatArray, fit: SetFit, pattern: FringePattern, no
 
 
 def check_response_range(sample: FrameSample, response: LightResponse) -> Iterator[FrameFault]:
-    """Yield a fault where readings lie beyond the ends of the response, which says nothing there."""
+    """Yield a fault where readings lie beyond the ends of the response."""
     # Beyond its ends a look-up stays where it is.
     above = response.linearise(sample.readings) >= response.linearise(np.full(1, np.inf))[0]
     share = float(above.mean())
