@@ -117,7 +117,8 @@ def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
         yield Doubt(
             "reflection_contradicts_outline",
             f"the reflection gives another orientation of the mirror than its outline: "
-            f"{1e3 * np.linalg.norm(turn):.1f} mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check camera (distortion and its "
+            f"{1e3 * np.linalg.norm(turn):.1f} mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check "
+            "camera (distortion and its "
             "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images",
             {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
         )
