@@ -13,5 +13,5 @@ class EstimationError(MetrologyError):
     """The data are valid but do not determine the answer; the message gives the numbers and the remedy."""
 
 
-class QualityWarning(UserWarning):
-    """The result is usable but doubtful; pipelines collect these and the report repeats them."""
+class NotConvergedError(EstimationError):
+    """An adjustment ended where there is no minimum to the stated tolerance."""

@@ -13,6 +13,7 @@ from heliogauge.running.commands import (
     OutFolder,
     Quiet,
     Verbose,
+    deliver,
     into_folder,
     make_app,
     tell,
@@ -64,12 +65,9 @@ def align_command(
     quiet: Quiet = False,
 ) -> None:
     """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
-    from observer.studies.align import headline_text, run, write
+    from observer.studies.align import run
 
-    result = into_folder(
-        out, lambda: run(folder, mounts), write, force=force, progress=SilentProgress(), report=not no_report
-    )
-    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    deliver(out, lambda: run(folder, mounts), SilentProgress(), force=force, quiet=quiet, report=not no_report)
 
 
 @app.command("overview")
@@ -147,7 +145,6 @@ def compare_command(
     quiet: Quiet = False,
 ) -> None:
     """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
-    from observer.studies.compare import headline_text, run, write
+    from observer.studies.compare import run
 
-    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
-    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    deliver(out, lambda: run(results), SilentProgress(), force=force, quiet=quiet, report=not no_report)

@@ -9,7 +9,7 @@ import numpy as np
 
 from heliogauge.adjust.chi_square import VarianceFactorTests
 from heliogauge.adjust.gauss_newton import StateT
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, NotConvergedError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 
@@ -157,5 +157,5 @@ class Solution(VarianceFactorTests, Generic[StateT]):
                 f"they involve {listed}. Add observations or a prior, or hold one of them"
             )
         if not self.converged:
-            raise EstimationError(f"{what}: {self.reason}")
+            raise NotConvergedError(f"{what}: {self.reason}")
         return self

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.doubts import Doubt, Severity
 from observer.photo_edges.tube_bearings import PRISM_RAD, Bearings
 from observer.trough.collector import Collector
 
@@ -56,18 +57,21 @@ def widening(bearings: Bearings) -> Widening | None:
     return Widening(float(np.median(near) - np.median(far)), sigma, float(np.median(bearings.pixel_m)))
 
 
-def glass_doubt(found: Widening | None, collector: Collector) -> str | None:
+def glass_doubt(found: Widening | None, collector: Collector) -> Doubt | None:
     """Say whether there is glass around a tube that is stated to be bare.
 
-    Returns: A sentence; None where glass is stated, or nothing shows any.
+    Returns: None where glass is stated, or nothing shows any.
     """
     if found is None or collector.glass is not None:
         return None
     if found.value_m <= max(_WIDER_PX * found.pixel_m, _TIMES_SIGMA * found.sigma_m, 0.0):
         return None
-    return (
+    return Doubt(
+        "glass_not_stated",
         "collector: there seems to be glass around the absorber, and none is stated: near its own reflection the tube "
         f"looks {1e3 * found.value_m:.1f} +- {1e3 * found.sigma_m:.1f} mm wider than elsewhere, as glass that turns "
         "lines of sight makes it. State glass_outer_diameter_mm and glass_inner_diameter_mm; until then the absorber "
-        "comes out some millimetres too high, and slopes are wrong with it"
+        "comes out some millimetres too high, and slopes are wrong with it",
+        {"wider_m": found.value_m, "sigma_wider_m": found.sigma_m},
+        Severity.SERIOUS,
     )

@@ -1,10 +1,12 @@
-"""What is handed on of the absorber: table, numbers, warnings."""
+"""What is exported of the absorber: table, numbers, doubts."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray
 from observer.absorber.forgotten_glass import glass_doubt
@@ -109,42 +111,49 @@ def shape_numbers(
 
 def absorber_warnings(
     path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, *, is_design: bool
-) -> tuple[str, ...]:
-    """Say what is doubtful of the absorber's place.
+) -> Iterator[Doubt]:
+    """Yield what is doubtful about the absorber's place.
 
     solution: Its measurement; None where the axis was given.
     is_design: Whether the design's place was taken for want of a measured one.
     """
     if is_design:
         per_mm = 1e3 * 1e-3 / (2 * collector.focal_length_m)
-        return (
+        yield Doubt(
+            "absorber_not_measured",
             "absorber: its place was not measured, it is taken where the design has it; each millimetre of "
             f"misalignment across stands in theta_r as {per_mm:.2f} mrad",
+            {"effect_of_a_millimetre_mrad": per_mm},
         )
+        return
     if solution is None:
-        return ()
-    said = []
+        return
     glass = glass_doubt(solution.widening, collector)
     if glass is not None:
-        said.append(glass)
+        yield glass
     off = abs(solution.diameter_m - collector.absorber_diameter_m)
     if off > max(_DIAMETER_SHARE * collector.absorber_diameter_m, _DIAMETER_PX * solution.pixel_m):
-        said.append(
+        yield Doubt(
+            "absorber_diameter_contradicts_photos",
             f"absorber: the tube looks {1e3 * solution.diameter_m:.1f} mm thick, absorber_diameter_mm says "
             f"{1e3 * collector.absorber_diameter_m:.1f}; are the diameter, the targets and the camera right, and is "
-            "the tube much darker than what is seen behind it?"
+            "the tube much darker than what is seen behind it?",
+            {"seen_m": solution.diameter_m, "stated_m": collector.absorber_diameter_m},
         )
     measured = measured_stations(path, solution)
     if measured.mean() < _WARN_SHARE:
         seen = path.y_m[measured]
-        said.append(
+        yield Doubt(
+            "absorber_measured_in_parts",
             f"absorber: measured at {measured.sum()} of {path.n} stations between y = {seen.min():.2f} and "
-            f"{seen.max():.2f} m; the rest is bridged, see absorber.csv"
+            f"{seen.max():.2f} m; the rest is bridged, see absorber.csv",
+            {"measured_count": int(measured.sum()), "stations_count": path.n},
         )
     sigma = float(np.median(np.maximum(*path.sigma_at(path.y_m))[measured]))
     if sigma > _WARN_SIGMA_M:
-        said.append(
+        yield Doubt(
+            "absorber_uncertain",
             f"absorber: its place is uncertain by {1e3 * sigma:.1f} mm; photos from both sides at about 45 degrees, "
-            "or better known targets, make it certain"
+            "or better known targets, make it certain",
+            {"sigma_m": sigma},
         )
-    return tuple(said)

@@ -1,9 +1,11 @@
 """What the measurement itself says of the collector's dimensions: where they differ, a number was stated wrongly."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
@@ -103,11 +105,11 @@ def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
     return Found(value, scatter / np.sqrt(max(fits.size, 1)))
 
 
-def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collector) -> str | None:
+def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collector) -> Doubt | None:
     """Say whether the stated focal length contradicts mirror and absorber.
 
     absorber: The tube as it was found.
-    Returns: A sentence; None where it does not.
+    Returns: None where it does not.
     """
     stated = collector.focal_length_m
     off = mirror.value_m - stated
@@ -120,10 +122,13 @@ def focal_length_doubt(mirror: Found, absorber: AbsorberPath, collector: Collect
     if abs(off) < least * stated and together < _FOCAL_SHARE_TOGETHER * stated:
         return None
     where = "the absorber is at that height too" if agrees else f"the absorber is at a height of {height:.4f} m"
-    return (
+    return Doubt(
+        "focal_length_contradicts_photos",
         f"collector.focal_length_m = {stated:g} m does not fit: the mirror has the slopes of a parabola of "
         f"{mirror.value_m:.4f} m ({100 * off / stated:+.2f} %), and {where}; check the number, and that the targets' "
-        "coordinates are from the vertex"
+        "coordinates are from the vertex",
+        {"stated_m": stated, "mirror_m": mirror.value_m, "sigma_mirror_m": mirror.sigma_m, "absorber_height_m": height},
+        Severity.SERIOUS,
     )
 
 
@@ -146,29 +151,30 @@ def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
     return Found(2 * (radius + unit * value / own), 2 * unit * np.sqrt(variance / own))
 
 
-def diameter_doubt(found: Found, collector: Collector) -> str | None:
+def diameter_doubt(found: Found, collector: Collector) -> Doubt | None:
     """Say whether the stated diameter of the tube contradicts the width of its reflection.
 
-    Returns: A sentence; None where it does not.
+    Returns: None where it does not.
     """
     stated = collector.absorber_diameter_m
     off = found.value_m - stated
     if abs(off) < max(_DIAMETER_TIMES_SIGMA * found.sigma_m, _DIAMETER_SHARE * stated):
         return None
-    return (
+    return Doubt(
+        "absorber_diameter_contradicts_reflection",
         f"collector.absorber_diameter_mm = {1e3 * stated:g} mm does not fit: the reflection has the width of a tube of "
         f"{1e3 * found.value_m:.2f} +- {1e3 * found.sigma_m:.2f} mm ({100 * off / stated:+.1f} %); it is the diameter "
-        "of the metal tube, without the glass"
+        "of the metal tube, without the glass",
+        {"stated_m": stated, "seen_m": found.value_m, "sigma_seen_m": found.sigma_m},
+        Severity.SERIOUS,
     )
 
 
-def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str, ...]:
-    """Say whether the stated width or length contradicts the rims in the photos.
+def outline_doubts(across: Span, along: Span, collector: Collector) -> Iterator[Doubt]:
+    """Yield where the stated width or length contradicts the rims in the photos.
 
     across, along: From `observer.photo_edges.outline.spans_of`.
-    Returns: A sentence for each number that does not fit.
     """
-    said = []
     for span, key, axis in ((across, "aperture_width_m", "x"), (along, "length_m", "y")):
         if not np.isfinite(span.value_m):
             continue
@@ -176,51 +182,59 @@ def outline_doubts(across: Span, along: Span, collector: Collector) -> tuple[str
         least = max(_TIMES_SIGMA * span.sigma_m, _SPAN_SHARE * stated)
         off = span.value_m - stated
         if abs(off) > least:
-            said.append(
+            yield Doubt(
+                "mirror_size_contradicts_photos",
                 f"collector.{key} = {stated:g} m does not fit: in the photos the mirror ends at {axis} = "
                 f"{span.middle_m - span.value_m / 2:.3f} and {span.middle_m + span.value_m / 2:.3f} m, which makes "
-                f"{span.value_m:.3f} m ({100 * off / stated:+.1f} %)"
+                f"{span.value_m:.3f} m ({100 * off / stated:+.1f} %)",
+                {"stated_m": stated, "seen_m": span.value_m, "sigma_seen_m": span.sigma_m},
+                Severity.SERIOUS,
             )
         elif abs(span.middle_m) > least:
-            said.append(
+            yield Doubt(
+                "mirror_not_at_origin",
                 f"the mirror's middle is at {axis} = {span.middle_m:.3f} m of the targets' coordinates instead of 0; "
-                "the origin belongs at the vertex, in the middle of the length"
+                "the origin belongs at the vertex, in the middle of the length",
+                {"middle_m": span.middle_m, "sigma_seen_m": span.sigma_m},
+                Severity.SERIOUS,
             )
-    return tuple(said)
 
 
-def overexposure_doubt(clipped_share: float) -> str | None:
+def overexposure_doubt(clipped_share: float) -> Doubt | None:
     """Say whether too much of the mirror is overexposed.
 
     clipped_share: Share of the mirror at full scale in a usual photo.
     """
     if not clipped_share > _CLIPPED_SHARE:
         return None
-    return (
+    return Doubt(
+        "mirror_overexposed",
         f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
-        "move and the tube looks thinner than it is; expose so that the sky stays below full scale"
+        "move and the tube looks thinner than it is; expose so that the sky stays below full scale",
+        {"overexposed_share": clipped_share},
     )
 
 
-def panels_doubt(roughness: Roughness, collector: Collector) -> str | None:
+def panels_doubt(roughness: Roughness, collector: Collector) -> Doubt | None:
     """Say whether the mirror looks like several panels where none were stated.
 
     roughness: Of the slopes along the rows, as found.
-    Returns: A sentence; None where panels are stated, or slopes do not jump.
+    Returns: None where panels are stated, or slopes do not jump.
     """
     if collector.panel_edges_x_m.size > 2 or roughness.order > 2 or roughness.across < _JUMPING:
         return None
-    return (
+    return Doubt(
+        "panel_edges_not_stated",
         "slopes jump along x as at edges of panels, but the mirror is stated to be one piece across: without "
-        "collector.panel_edges_x_m slopes are smeared over the edges, and sigma is large everywhere"
+        "collector.panel_edges_x_m slopes are smeared over the edges, and sigma is large everywhere",
     )
 
 
-def heights_doubt(reflector: Reflector) -> str | None:
+def heights_doubt(reflector: Reflector) -> Doubt | None:
     """Say whether panels are higher or lower than their stated accuracy lets expect.
 
     reflector: The solution, of which their heights are unknowns.
-    Returns: A sentence; None where they fit, or are held.
+    Returns: None where they fit, or are held.
     """
     height, sigma = reflector.unknowns.panel_heights_m(reflector.errors.common, reflector.errors.covariance_common)
     unit = reflector.unknowns.height_unit_m
@@ -231,19 +245,21 @@ def heights_doubt(reflector: Reflector) -> str | None:
     excess = float(np.mean(height[told] ** 2 / (unit**2 - sigma[told] ** 2)))
     if excess < _HEIGHTS_EXCESS:
         return None
-    return (
+    return Doubt(
+        "panel_heights_contradict_reflection",
         f"collector.panel_height_sigma_mm = {1e3 * unit:g} does not fit: the reflection's width says that panels are "
         f"{np.sqrt(excess):.1f} times as far from the design's height; state {1e3 * unit * np.sqrt(excess):.1g} mm, "
-        "until then slopes are less certain than their sigma says"
+        "until then slopes are less certain than their sigma says",
+        {"stated_sigma_m": unit, "seen_sigma_m": unit * float(np.sqrt(excess))},
     )
 
 
-def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
+def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
     """Say whether the photos are too far apart to measure the mirror.
 
     Shapes: eyes_m (n, 3).
     measured_share: Share of the mirror with a value, of what can show the tube to these cameras.
-    Returns: A sentence; None where enough is measured.
+    Returns: None where enough is measured.
     """
     if measured_share > _SPARSE_SHARE:
         return None
@@ -253,21 +269,26 @@ def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> str | None:
         f"take photos at most {_GOOD_STEP_M:g} m apart across the trough" if usual > _GOOD_STEP_M
         else "look at reflection_edges.csv for why edges were refused"
     )  # fmt: skip
-    return (
+    return Doubt(
+        "mirror_measured_sparsely",
         f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "
-        f"some {usual:.2f} m apart: an edge of the reflection tells the slope only where it lies; {remedy}"
+        f"some {usual:.2f} m apart: an edge of the reflection tells the slope only where it lies; {remedy}",
+        {"measured_share": measured_share, "photos_count": len(eyes_m), "usual_step_m": usual},
     )
 
 
-def camera_doubt(image_sigma_factor: float) -> str | None:
+def camera_doubt(image_sigma_factor: float) -> Doubt | None:
     """Say whether camera and target list contradict each other.
 
     image_sigma_factor: How much worse image points fit than they were measured.
     """
     if image_sigma_factor < _MISFIT_FACTOR:
         return None
-    return (
+    return Doubt(
+        "image_points_fit_badly",
         f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
         "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. Let the "
-        'photos tell: under [camera] free = ["focal_px"], or calibrate the camera'
+        'photos tell: under [camera] free = ["focal_px"], or calibrate the camera',
+        {"image_sigma_factor": image_sigma_factor},
+        Severity.SERIOUS,
     )

@@ -1,9 +1,11 @@
 """Where a planned pass takes its photos, and what of the mirror it cannot show."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
@@ -65,36 +67,39 @@ def _looking(eye_m: FloatArray, aim_m: FloatArray) -> RigidTransform:
 
 def advice(
     collector: Collector, passes: tuple[Pass, ...], shares: dict[SampleFlag, float], slope_error_rad: float
-) -> tuple[str, ...]:
-    """Say where to fly for what is missing.
+) -> Iterator[Doubt]:
+    """Yield where to fly for what is missing.
 
     shares: Share of the mirror that is not measured, by reason.
     slope_error_rad: RMS slope error of the mirror that is expected [rad].
-    Returns: One sentence for each thing to do; empty where nothing is missing.
     """
-    found: list[str] = []
     for one in passes:
         needed = reach_needed_m(collector, one.height_m, _REACH_TIMES * slope_error_rad)
         if one.reach_m < needed - _CLOSE_M:
-            found.append(
+            yield Doubt(
+                "plan_pass_too_short",
                 f"pass at y = {one.y_m:g} m: photos from x = {-one.reach_m:g} to {one.reach_m:g} m; for both edges of "
-                f"the reflection on the whole aperture fly from {-needed:.2f} to {needed:.2f} m at this height"
+                f"the reflection on the whole aperture fly from {-needed:.2f} to {needed:.2f} m at this height",
+                {"reach_m": one.reach_m, "needed_m": needed},
             )
     share = shares.get(SampleFlag.BEYOND_TUBE, 0.0)
     if share > _WORTH_SAYING:
         half = collector.length_m / 2
-        found.append(
+        yield Doubt(
+            "plan_beyond_tube",
             f"{100 * share:.1f} % of the mirror shows what lies beyond the tube's ends or receiver supports; passes at "
             f"y = {-half:.2f} and {half:.2f} m show the ends, and two passes "
-            f"{_beside_supports_m(collector, passes):.1f} m apart see beside the supports"
+            f"{_beside_supports_m(collector, passes):.1f} m apart see beside the supports",
+            {"missing_share": share},
         )
     share = shares.get(SampleFlag.BEHIND_TUBE, 0.0)
     if share > _WORTH_SAYING:
-        found.append(
+        yield Doubt(
+            "plan_behind_receiver",
             f"{100 * share:.1f} % of the mirror lies behind the receiver whenever it would show the tube; no pass of a "
-            "small camera changes that"
+            "small camera changes that",
+            {"missing_share": share},
         )
-    return tuple(found)
 
 
 def _beside_supports_m(collector: Collector, passes: tuple[Pass, ...]) -> float:
@@ -103,15 +108,15 @@ def _beside_supports_m(collector: Collector, passes: tuple[Pass, ...]) -> float:
     return 1.5 * collector.support_width_m * height / collector.focal_length_m
 
 
-def steps_too_wide(passes: tuple[Pass, ...]) -> tuple[str, ...]:
-    """Warn of photos so far apart that a part of the mirror lies between their samples."""
-    found = []
+def steps_too_wide(passes: tuple[Pass, ...]) -> Iterator[Doubt]:
+    """Yield passes with photos so far apart that a part of the mirror lies between their samples."""
     for one in passes:
         step = 2 * one.reach_m / (one.photos - 1)
         if step > 0.2:
             wanted = int(np.ceil(2 * one.reach_m / 0.06)) + 1
-            found.append(
+            yield Doubt(
+                "plan_photos_far_apart",
                 f"pass at y = {one.y_m:g} m: photos {1e3 * step:.0f} mm apart sample the mirror as coarsely; {wanted} "
-                "photos would be 60 mm apart"
+                "photos would be 60 mm apart",
+                {"step_m": step, "wanted_count": wanted},
             )
-    return tuple(found)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.trough.absorber_path import AbsorberPath
@@ -57,13 +58,13 @@ def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: f
     return x, np.asarray(0.5 * (angles[1] - angles[0]))
 
 
-def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> str | None:
+def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> Doubt | None:
     """Say how much of the mirror was seen so slantwise that slopes along the trough matter, which nobody measured.
 
     Shapes: eyes_m (n, 3).
     slope_map: The mirror; where its slope along the trough was measured nothing is doubtful.
     along_rad: Standard deviation that the slope along the trough is assumed to have [rad].
-    Returns: The warning; None where less than a twentieth of the mirror is concerned.
+    Returns: None where less than a twentieth of the mirror is concerned.
     """
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     height = x**2 / (4 * collector.focal_length_m)
@@ -78,8 +79,10 @@ def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collec
         return None
     most = float(incidence[steep].max())
     moved = float(np.sqrt(np.mean(error_of_theta_ra(collector, most, along_rad)[1] ** 2)))
-    return (
+    return Doubt(
+        "mirror_seen_slantwise",
         f"{100 * share:.0f} % of the measured mirror was seen under more than 15 degrees along the trough (up to "
         f"{np.degrees(most):.0f}); slopes along the trough, taken as {1e3 * along_rad:.1f} mrad, move theta_ra there "
-        f"by up to {1e3 * moved:.2f} mrad RMS. Fly higher, or a second pass at another place along the trough"
+        f"by up to {1e3 * moved:.2f} mrad RMS. Fly higher, or a second pass at another place along the trough",
+        {"slantwise_share": share, "incidence_rad": most, "effect_rad": moved},
     )

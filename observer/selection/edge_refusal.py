@@ -4,6 +4,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges
 
@@ -121,7 +122,7 @@ def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool
     return bool(np.mean(wrong & ~is_alone(edges, wrong, y_m)) > _SHADOWS_SHARE)
 
 
-def unchecked_doubt(fate: IntArray) -> str | None:
+def unchecked_doubt(fate: IntArray) -> Doubt | None:
     """Say that most edges were refused because photos are too far apart to tell them from those of shadows.
 
     Shapes: fate (m,).
@@ -130,9 +131,11 @@ def unchecked_doubt(fate: IntArray) -> str | None:
     if lonely < _MOST_ONE_SIDED:
         return None
     wrong = float(np.mean(fate == EdgeFate.WRONG_STEP))
-    return (
+    return Doubt(
+        "edges_unchecked",
         f"{100 * wrong:.0f} % of the edges in the reflection step the other way than the tube's, as those of shadows, "
         f"glass and things on the ground do; {100 * lonely:.0f} % are not borne out by the tube's other edge and were "
         "refused. Photos nearer to each other bear them out; or turn the trough so that a bright, clear sky is around "
-        "the tube"
+        "the tube",
+        {"wrong_step_share": wrong, "one_sided_share": lonely},
     )

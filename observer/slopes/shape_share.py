@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 from observer.slopes.common_elimination import Reduction
 from observer.slopes.joint_solution import common_rows
@@ -110,7 +111,7 @@ def _edge_step_m(lines: TouchingLines) -> float:
     return 2 * float(np.median(np.diff(lines.x_m[order])[same])) if same.any() else np.inf
 
 
-def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) -> str | None:
+def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) -> Doubt | None:
     """Say whether the stated kind of surface contradicts the reflection, or matters and is not decided by it.
 
     stated: ``shape_from_slopes``; None where the reflection was to tell.
@@ -118,14 +119,18 @@ def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) 
     """
     if found.effect_rad < _WORTH_SIGMAS * usual_sigma_rad:
         return None
+    numbers = {"shape_share": found.share, "sigma_shape_share": found.sigma, "effect_rad": found.effect_rad}
     told = f"the reflection says {found.share:.2f} +- {found.sigma:.2f} of the heights that the slopes integrate to"
     matters = f"slopes would differ by {1e3 * found.effect_rad:.2f} mrad RMS"
     if stated is not None and found.is_decided and found.has_shape != stated:
-        return f"evaluation.shape_from_slopes = {str(stated).lower()} does not fit: {told}; the other way {matters}"
+        text = f"evaluation.shape_from_slopes = {str(stated).lower()} does not fit: {told}; the other way {matters}"
+        return Doubt("surface_shape_contradicts_reflection", text, numbers, Severity.SERIOUS)
     if stated is not None or found.is_decided:
         return None
-    return (
+    return Doubt(
+        "surface_shape_undecided",
         f"whether the mirror's surface follows its slopes is not clear from the reflection (by {found.share:.2f} +- "
         f"{found.sigma:.2f}); it was taken to, as real mirrors do. For normals that are turned on the design's surface "
-        f"{matters}. evaluation.shape_from_slopes = true says that it does"
+        f"{matters}. evaluation.shape_from_slopes = true says that it does",
+        numbers,
     )

@@ -1,16 +1,19 @@
 """A result of the Observer to a prescription: how far each mount of each panel is to be moved."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.reporting.canvas import png_of
 from heliogauge.results.arrays import read_arrays
-from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_summary, write_table_csv
+from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.slopes.map import SlopeMap
@@ -43,7 +46,7 @@ _FIRST_PANEL = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """A prescription.
 
     collector: The design with its panels.
@@ -52,20 +55,75 @@ class Result:
     mounts_m (n, 2): x and y of the mounts [m].
     absorber: The tube's axis.
     cameras: Photos on which the theoretical image is laid.
-    doubts: What makes the prescription doubtful.
-    input_sha256: Hash of each file read.
     picture: The theoretical image over the photo that the result holds; None where it holds none.
     """
 
+    kind: ClassVar[str] = KIND
     collector: Collector
     to_absorber: PanelTilts
     to_design: PanelTilts
     mounts_m: FloatArray
     absorber: AbsorberPath
     cameras: dict[str, tuple[Camera, PhotoPose]]
-    doubts: tuple[str, ...]
-    input_sha256: dict[str, str]
     picture: "Figure | None" = None
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        tilt = self.to_absorber.tilt_rad
+        known = tilt[np.isfinite(tilt)]
+        move = mount_moves(self.to_absorber, self.mounts_m, self.collector)[1]
+        largest = 1e3 * float(np.nanmax(np.abs(move))) if np.isfinite(move).any() else None
+        numbers = {
+            "panels_count": tilt.size,
+            "panels_prescribed_count": known.size,
+            "rms_panel_theta_ra_rad": float(np.sqrt(np.mean(known**2))) if known.size else None,
+            "largest_move_mm": largest,
+        }
+        reasons = {key: "no panel is measured well enough" for key, value in numbers.items() if value is None}
+        texts = {
+            "sign": "moves along the mirror's normal, positive towards the absorber; panels turn about their middles"
+        }
+        return self._summary(numbers, texts, reasons)
+
+    def write_files(self, folder: Path) -> None:
+        """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder."""
+        absorber, design = self.to_absorber, self.to_design
+        write_table_csv(folder / "panels.csv", {
+            "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
+            "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
+            "theta_ra_rad": absorber.tilt_rad, "sigma_theta_ra_rad": absorber.sigma_rad,
+            "theta_r_rad": design.tilt_rad, "sigma_theta_r_rad": design.sigma_rad,
+            "measured_share": absorber.measured_share,
+        })  # fmt: skip
+        panel, move, sigma = mount_moves(absorber, self.mounts_m, self.collector)
+        _, own_move, own_sigma = mount_moves(design, self.mounts_m, self.collector)
+        write_table_csv(folder / "mounts.csv", {
+            "panel": _FIRST_PANEL + panel, "x_m": self.mounts_m[:, 0], "y_m": self.mounts_m[:, 1],
+            "move_mm": 1e3 * move, "sigma_move_mm": 1e3 * sigma,
+            "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
+        })  # fmt: skip
+        write_table_csv(folder / "overlay.csv", _overlay(self))
+        if self.picture is not None:
+            (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(self.picture))
+        drawn = moves_figure(self.collector, absorber.tilt_rad, self.mounts_m, (move, sigma))
+        (folder / ALIGNMENT_MOVES).write_bytes(png_of(drawn))
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        tilt, sigma = self.to_absorber.tilt_rad, self.to_absorber.sigma_rad
+        known = np.isfinite(tilt)
+        if not known.any():
+            return "no panel is measured well enough for a prescription"
+        rms = 1e3 * float(np.sqrt(np.mean(tilt[known] ** 2)))
+        worst = int(np.nanargmax(np.abs(tilt)))
+        _, move, _ = mount_moves(self.to_absorber, self.mounts_m, self.collector)
+        said, spread = 1e3 * tilt[worst], 1e3 * sigma[worst]
+        largest = 1e3 * float(np.nanmax(np.abs(move)))
+        return (
+            f"{known.sum()} of {tilt.size} panels: mean angle to the absorber {rms:.2f} mrad RMS\n"
+            f"  worst            panel {_FIRST_PANEL + worst}: {said:+.2f} +- {spread:.2f} mrad\n"
+            f"  largest move     {largest:.2f} mm (mounts.csv; positive towards the absorber)"
+        )
 
 
 def run(folder: Path, mounts: Path | None = None) -> Result:
@@ -92,11 +150,17 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
         picture = _picture(folder, slope_map, (collector, absorber), poses)
     return Result(
-        collector, to_absorber, panel_tilts(theta_r, slope_map, collector, sigma_r), places, absorber,
+        collector,
+        to_absorber,
+        panel_tilts(theta_r, slope_map, collector, sigma_r),
+        places,
+        absorber,
         {name: (cameras[pose.camera], pose) for name, pose in poses.items()},
-        _doubts(slope_map, to_absorber, mounts is None), hash_files([*files, *([] if mounts is None else [mounts])]),
         picture,
-    )  # fmt: skip
+        name="panel alignment",
+        doubts=tuple(_doubts(slope_map, to_absorber, mounts is None)),
+        input_sha256=hash_files([*files, *([] if mounts is None else [mounts])]),
+    )
 
 
 def _picture(
@@ -159,64 +223,26 @@ def _read_mounts(path: Path) -> FloatArray:
     return places
 
 
-def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> tuple[str, ...]:
-    said = []
+def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> Iterator[Doubt]:
     if tilts.tilt_rad.size == 1:
-        said.append("collector.panel_edges_x_m and panel_edges_y_m are not given: the mirror is taken for one panel")
+        yield Doubt(
+            "panel_edges_missing",
+            "collector.panel_edges_x_m and panel_edges_y_m are not given: the mirror is taken for one panel",
+        )
     unknown = int(np.isnan(tilts.tilt_rad).sum())
     if unknown:
-        said.append(f"{unknown} of {tilts.tilt_rad.size} panels are measured on less than {100 * LEAST_SHARE:.0f} %: "
-                    "no prescription for them")  # fmt: skip
+        yield Doubt(
+            "panels_without_prescription",
+            f"{unknown} of {tilts.tilt_rad.size} panels are measured on less than {100 * LEAST_SHARE:.0f} %: "
+            "no prescription for them",
+            {"unknown_count": unknown, "panels_count": tilts.tilt_rad.size},
+        )
     if assumed:
-        said.append(f"no --mounts: mounts are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners")
+        text = f"no --mounts: mounts are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
+        yield Doubt("mounts_assumed", text, {"inset_m": _INSET_M})
     if slope_map.removed != "nothing":
-        said.append(f"the slope map has {slope_map.removed} removed; the prescription lacks it")
-    return tuple(said)
-
-
-def write(result: Result, folder: Path) -> None:
-    """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder."""
-    absorber, design = result.to_absorber, result.to_design
-    write_table_csv(folder / "panels.csv", {
-        "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
-        "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
-        "theta_ra_rad": absorber.tilt_rad, "sigma_theta_ra_rad": absorber.sigma_rad,
-        "theta_r_rad": design.tilt_rad, "sigma_theta_r_rad": design.sigma_rad,
-        "measured_share": absorber.measured_share,
-    })  # fmt: skip
-    panel, move, sigma = mount_moves(absorber, result.mounts_m, result.collector)
-    _, own_move, own_sigma = mount_moves(design, result.mounts_m, result.collector)
-    write_table_csv(folder / "mounts.csv", {
-        "panel": _FIRST_PANEL + panel, "x_m": result.mounts_m[:, 0], "y_m": result.mounts_m[:, 1],
-        "move_mm": 1e3 * move, "sigma_move_mm": 1e3 * sigma,
-        "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
-    })  # fmt: skip
-    write_table_csv(folder / "overlay.csv", _overlay(result))
-    if result.picture is not None:
-        (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(result.picture))
-    drawn = moves_figure(result.collector, absorber.tilt_rad, result.mounts_m, (move, sigma))
-    (folder / ALIGNMENT_MOVES).write_bytes(png_of(drawn))
-    write_summary(folder / "summary.json", summarise(result))
-
-
-def summarise(result: Result) -> Summary:
-    """Collect the headline numbers."""
-    tilt = result.to_absorber.tilt_rad
-    known = tilt[np.isfinite(tilt)]
-    move = mount_moves(result.to_absorber, result.mounts_m, result.collector)[1]
-    largest = 1e3 * float(np.nanmax(np.abs(move))) if np.isfinite(move).any() else None
-    numbers = {
-        "panels_count": tilt.size,
-        "panels_prescribed_count": known.size,
-        "rms_panel_theta_ra_rad": float(np.sqrt(np.mean(known**2))) if known.size else None,
-        "largest_move_mm": largest,
-    }
-    reasons = {key: "no panel is measured well enough" for key, value in numbers.items() if value is None}
-    texts = {"sign": "moves along the mirror's normal, positive towards the absorber; panels turn about their middles"}
-    return Summary(
-        kind=KIND, name="panel alignment", numbers=numbers, texts=texts, doubts=result.doubts, durations_s={},
-        input_sha256=result.input_sha256, not_determined=reasons,
-    )  # fmt: skip
+        text = f"the slope map has {slope_map.removed} removed; the prescription lacks it"
+        yield Doubt("slope_map_not_as_measured", text)
 
 
 def _overlay(result: Result) -> dict[str, list[Any]]:
@@ -239,19 +265,3 @@ def _overlay(result: Result) -> dict[str, list[Any]]:
         for name, part in zip(list(table)[1:], values, strict=True):
             table[name].extend(part.tolist())
     return table
-
-
-def headline_text(result: Result) -> str:
-    """Say the largest prescriptions in a few lines."""
-    tilt, sigma = result.to_absorber.tilt_rad, result.to_absorber.sigma_rad
-    known = np.isfinite(tilt)
-    if not known.any():
-        return "no panel is measured well enough for a prescription"
-    rms = 1e3 * float(np.sqrt(np.mean(tilt[known] ** 2)))
-    worst = int(np.nanargmax(np.abs(tilt)))
-    _, move, _ = mount_moves(result.to_absorber, result.mounts_m, result.collector)
-    return "\n".join([
-        f"{known.sum()} of {tilt.size} panels: mean angle to the absorber {rms:.2f} mrad RMS",
-        f"  worst            panel {_FIRST_PANEL + worst}: {1e3 * tilt[worst]:+.2f} +- {1e3 * sigma[worst]:.2f} mrad",
-        f"  largest move     {1e3 * float(np.nanmax(np.abs(move))):.2f} mm (mounts.csv; positive towards the absorber)",
-    ])  # fmt: skip

@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.reporting.canvas import png_of
 from heliogauge.results.arrays import LabelledArray, write_arrays
-from heliogauge.results.folder import Summary, hash_files, read_summary, write_summary, write_table_csv
+from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.grid import resample
@@ -47,19 +49,59 @@ class OneOrientation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(InstrumentResult):
     """A gravity study, ready to be written.
 
     orientations: In the order given; the first is what the others are compared with.
     sags: For each span; None where fewer than two orientations show it.
     maps: All mirrors on the first one's grid.
-    doubts: What is doubtful.
     """
 
+    kind: ClassVar[str] = KIND
     orientations: tuple[OneOrientation, ...]
     sags: tuple[WeightSag | None, ...]
     maps: tuple[SlopeMap | None, ...]
-    doubts: tuple[str, ...]
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        numbers: dict[str, float | int | None] = {"orientations_count": len(self.orientations)}
+        for number, sag in enumerate(self.sags, start=1):
+            if sag is not None:
+                numbers[f"span_{number}_sag_by_weight_m"] = sag.by_weight_m
+                numbers[f"sigma_span_{number}_sag_by_weight_m"] = sag.sigma_by_weight_m
+        return self._summary(numbers, {"results": ", ".join(one.profile.label for one in self.orientations)})
+
+    def write_files(self, folder: Path) -> None:
+        """Write tables and figures into an existing folder."""
+        write_table_csv(folder / "orientations.csv", _table(self))
+        spans = self.orientations[0].spans
+        known = [(k, sag) for k, sag in enumerate(self.sags) if sag is not None]
+        columns = {name: [float(spans[name][k]) for k, _ in known] for name in ("from_y_m", "to_y_m")}
+        columns |= {name: [getattr(sag, name) for _, sag in known] for name in WeightSag.__slots__}
+        write_table_csv(folder / "sag_by_weight.csv", columns)
+        sags = [_sags_of(self.orientations, k) for k, _ in known]
+        profiles = [one.profile for one in self.orientations]
+        changes = mirror_changes(self)
+        write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, "y_m"))
+        write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
+        write_changes(folder / ORIENTATION_CHANGES, changes)
+        (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
+        if changes:
+            (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        turns = ", ".join(f"{np.degrees(one.profile.orientation_rad):g}" for one in self.orientations)
+        lines = [f"{len(self.orientations)} orientations: {turns} degrees from zenith"]
+        for number, sag in enumerate(self.sags, start=1):
+            if sag is not None:
+                lines.append(
+                    f"  span {number}   sag by weight {1e3 * sag.by_weight_m:.2f} "
+                    f"+- {1e3 * sag.sigma_by_weight_m:.2f} mm, "
+                    f"bend x {1e3 * sag.bend_x_m:.2f} +- {1e3 * sag.sigma_bend_x_m:.2f} mm, "
+                    f"z {1e3 * sag.bend_z_m:.2f} +- {1e3 * sag.sigma_bend_z_m:.2f} mm"
+                )
+        return "\n".join(lines)
 
 
 def run(folders: Sequence[Path]) -> Comparison:
@@ -76,26 +118,37 @@ def run(folders: Sequence[Path]) -> Comparison:
     if len(designs) > 1:
         raise InputError(f"observer compare: results of different collectors: {'; '.join(sorted(designs))}")
     sags: list[WeightSag | None] = []
-    warnings: list[str] = []
+    doubts: list[Doubt] = []
     for number in range(len(found[0].spans["from_y_m"])):
         try:
             sag = sag_by_weight(_sags_of(found, number))
         except EstimationError as error:
-            warnings.append(f"span {number + 1}: {error}")
+            doubts.append(Doubt("sag_not_determined", f"span {number + 1}: {error}", {"span_number": number + 1}))
             sags.append(None)
             continue
         sags.append(sag)
         if sag.worst_residual > _DOUBT_TIMES:
-            warnings.append(
+            text = (
                 f"span {number + 1}: a sag is {sag.worst_residual:.1f} sigma beside weight and bend; did the tube move "
                 "in its supports, or is an orientation_deg wrong?"
             )
+            numbers = {"span_number": number + 1, "residual_over_sigma_ratio": sag.worst_residual}
+            doubts.append(Doubt("sag_contradicts_weight", text, numbers))
     first = found[0].slope_map
     maps = tuple(
         one.slope_map if one.slope_map is None or first is None else resample(one.slope_map, first.x_m, first.y_m)
         for one in found
     )
-    return Comparison(found, tuple(sags), maps, tuple(warnings))
+    # All files are called absorber.csv: the number tells them apart.
+    inputs = enumerate((one.folder / "absorber.csv" for one in found), start=1)
+    return Comparison(
+        found,
+        tuple(sags),
+        maps,
+        name=found[0].summary.name,
+        doubts=tuple(doubts),
+        input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
+    )
 
 
 def _read(folder: Path) -> OneOrientation:
@@ -137,26 +190,6 @@ def _sags_of(found: Sequence[OneOrientation], number: int) -> SpanSags:
         if apart[same] < _SAME_M and np.isfinite(values).all():
             rows.append([one.profile.orientation_rad, *values])
     return SpanSags(*np.array(rows).reshape(-1, 5).T)
-
-
-def write(result: Comparison, folder: Path) -> None:
-    """Write table and figure into an existing folder."""
-    write_table_csv(folder / "orientations.csv", _table(result))
-    spans = result.orientations[0].spans
-    known = [(k, sag) for k, sag in enumerate(result.sags) if sag is not None]
-    columns = {name: [float(spans[name][k]) for k, _ in known] for name in ("from_y_m", "to_y_m")}
-    columns |= {name: [getattr(sag, name) for _, sag in known] for name in WeightSag.__slots__}
-    write_table_csv(folder / "sag_by_weight.csv", columns)
-    sags = [_sags_of(result.orientations, k) for k, _ in known]
-    profiles = [one.profile for one in result.orientations]
-    changes = mirror_changes(result)
-    write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, "y_m"))
-    write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
-    write_changes(folder / ORIENTATION_CHANGES, changes)
-    (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
-    if changes:
-        (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
-    write_summary(folder / "summary.json", summarise(result))
 
 
 def mirror_changes(result: Comparison) -> list[OneMap]:
@@ -218,33 +251,3 @@ def _table(result: Comparison) -> dict[str, list[float | str]]:
         row["theta_r_change_noise_rad"] = np.nan if change is None else change.noise_rad
         rows.append(row)
     return {name: [row[name] for row in rows] for name in rows[0]}
-
-
-def summarise(result: Comparison) -> Summary:
-    """Collect the headline numbers."""
-    numbers: dict[str, float | int | None] = {"orientations_count": len(result.orientations)}
-    for number, sag in enumerate(result.sags, start=1):
-        if sag is not None:
-            numbers[f"span_{number}_sag_by_weight_m"] = sag.by_weight_m
-            numbers[f"sigma_span_{number}_sag_by_weight_m"] = sag.sigma_by_weight_m
-    inputs = [one.folder / "absorber.csv" for one in result.orientations]
-    name = result.orientations[0].summary.name
-    return Summary(
-        kind=KIND, name=name, numbers=numbers, doubts=result.doubts,
-        texts={"results": ", ".join(one.profile.label for one in result.orientations)},
-        input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in enumerate(inputs, 1)},
-    )  # fmt: skip
-
-
-def headline_text(result: Comparison) -> str:
-    """Say the most important numbers in a few lines for the terminal."""
-    turns = ", ".join(f"{np.degrees(one.profile.orientation_rad):g}" for one in result.orientations)
-    lines = [f"{len(result.orientations)} orientations: {turns} degrees from zenith"]
-    for number, sag in enumerate(result.sags, start=1):
-        if sag is not None:
-            lines.append(
-                f"  span {number}   sag by weight {1e3 * sag.by_weight_m:.2f} +- {1e3 * sag.sigma_by_weight_m:.2f} mm, "
-                f"bend x {1e3 * sag.bend_x_m:.2f} +- {1e3 * sag.sigma_bend_x_m:.2f} mm, "
-                f"z {1e3 * sag.bend_z_m:.2f} +- {1e3 * sag.sigma_bend_z_m:.2f} mm"
-            )
-    return "\n".join(lines)

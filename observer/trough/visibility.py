@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from observer.trough.absorber_path import AbsorberPath
@@ -144,12 +145,12 @@ def _needed(nodes: _Nodes, eyes_m: FloatArray) -> tuple[float, float]:
     return float(np.percentile(place, 1)), float(np.percentile(place, 99))
 
 
-def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> str | None:
+def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> Doubt | None:
     """Say which part of the aperture the cameras' path leaves out, and where to fly.
 
     Shapes: x_m (nx,), eyes_m (n, 3).
     aperture (r, nx): Nodes on panels.
-    Returns: A sentence; None where less than 1 % of the mirror is left out.
+    Returns: None where less than 1 % of the mirror is left out.
     """
     missing = aperture & ((found.flags & np.uint32(SampleFlag.NOT_COVERED)) > 0)
     share = int(np.count_nonzero(missing)) / max(int(np.count_nonzero(aperture)), 1)
@@ -161,11 +162,17 @@ def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, ey
     gap = int(np.argmax(steps)) if steps.size else 0
     gaps = f", {steps[gap]:.2f} m apart at x = {eyes_x[gap]:.2f} to {eyes_x[gap + 1]:.2f} m" if steps.size else ""
     gaps = gaps if steps.size and steps[gap] > _GAP_TIMES * np.median(steps) else ""
-    return (
+    return Doubt(
+        "mirror_not_covered",
         f"no photo shows an edge of the absorber's reflection on {100 * share:.0f} % of the mirror "
         f"({_intervals(columns)}): the cameras were between x = {eyes_x[0]:.2f} and {eyes_x[-1]:.2f} m at "
         f"{np.median(eyes_m[:, 2]):.1f} m{gaps}; fly from x = {found.camera_from_x_m:.2f} to "
-        f"{found.camera_to_x_m:.2f} m without gaps"
+        f"{found.camera_to_x_m:.2f} m without gaps",
+        {
+            "not_covered_share": share,
+            "fly_from_x_m": float(found.camera_from_x_m),
+            "fly_to_x_m": float(found.camera_to_x_m),
+        },
     )
 
 

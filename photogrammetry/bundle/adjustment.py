@@ -11,7 +11,7 @@ from heliogauge.adjust.gauss_newton import Descent, Options, minimise
 from heliogauge.adjust.robust_loss import Loss, Squares, loss_moments, normal_moments
 from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import EstimationError, InputError, NotConvergedError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, float_array
 from photogrammetry.bundle.covariance import BundleCovariance, CovarianceFactors
@@ -159,7 +159,7 @@ class BundleResult(VarianceFactorTests):
         if self.defects:
             raise EstimationError(f"{what}: " + "; ".join(one.text for one in self.defects))
         if not self.converged:
-            raise EstimationError(f"{what}: {self.reason}")
+            raise NotConvergedError(f"{what}: {self.reason}")
         return self
 
 

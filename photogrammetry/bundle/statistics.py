@@ -142,12 +142,18 @@ class Rejected:
         Length of its residual when it was left out [px].
     reason : str
         Why.
+    target : str
+        The target.
+    is_outlier : bool
+        Whether it contradicts the others; else it was left alone by those that do.
     """
 
     row: int
     label: str
     residual_px: float
     reason: str
+    target: str
+    is_outlier: bool = True
 
 
 def adjust_and_reject(
@@ -202,7 +208,8 @@ def adjust_and_reject(
         for place in np.nonzero(gone | singles)[0].tolist():
             times = f"{np.sqrt(tests.length_squared[place]):.1f} times its sigma"
             reason = times if gone[place] else "the only ray left of its target"
-            rejected[int(rows[place])] = _rejection(result, int(rows[place]), place, reason)
+            row = int(rows[place])
+            rejected[row] = _rejection(result, row, place, reason, is_outlier=bool(gone[place]))
         keep = ~(gone | singles)
         rows = rows[keep]
         smaller = replace(result.problem, observations=result.problem.observations.subset(keep))
@@ -234,9 +241,10 @@ def _innocent(problem: BundleProblem, result: BundleResult, rows: list[int], fam
     return [rows[place] for place in one_by_one.order[fine].tolist()]
 
 
-def _rejection(result: BundleResult, row: int, place: int, reason: str) -> Rejected:
+def _rejection(result: BundleResult, row: int, place: int, reason: str, *, is_outlier: bool) -> Rejected:
     length = float(np.hypot(*result.residuals_px[place]))
-    return Rejected(row, result.problem.observations.label(place), length, reason)
+    table = result.problem.observations
+    return Rejected(row, table.label(place), length, reason, table.targets[table.target_index[place]], is_outlier)
 
 
 def _worst_of_their_kind(result: BundleResult, size: FloatArray, marked: BoolArray) -> IntArray:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from heliogauge.validate import BoolArray, FloatArray
@@ -37,7 +38,7 @@ class ImagePointFile:
 
     points: ImagePoints
     sigma_assumed: bool
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
 
 def read_image_points_csv(
@@ -68,14 +69,16 @@ def read_image_points_csv(
     if not np.isfinite(pixels).all():
         line = int(np.argmax(~np.isfinite(pixels).all(axis=1))) + 2
         raise InputError(f"{path}, line {line}: x_px and y_px must be numbers")
-    warnings = []
+    doubts: tuple[Doubt, ...] = ()
     sigmas, missing = _sigmas(path, columns, default_sigma_px)
     if missing.any():
-        warnings.append(
+        text = (
             f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; "
             f"{sigmas[np.argmax(missing), 0]:g} px was taken. Only ratios of the sigmas are known then, so the "
             'residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"'
         )
+        numbers = {"missing_count": int(missing.sum()), "image_points_count": len(photos)}
+        doubts = (Doubt("image_points_without_sigma", text, numbers),)
     if origin is PixelOrigin.CORNER:
         pixels = pixels - 0.5
     if sizes_px is not None:
@@ -83,9 +86,7 @@ def read_image_points_csv(
         _check_inside(path, photos, pixels, known)
     covariance = np.zeros((len(photos), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigmas.T**2
-    return ImagePointFile(
-        ImagePoints.from_names(photos, targets, pixels, covariance), bool(missing.any()), tuple(warnings)
-    )
+    return ImagePointFile(ImagePoints.from_names(photos, targets, pixels, covariance), bool(missing.any()), doubts)
 
 
 def write_image_points_csv(path: Path, points: ImagePoints) -> None:

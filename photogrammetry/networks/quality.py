@@ -1,11 +1,12 @@
 """What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.constraints import Distance
@@ -147,18 +148,21 @@ def _length_numbers(lengths: LengthStatement) -> Numbers:
     return numbers
 
 
-def length_doubts(lengths: LengthStatement) -> tuple[str, ...]:
-    """Say which known lengths, that the network did not use, disagree with it."""
-    said = [
-        f"{one.name}, kept apart, is off by {1e3 * one.error_m:+.3f} mm, {abs(one.error_m) / one.sigma_error_m:.1f} "
-        "times the sigma of this error: the lengths of this network are not as sure as their sigmas say"
-        for one in lengths.of(LengthRole.KEPT_APART)
-        if abs(one.error_m) > _DOUBTFUL * one.sigma_error_m
-    ]
-    outside = [one.name for one in lengths.best if one.verdict is Verdict.OUTSIDE]
+def check_lengths(lengths: LengthStatement) -> Iterator[Doubt]:
+    """Yield which known lengths, that the network did not use, disagree with it."""
+    for one in lengths.of(LengthRole.KEPT_APART):
+        ratio = abs(one.error_m) / one.sigma_error_m
+        if ratio > _DOUBTFUL:
+            yield Doubt(
+                "scale_bar_kept_apart_off",
+                f"{one.name}, kept apart, is off by {1e3 * one.error_m:+.3f} mm, {ratio:.1f} "
+                "times the sigma of this error: the lengths of this network are not as sure as their sigmas say",
+                {"error_m": one.error_m, "sigma_error_m": one.sigma_error_m},
+            )
+    outside = [one for one in lengths.best if one.verdict is Verdict.OUTSIDE]
     if outside:
-        said.append(f"length errors beyond the permissible one: {', '.join(outside)}")
-    return tuple(said)
+        text = f"length errors beyond the permissible one: {', '.join(one.name for one in outside)}"
+        yield Doubt("length_errors_not_permissible", text, {"lengths_count": len(outside)})
 
 
 def quality_texts(lengths: LengthStatement, extent_m: float) -> dict[str, str]:
@@ -203,49 +207,58 @@ def _rms(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
-def doubts(solved: Solved) -> tuple[str, ...]:
-    """Say what makes a network doubtful."""
+def check_network(solved: Solved) -> Iterator[Doubt]:
+    """Yield what makes a network doubtful."""
     bundle = solved.bundle
-    said = [f"photo {one.name} is left out: {one.reason}" for one in solved.network.photos_left_out]
-    said += [f"{one.name}: {one.reason}" for one in solved.unused]
+    for one in solved.network.photos_left_out:
+        yield Doubt("photo_not_in_network", f"photo {one.name} is left out: {one.reason}")
+    for one in solved.unused:
+        yield Doubt("known_value_not_used", f"{one.name}: {one.reason}")
     scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)
     if bundle.system.movements.count == 7 and not scaled:
-        said.append("there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]")
-    said += _contradictions(bundle)
-    said += _many_rejected(solved)
-    said += _doubled_codes(solved)
+        yield Doubt(
+            "scale_missing",
+            "there is no scale: coordinates and sigmas are in an arbitrary unit; add a [[scale_bar]]",
+            severity=Severity.SERIOUS,
+        )
+    yield from _contradictions(bundle)
+    yield from _many_rejected(solved)
+    yield from _doubled_codes(solved)
     low, high = bundle.variance_factor_interval(0.999)
     if solved.image_sigma_factor == 1.0 and not low <= bundle.variance_factor <= high:
-        said.append(
+        yield Doubt(
+            "residuals_contradict_stated_sigmas",
             f"the residuals are {bundle.sigma0:.2f} times what the stated sigmas say (sqrt of the variance factor; "
             f"{np.sqrt(low):.2f} to {np.sqrt(high):.2f} would be by chance); sigmas of the results are as stated, "
-            'unless [adjustment] sigmas = "from residuals"'
+            'unless [adjustment] sigmas = "from residuals"',
+            {"sigma0_ratio": bundle.sigma0, "low_ratio": float(np.sqrt(low)), "high_ratio": float(np.sqrt(high))},
         )
-    said += _unturned(bundle)
-    said += _kept_outliers(bundle)
+    yield from _unturned(bundle)
+    yield from _kept_outliers(bundle)
     few = bundle.problem.observations.n_rays
     weak = [name for name, rays in zip(bundle.problem.observations.targets, few, strict=True) if rays == 2]
     if weak:
         listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
-        said.append(f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}")
-    return tuple(said)
+        text = f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}"
+        yield Doubt("targets_in_two_photos", text, {"targets_count": len(weak)})
 
 
-def _unturned(bundle: BundleResult) -> list[str]:
-    """Name cameras that calibrate themselves and were always held the same way."""
-    cameras, texts = bundle.problem.cameras, []
+def _unturned(bundle: BundleResult) -> Iterator[Doubt]:
+    """Yield cameras that calibrate themselves and were always held the same way."""
+    cameras = bundle.problem.cameras
     for place, model in enumerate(cameras):
         own = bundle.state.rotations[bundle.problem.camera_index == place]
-        if "focal_px" in model.free and len(own) and _roll_range_rad(own) < _LEAST_ROLL_RAD:
+        if "focal_px" in model.free and len(own) and (roll := _roll_range_rad(own)) < _LEAST_ROLL_RAD:
             whose = "" if len(cameras) == 1 else f" {model.name}"
-            texts.append(
+            yield Doubt(
+                "camera_never_turned",
                 f"all photos are taken with the camera{whose} held the same way; turn it by 90 degrees for some, or "
-                "the principal point is badly separated from the poses"
+                "the principal point is badly separated from the poses",
+                {"roll_range_rad": roll},
             )
-    return texts
 
 
-def _kept_outliers(bundle: BundleResult) -> list[str]:
+def _kept_outliers(bundle: BundleResult) -> Iterator[Doubt]:
     """Count image points that were used and contradict the rest: nothing is rejected on request, or rounds ran out."""
     tests = examine_image_points(bundle)
     # Sigmas that are too small as a whole are said elsewhere; here one point against the others.
@@ -254,62 +267,73 @@ def _kept_outliers(bundle: BundleResult) -> list[str]:
     limit = -2 * np.log(_FAMILY / max(squared.size, 1))
     marked = np.nonzero(squared > limit)[0]
     if not marked.size:
-        return []
+        return
     worst = int(np.argmax(squared))
     length_px = float(np.hypot(*bundle.residuals_px[worst]))
-    return [
+    yield Doubt(
+        "image_points_contradict",
         f"{marked.size} image points that were used contradict the others, most of all "
         f"{bundle.problem.observations.label(worst)} with {length_px:.2f} px ({np.sqrt(squared[worst]):.1f} sigma); "
-        "see test in residuals.csv"
-    ]
+        "see test in residuals.csv",
+        {"image_points_count": marked.size, "largest_residual_px": length_px},
+    )
 
 
-def _many_rejected(solved: Solved) -> list[str]:
-    """Say so where more image points were left out than chance and false codes explain."""
+def _many_rejected(solved: Solved) -> Iterator[Doubt]:
+    """Yield a doubt where more image points were left out than chance and false codes explain."""
     lost = len(solved.rejected) + len(solved.network.suspicious)
     total = lost + solved.bundle.problem.observations.n
-    if lost <= _MANY_REJECTED * total:
-        return []
-    return [
-        f"{lost} of {total} image points contradict the rest and were left out, too many for chance: a camera that "
-        "started far off (give focal_length_35mm or focal_px), an object that moved, or one code at several places"
-    ]
+    if lost > _MANY_REJECTED * total:
+        yield Doubt(
+            "many_image_points_rejected",
+            f"{lost} of {total} image points contradict the rest and were left out, too many for chance: a camera that "
+            "started far off (give focal_length_35mm or focal_px), an object that moved, or one code at several places",
+            {"rejected_count": lost, "image_points_count": total},
+            Severity.SERIOUS,
+        )
 
 
-def _doubled_codes(solved: Solved) -> list[str]:
-    """Name targets of which several image points were rejected: one code at two places shows like this."""
+def _doubled_codes(solved: Solved) -> Iterator[Doubt]:
+    """Yield targets of which several image points were rejected: one code at two places shows like this."""
     table = solved.bundle.problem.observations
-    rejected = [*(one.label for one in solved.rejected), *(one.name for one in solved.network.suspicious)]
-    counts = Counter(label.removeprefix("target ").partition(" in photo ")[0] for label in rejected)
+    rejected = [one.target for one in solved.rejected]
+    counts = Counter([*rejected, *(one.target for one in solved.network.suspicious)])
     rays = dict(zip(table.targets, table.n_rays.tolist(), strict=True))
     doubled = [(name, count, count + rays.get(name, 0)) for name, count in counts.most_common()]
     doubled = [one for one in doubled if one[1] >= _DOUBLED_RAYS and one[1] >= 0.25 * one[2]]
-    texts = [
-        f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, or did "
-        "the target move?"
-        for name, count, total in doubled[:_NAMED_ALONE]
-    ]
+    for name, count, total in doubled[:_NAMED_ALONE]:
+        yield Doubt(
+            "target_contradicts_itself",
+            f"target {name}: {count} of its {total} image points contradict the others; is the code there twice, or "
+            "did the target move?",
+            {"rejected_count": count, "image_points_count": total},
+        )
     if len(doubled) > _NAMED_ALONE:
         rest = ", ".join(f"{name} ({count} of {total})" for name, count, total in doubled[_NAMED_ALONE:][:_LISTED])
         more = ", ..." if len(doubled) > _NAMED_ALONE + _LISTED else ""
-        texts.append(f"so do those of {len(doubled) - _NAMED_ALONE} more targets or features: {rest}{more}")
-    return texts
+        yield Doubt(
+            "more_targets_contradict_themselves",
+            f"so do those of {len(doubled) - _NAMED_ALONE} more targets or features: {rest}{more}",
+            {"targets_count": len(doubled) - _NAMED_ALONE},
+        )
 
 
-def _contradictions(bundle: BundleResult) -> list[str]:
-    """Name what is known and contradicts the rest."""
+def _contradictions(bundle: BundleResult) -> Iterator[Doubt]:
+    """Yield what is known and contradicts the rest, the worst first."""
     found: list[tuple[float, str]] = []
     for name, residuals in bundle.constraint_residuals:
         worst = float(np.max(np.abs(residuals), initial=0.0))
         if worst > _DOUBTFUL:
             found.append((worst, name))
     distances = {one.name: one for one in bundle.problem.constraints if isinstance(one, Distance)}
-    texts = []
     for worst, name in sorted(found, reverse=True)[:8]:
         known = distances.get(name)
         size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
-        texts.append(f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}")
-    return texts
+        yield Doubt(
+            "known_value_contradicts",
+            f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}",
+            {"residual_over_sigma_ratio": worst},
+        )
 
 
 def _roll_range_rad(rotations: FloatArray) -> float:

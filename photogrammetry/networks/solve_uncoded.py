@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -58,7 +59,7 @@ class Extended:
     ellipses_px2: FloatArray
     names: tuple[str, ...]
     left: tuple[LeftOut, ...]
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +70,16 @@ class _Round:
     names: tuple[str, ...]
     rows: IntArray
     left: tuple[LeftOut, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Named:
+    """Names of points, or None; listed targets without a point; what is doubtful."""
+
+    names: tuple[str | None, ...]
+    left: tuple[LeftOut, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def add_dots(
@@ -126,11 +136,12 @@ def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict
     raw = match_dots(dots, known_views(bundle))
     single, split = _without_split(raw, dots, bundle)
     found, unread = _without_coded(single, bundle, coded)
-    names, left, warnings = _named(found, bundle, loose.listed, (knowledge, set(coded)))
+    named = _named(found, bundle, loose.listed, knowledge, set(coded))
+    names = named.names
     numbers = (f"u{k}" for k in range(1, len(names) + len(coded) + 1) if f"u{k}" not in coded)
     final = tuple(name or next(numbers) for name in names)
     texts = [LeftOut(_with_photo(one.name, photos), one.reason) for one in found.rejected]
-    return _Round(found, final, rows, (*left, *split, *unread, *texts), warnings)
+    return _Round(found, final, rows, (*named.left, *split, *unread, *texts), named.doubts)
 
 
 def _coded_radii(bundle: BundleResult, points: ImagePoints, ellipses_px2: FloatArray) -> dict[str, float]:
@@ -229,13 +240,12 @@ def _with_photo(text: str, photos: tuple[str, ...]) -> str:
 
 
 def _named(
-    found: MatchedDots, bundle: BundleResult, listed: ListedTargets | None, known: tuple[Knowledge, set[str]]
-) -> tuple[tuple[str | None, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-    """Name points by the list: names or None, listed targets without a point, what is doubtful."""
-    knowledge, coded = known
+    found: MatchedDots, bundle: BundleResult, listed: ListedTargets | None, knowledge: Knowledge, coded: set[str]
+) -> _Named:
+    """Name points by the list."""
     count = len(found.points_m)
     if listed is None or not len(listed):
-        return (None,) * count, (), ()
+        return _Named((None,) * count)
     places = {
         name: bundle.state.points_m[i] for i, name in enumerate(bundle.problem.observations.targets) if name in coded
     }
@@ -246,9 +256,10 @@ def _named(
         settled = len(bundle.problem.fixed) >= 3 or weighted >= 3
         frame = RigidTransform.identity() if settled else list_frame(found.points_m, places, listed)
     except EstimationError as error:
-        return (None,) * count, (), (f"targets without a code keep their numbers: {error}",)
+        doubt = Doubt("uncoded_targets_unnamed", f"targets without a code keep their numbers: {error}")
+        return _Named((None,) * count, doubts=(doubt,))
     named = name_points(found.points_m, found.covariance_m2, wanted, frame)
-    return named.names, named.left, ()
+    return _Named(named.names, named.left)
 
 
 def _with_dots(

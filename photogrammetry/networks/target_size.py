@@ -1,7 +1,10 @@
 """How large the targets are by the network, against what was stated: a check of both."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.constraints import ControlPoint, Coordinate, Distance
 from photogrammetry.bundle.eccentricity import estimate_discs
@@ -36,35 +39,37 @@ def _places(names: tuple[str, ...], known: tuple[str, ...]) -> np.ndarray:
     return np.array([place.get(name, -1) for name in names], dtype=np.intp)
 
 
-def size_doubts(
+def check_sizes(
     solved: Solved, points: ImagePoints, ellipses_px2: FloatArray, diameter_mm: float | None
-) -> tuple[str, ...]:
+) -> Iterator[Doubt]:
     """Compare the stated diameter with what the photos show.
 
     solved: The adjusted network.
     ellipses_px2 (m, 2, 2): Ellipses of all image points [px^2].
     diameter_mm: What was stated of all targets [mm].
-    Returns: What contradicts it; nothing without a scale.
+    Yields: What contradicts it; nothing without a scale.
     """
     if diameter_mm is None or not _has_scale(solved):
-        return ()
+        return
     found_mm = 1e3 * measured_diameters_m(solved, points, ellipses_px2)
     if not found_mm.size:
-        return ()
-    said = []
+        return
     typical = float(np.median(found_mm))
     if abs(typical / diameter_mm - 1) > _DOUBTFUL:
-        said.append(
+        yield Doubt(
+            "target_diameter_contradicts_photos",
             f"the targets measure {typical:.2f} mm across in the photos (median of {found_mm.size}), not diameter_mm = "
-            f"{diameter_mm:g}: that, or the scale of the network, is wrong"
+            f"{diameter_mm:g}: that, or the scale of the network, is wrong",
+            {"measured_mm": typical, "stated_mm": diameter_mm, "targets_count": found_mm.size},
         )
     odd = np.abs(found_mm / typical - 1) > 3 * _DOUBTFUL
     if odd.any():
-        said.append(
+        yield Doubt(
+            "targets_of_several_sizes",
             f"{int(odd.sum())} of {found_mm.size} targets are not as large as the others ({found_mm.min():.2f} to "
-            f"{found_mm.max():.2f} mm): diameter_mm is for targets of one size; these are corrected for their own"
+            f"{found_mm.max():.2f} mm): diameter_mm is for targets of one size; these are corrected for their own",
+            {"odd_count": int(odd.sum()), "targets_count": found_mm.size},
         )
-    return tuple(said)
 
 
 def _has_scale(solved: Solved) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.results.folder import (
     hash_files,
     refuse_copies,
@@ -15,10 +16,10 @@ from photogrammetry.keys.measurement import ImagePointsSection
 from photogrammetry.matching.uncoded_names import ListedTargets
 from photogrammetry.networks.group_sigmas import solve_weighed
 from photogrammetry.networks.length_error import state_length_errors
-from photogrammetry.networks.quality import doubts, length_doubts
+from photogrammetry.networks.quality import check_lengths, check_network
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions
 from photogrammetry.networks.solve_uncoded import add_dots
-from photogrammetry.networks.target_size import size_doubts
+from photogrammetry.networks.target_size import check_sizes
 from photogrammetry.pipeline.cameras import build_cameras, sensors_of, sizes_of_cameras
 from photogrammetry.pipeline.dots import measure_targets_of
 from photogrammetry.pipeline.inputs import (
@@ -103,13 +104,13 @@ def run(
     checks = build_checks(model)
     with progress.stage("statistics"):
         lengths = state_length_errors(solved.bundle, checks, build_permissible_error(model))
-        said = (*measured.doubts, *doubts(solved), *length_doubts(lengths))
-        said += size_doubts(solved, measured.points, measured.ellipses_px2, stated_diameter_mm(model))
+        sizes = check_sizes(solved, measured.points, measured.ellipses_px2, stated_diameter_mm(model))
+        doubts = gather_doubts(measured.doubts, check_network(solved), check_lengths(lengths), sizes)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):
             surface = measure_surface(model.surface, measurement.folder, solved.bundle)
-            said = (*said, *surface.doubts)
+            doubts = gather_doubts(doubts, surface.doubts)
     return Result(
         name=model.name,
         measured=measured,
@@ -118,7 +119,7 @@ def run(
         lengths=lengths,
         sensors=sensors_of(measurement, cameras),
         surface=surface,
-        doubts=said,
+        doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
@@ -193,8 +194,11 @@ def match_uncoded(
     EstimationError: The network with its points is not determined.
     """
     if measured.loose is None or not len(measured.loose.dots):
-        missing = () if listed is None else (f"{len(listed)} targets without a code are listed, but no dot was found",)
-        return replace(measured, doubts=(*measured.doubts, *missing)), solved
+        if listed is None:
+            return measured, solved
+        text = f"{len(listed)} targets without a code are listed, but no dot was found"
+        missing = Doubt("listed_targets_not_found", text, {"listed_count": len(listed)})
+        return replace(measured, doubts=(*measured.doubts, missing)), solved
     loose = replace(measured.loose, listed=listed)
     found = add_dots(solved, measured.points, measured.ellipses_px2, loose, cameras, knowledge, options)
     refused = tuple(Refused(one.name, one.reason) for one in found.left)

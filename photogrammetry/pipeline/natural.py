@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
 from heliogauge.running.progress import Progress
@@ -20,9 +21,10 @@ from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
 
 #: Kinds of features by size; each must have enough redundancy for a sigma of its own.
 _SIZE_CLASSES = 4
-_DOUBT = (
+_DOUBT = Doubt(
+    "natural_features_not_independent",
     "natural features are no independent measurements: neighbouring photos see the same texture alike. On rendered "
-    "scenes true errors were 1.2 to 1.3 times the sigmas; control them by scale bars kept apart (check_only = true)"
+    "scenes true errors were 1.2 to 1.3 times the sigmas; control them by scale bars kept apart (check_only = true)",
 )
 
 

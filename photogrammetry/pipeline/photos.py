@@ -1,13 +1,14 @@
 """Photos to image points: read, find targets, measure, several photos at a time."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
@@ -25,8 +26,6 @@ from photogrammetry.targets.ring_codes import Sense
 
 #: Share of overexposed targets from which the user is told.
 _MANY_CLIPPED = 0.2
-#: Why a photo is left out.
-_NO_TARGET = "shows no target that can be used"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +34,12 @@ class Refused:
 
     name: Marker, target or photo, and where it is.
     reason: Why.
+    is_outlier: Whether it is an image point that contradicts the others.
     """
 
     name: str
     reason: str
+    is_outlier: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +59,7 @@ class MeasuredPhotos:
     ellipses_px2: FloatArray
     sizes_px: dict[str, tuple[int, int]] | None
     refused: tuple[Refused, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
     sigma_assumed: bool
     loose: LooseDots | None = None
     kinds: IntArray | None = None
@@ -252,6 +253,7 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """
     photos, names, parts, shapes = [], [], [], []
     refused = [bad for one in found for bad in one.refused]
+    empty: list[str] = []
     doubled: Counter[str] = Counter()
     for one in found:
         twice = set(one.detections.duplicated)
@@ -262,56 +264,69 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
         refused += [Refused(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
         keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
         if not keep:
-            refused.append(Refused(photo, _NO_TARGET))
+            empty.append(photo)
+            refused.append(Refused(photo, "shows no target that can be used"))
         photos += [photo] * len(keep)
         names += [one.detections.names[k] for k in keep]
         parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))
         shapes.append(one.ellipses_px2[keep])
-    said = _unread_texts(found, len(names))
+    unread = tuple(_unread_codes(found, len(names)))
     if not names:
+        usual = "is it the right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
         raise EstimationError(
             f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; "
-            + (
-                said[0]
-                if said
-                else "is it the right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
-            )
+            + (unread[0].text if unread else usual)
         )
-    empty = [bad.name for bad in refused if bad.reason == _NO_TARGET]
-    if empty:
-        listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")
-        said.append(f"{len(empty)} of {len(found)} photos show no target that can be used: {listed}")
-    if doubled:
-        listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
-        said.append(f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?")
     clipped = sum(int(np.count_nonzero(part.flags & np.uint32(SampleFlag.CLIPPED))) for part in parts)
-    if clipped > _MANY_CLIPPED * len(names):
-        said.append(
-            f"{clipped} of {len(names)} targets lie on or are overexposed white: their sizes are uncertain and their "
-            "centres less exact than their sigmas say; expose the photos less"
-        )
+    doubts = gather_doubts(unread, _count_doubts(len(found), empty, doubled), _clipped(clipped, len(names)))
     covariance = np.concatenate([part.covariance_px2 for part in parts])
     # Estimators leave the two halves different in the last bit.
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     sizes = {one.detections.photo: one.size_px for one in found}
     points = ImagePoints.from_names(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
-    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), tuple(said), True, _loose(found))
+    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), doubts, True, _loose(found))
 
 
-def _unread_texts(found: Sequence[OnePhoto], read: int) -> list[str]:
-    """Say what many rings that are not in the dictionary tell of it, most telling first."""
+def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:
+    """Yield photos that show nothing, and targets that are twice in a photo."""
+    if empty:
+        listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")
+        text = f"{len(empty)} of {photos} photos show no target that can be used: {listed}"
+        yield Doubt("photos_without_target", text, {"empty_count": len(empty), "photos_count": photos})
+    if doubled:
+        listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
+        text = f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?"
+        yield Doubt("targets_twice_in_a_photo", text, {"targets_count": len(doubled)})
+
+
+def _clipped(clipped: int, targets: int) -> Doubt | None:
+    if clipped <= _MANY_CLIPPED * targets:
+        return None
+    return Doubt(
+        "targets_overexposed",
+        f"{clipped} of {targets} targets lie on or are overexposed white: their sizes are uncertain and their "
+        "centres less exact than their sigmas say; expose the photos less",
+        {"overexposed_count": clipped, "targets_count": targets},
+    )
+
+
+def _unread_codes(found: Sequence[OnePhoto], read: int) -> Iterator[Doubt]:
+    """Yield what many rings that are not in the dictionary say of it, the strongest sign first."""
     rings = [one.unread for one in found if one.unread is not None]
     mirrored, unknown = sum(one.mirrored for one in rings), [word for one in rings for word in one.unknown]
-    texts = []
+    total = mirrored + read + len(unknown)
     if mirrored > read:
-        texts.append(
-            f"{mirrored} of {mirrored + read + len(unknown)} code rings are in the dictionary only as mirror images. "
+        yield Doubt(
+            "codes_mirrored",
+            f"{mirrored} of {total} code rings are in the dictionary only as mirror images. "
             "If the prints are the right way round, the dictionary counts the bits in the other sense: set "
-            f'sense = "{rings[0].other_sense}" in [targets]; else prints or photos are mirrored'
+            f'sense = "{rings[0].other_sense}" in [targets]; else prints or photos are mirrored',
+            {"mirrored_count": mirrored, "rings_count": total},
         )
     if len(unknown) > max(read, 3):
-        texts.append(
+        yield Doubt(
+            "codes_not_in_dictionary",
             f"{len(unknown)} code rings are not in the dictionary, bits clockwise {', '.join(unknown[:3])}...: is it "
-            "another one, or one of your own ([targets] dictionary = a file)?"
+            "another one, or one of your own ([targets] dictionary = a file)?",
+            {"unknown_count": len(unknown), "rings_count": total},
         )
-    return texts

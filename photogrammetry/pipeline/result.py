@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -110,9 +110,12 @@ class Result(InstrumentResult):
     def refused(self) -> tuple[Refused, ...]:
         """Everything that was not used, by name with the reason."""
         solved = self.solved
-        outliers = [Refused(one.label, f"{one.reason}, residual {one.residual_px:.2f} px") for one in solved.rejected]
+        outliers = [
+            Refused(one.label, f"{one.reason}, residual {one.residual_px:.2f} px", one.is_outlier)
+            for one in solved.rejected
+        ]
         left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
-        others = [Refused(one.name, one.reason) for one in (*left, *solved.unused)]
+        others = [Refused(one.name, one.reason, one.is_outlier) for one in (*left, *solved.unused)]
         return (*self.measured.refused, *others, *outliers)
 
     def summarise(self) -> Summary:
@@ -143,10 +146,12 @@ class Result(InstrumentResult):
         write_cameras_json(folder / "cameras.json", self.cameras, self.photo_poses)
         write_table_csv(folder / "points_covariance.csv", covariance_columns(bundle))
         write_table_csv(folder / "residuals.csv", residual_columns(bundle))
-        refused = self.refused
-        write_table_csv(
-            folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
-        )
+        rejected: dict[str, list[Any]] = {
+            "name": [one.name for one in self.refused],
+            "reason": [one.reason for one in self.refused],
+            "is_outlier": [int(one.is_outlier) for one in self.refused],
+        }
+        write_table_csv(folder / "rejected.csv", rejected)
         write_table_csv(folder / "constraints.csv", constraint_columns(bundle, self.checks))
         write_table_csv(folder / "lengths.csv", length_columns(self.lengths))
         write_table_csv(folder / "intrinsics.csv", intrinsic_columns(bundle))

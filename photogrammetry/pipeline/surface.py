@@ -1,6 +1,6 @@
 """From adjusted points to what ``[surface]`` asks for: fit, slope map, canting, comparison with another date."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -9,6 +9,7 @@ from re import fullmatch
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
@@ -59,7 +60,7 @@ class SurfaceResult:
     compared_with: str
     mesh: MeshSurface | None
     ply: bool
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
 
 def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult) -> SurfaceResult:
@@ -71,18 +72,17 @@ def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult)
     InputError: Targets that are not in the network, files that cannot be read, open3d missing for a mesh.
     EstimationError: Points that do not determine what is asked for.
     """
-    points, said = surface_points(bundle)
-    warnings = list(said)
+    points, doubts = surface_points(bundle)
     moved = None
     if section.compare_with is not None:
         stable = tuple(_expanded(section.stable_targets or (), points.ids, "stable_targets"))
         moved = displacements(_other_date(folder / section.compare_with), points, stable=stable)
-        warnings += _comparison_doubts(moved)
+        doubts = gather_doubts(doubts, _comparison_doubts(moved))
     result = SurfaceResult(None, "", (), None, (), moved, section.compare_with or "", None, section.ply, ())
     if section.has_design or section.mesh is not None:
         cameras = np.mean([one.inverse().translation_m for one in bundle.cam_from_world], axis=0)
         result = _against_surface(section, folder, points, cameras, result)
-    return replace(result, doubts=(*warnings, *result.doubts))
+    return replace(result, doubts=gather_doubts(doubts, result.doubts))
 
 
 def _against_surface(
@@ -95,9 +95,9 @@ def _against_surface(
         mesh = reference = read_mesh(folder / section.mesh, 1e-3 if section.mesh_unit == "mm" else 1.0)
     else:
         own, parts, reference = _designs(section, own)
-    fit, how, open_words = _fitted(section, own, reference, viewer_m)
+    fit, how, still_open = _fitted(section, own, reference, viewer_m)
     facets = [_facet_points(part, fit, section) for part in parts]
-    slopes, missing_words = _slopes(section, fit, facets)
+    slopes, no_map = _slopes(section, fit, facets)
     return replace(
         so_far,
         fit=fit,
@@ -106,12 +106,12 @@ def _against_surface(
         slopes=slopes,
         cantings=tuple(facet_canting(fit, one) for one in facets) if section.facet else (),
         mesh=mesh,
-        doubts=(*open_words, *missing_words, *_fit_doubts(fit, placed=bool(section.reference))),
+        doubts=gather_doubts(still_open, no_map, _fit_doubts(fit, placed=bool(section.reference))),
     )
 
 
-def surface_points(bundle: BundleResult) -> tuple[SurfacePoints, tuple[str, ...]]:
-    """Return the determined points of a network with their joint covariance, and what is to be said of it.
+def surface_points(bundle: BundleResult) -> tuple[SurfacePoints, tuple[Doubt, ...]]:
+    """Return the determined points of a network with their joint covariance, and what is doubtful about it.
 
     points: Points that are seen and determined; targets held at given coordinates have no variance.
     """
@@ -120,16 +120,17 @@ def surface_points(bundle: BundleResult) -> tuple[SurfacePoints, tuple[str, ...]
     kept = np.nonzero((table.n_rays > 0) & np.isfinite(points).all(axis=1))[0]
     held = np.isin(kept, bundle.problem.target_indices(bundle.problem.fixed))
     covariance = np.zeros((3 * kept.size, 3 * kept.size))
-    said: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     free = np.nonzero(np.repeat(~held, 3))[0]
     if kept.size <= _JOINT:
         covariance[np.ix_(free, free)] = bundle.covariance.joint(targets=kept[~held])
     else:
-        said = (f"{kept.size} points: their covariances with each other are left out of the surface's sigmas",)
+        text = f"{kept.size} points: their covariances with each other are left out of the surface's sigmas"
+        doubts = (Doubt("surface_covariances_left_out", text, {"points_count": kept.size}),)
         for place, target in enumerate(kept):
             covariance[3 * place : 3 * place + 3, 3 * place : 3 * place + 3] = bundle.covariance.points[target]
     names = tuple(table.targets[i] for i in kept)
-    return SurfacePoints(names, points[kept], 0.5 * (covariance + covariance.T)), said
+    return SurfacePoints(names, points[kept], 0.5 * (covariance + covariance.T)), doubts
 
 
 def _other_date(folder: Path) -> SurfacePoints:
@@ -238,21 +239,21 @@ def _place(section: SurfaceFacetSection) -> RigidTransform:
 
 def _fitted(
     section: SurfaceSection, points: SurfacePoints, reference: Reference, viewer_m: FloatArray
-) -> tuple[SurfaceFit, str, list[str]]:
-    """Fit, or place, the surface; say how it started and what stays open."""
+) -> tuple[SurfaceFit, str, Doubt | None]:
+    """Fit, or place, the surface; return also how it started and what stays open."""
     choices = FitChoices(section.fit != "none", section.fit == "focal-length", section.robust)
     if section.reference:
         placed = _aligned(section, points)
         how = f"{len(section.reference)} targets of known place on the design"
         if choices.pose:
-            return fit_surface(points, reference, placed.design_from_world, choices), how, []
+            return fit_surface(points, reference, placed.design_from_world, choices), how, None
         held = fit_surface(placed.points, reference, RigidTransform.identity(), choices)
-        return replace(held, design_from_world=placed.design_from_world), how + "; nothing is fitted beside them", []
+        return replace(held, design_from_world=placed.design_from_world), how + "; nothing is fitted beside them", None
     if not choices.pose:
-        return fit_surface(points, reference, RigidTransform.identity(), choices), "the frame of the network", []
+        return fit_surface(points, reference, RigidTransform.identity(), choices), "the frame of the network", None
     if isinstance(reference, MeshSurface):
         start, how = mesh_start(points.points_m, reference, viewer_m)
-        return fit_surface(points, reference, start, choices), how, []
+        return fit_surface(points, reference, start, choices), how, None
     if isinstance(reference, CompositeDesign):
         trial = quick_fit(points.points_m, reference, RigidTransform.identity())
         if not trial.rms_m < _NEAR * float(np.ptp(points.points_m, axis=0).max()):
@@ -260,10 +261,10 @@ def _fitted(
                 f"surface: in the frame of the network the points are {trial.rms_m:.3g} m from their facets, which "
                 "have designs of their own; name three or more [[surface.reference]] targets with their places"
             )
-        return fit_surface(points, reference, trial.pose, choices), "the frame of the network", []
+        return fit_surface(points, reference, trial.pose, choices), "the frame of the network", None
     found = find_start(points.points_m, reference, viewer_m)
-    words = [found.open_words] if found.open_words else []
-    return fit_surface(points, reference, found.design_from_world, choices), found.how, words
+    still_open = Doubt("surface_start_ambiguous", found.open_words) if found.open_words else None
+    return fit_surface(points, reference, found.design_from_world, choices), found.how, still_open
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,39 +326,39 @@ def _carried(xy: FloatArray, design: DesignSurface, place: RigidTransform) -> Fl
 
 def _slopes(
     section: SurfaceSection, fit: SurfaceFit, facets: Sequence[FacetPoints]
-) -> tuple[SurfaceSlopes | None, list[str]]:
+) -> tuple[SurfaceSlopes | None, Doubt | None]:
     """Return the slope maps; without enough points for one, the reason."""
     if not section.slope_map or not facets:
-        return None, []
+        return None, None
     step = None if section.grid_step_mm is None else 1e-3 * section.grid_step_mm
     try:
-        return surface_slopes(fit, [Patch(one.facet, one.members) for one in facets], step), []
+        return surface_slopes(fit, [Patch(one.facet, one.members) for one in facets], step), None
     except EstimationError as error:
         if section.grid_step_mm is not None:
             raise
-        return None, [f"there is no slope map: {error}"]
+        return None, Doubt("surface_without_slope_map", f"there is no slope map: {error}")
 
 
-def _fit_doubts(fit: SurfaceFit, *, placed: bool) -> list[str]:
-    said = []
+def _fit_doubts(fit: SurfaceFit, *, placed: bool) -> Iterator[Doubt]:
     if fit.outliers.any():
         names = [name for name, one in zip(fit.points.ids, fit.outliers, strict=True) if one]
         listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        said.append(f"{len(names)} points are far from the surface and were not used for it: {listed}")
+        text = f"{len(names)} points are far from the surface and were not used for it: {listed}"
+        yield Doubt("surface_points_not_used", text, {"points_count": len(names)})
     weak = fit.held[fit.reference.symmetries().shape[1] :]
     if weak and not placed:
-        said.append(
+        yield Doubt(
+            "surface_not_placed",
             f"the surface is so shallow that the points do not place it along itself ({'; '.join(weak)}): it stays "
-            "where the start put it; name three or more [[surface.reference]] targets to place it"
+            "where the start put it; name three or more [[surface.reference]] targets to place it",
         )
-    return said
 
 
-def _comparison_doubts(moved: Displacements) -> list[str]:
-    said = []
+def _comparison_doubts(moved: Displacements) -> Iterator[Doubt]:
     if moved.stable_probability < 1e-3:
-        said.append(
+        yield Doubt(
+            "stable_targets_disagree",
             f"comparison: the stable targets disagree more than their sigmas say (variance factor "
-            f"{moved.variance_factor:.2f}); some of them moved, or a sigma is too small"
+            f"{moved.variance_factor:.2f}); some of them moved, or a sigma is too small",
+            {"variance_factor": moved.variance_factor, "stable_probability": moved.stable_probability},
         )
-    return said

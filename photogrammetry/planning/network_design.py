@@ -1,10 +1,11 @@
 """The smallest number of photos that reaches a wanted sigma, by trying rings of stations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError
 from heliogauge.validate import positive
 from photogrammetry.bundle.constraints import Distance
@@ -100,7 +101,7 @@ class Plan:
     reached: bool
     trials: tuple[Trial, ...]
     q: float
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
 
 def plan_network(
@@ -160,64 +161,75 @@ def _fewest(
     return found
 
 
-def _judged(best: Trial, task: Task) -> tuple[float, tuple[str, ...]]:
+def _judged(best: Trial, task: Task) -> tuple[float, tuple[Doubt, ...]]:
     """Return q and what is weak in a network."""
     prediction = best.prediction
     q = q_factor(prediction, task.planned, task.target_object)
-    said = [*_about_the_goal(best, task), *_about_geometry(prediction, task), *_about_the_camera(prediction, task)]
     low, high = Q_RANGE
+    weak = None
     if q > high:
-        said.append(
+        weak = Doubt(
+            "plan_q_large",
             f"q = {q:.2f} of the planning rule is above {low} to {high} of strong convergent networks: poses, camera "
-            "or scale add to what the rays give"
+            "or scale add to what the rays give",
+            {"q_ratio": q},
         )
-    return q, tuple(said)
+    return q, gather_doubts(
+        _about_the_goal(best, task), _about_geometry(prediction, task), _about_the_camera(prediction, task), weak
+    )
 
 
-def _about_the_goal(best: Trial, task: Task) -> list[str]:
-    prediction, goal, said = best.prediction, task.goal, []
+def _about_the_goal(best: Trial, task: Task) -> Iterator[Doubt]:
+    prediction, goal = best.prediction, task.goal
     if not goal.is_reached(prediction):
-        value = 1e3 * goal.value_m(prediction)
-        said.append(
+        value_m = goal.value_m(prediction)
+        yield Doubt(
+            "plan_goal_not_reached",
             f"the wanted sigma of {1e3 * goal.sigma_m:g} mm is not reached with up to {goal.most_photos} photos: "
-            f"{value:.4f} mm with {best.count}; come closer, take a longer lens, more photos or better targets"
+            f"{1e3 * value_m:.4f} mm with {best.count}; come closer, take a longer lens, more photos or better targets",
+            {"wanted_m": goal.sigma_m, "reached_m": value_m, "photos_count": best.count},
+            Severity.SERIOUS,
         )
     few = [name for name, n in zip(task.target_object.names, prediction.rays, strict=True) if n < LEAST_RAYS]
     if few:
-        said.append(f"{len(few)} targets are seen in fewer than {LEAST_RAYS} photos: {', '.join(few[:8])}")
+        text = f"{len(few)} targets are seen in fewer than {LEAST_RAYS} photos: {', '.join(few[:8])}"
+        yield Doubt("plan_targets_in_few_photos", text, {"targets_count": len(few)})
     if not task.bars:
-        said.append("there is no scale bar: these sigmas are without the scale's share")
-    return said
+        yield Doubt("plan_without_scale_bar", "there is no scale bar: these sigmas are without the scale's share")
 
 
-def _about_geometry(prediction: Prediction, task: Task) -> list[str]:
-    said, facing = [], task.target_object.facing
+def _about_geometry(prediction: Prediction, task: Task) -> Iterator[Doubt]:
+    facing = task.target_object.facing
     along = np.sqrt(np.einsum("i,nij,j->n", facing, prediction.covariance_m2, facing).mean())
     across = np.sqrt(max((prediction.rms_m**2 * 3 - along**2) / 2, 1e-300))
     if along > _WEAK_DEPTH * across:
-        said.append(
+        yield Doubt(
+            "plan_depth_weak",
             f"depth is weak: sigma along the object's normal is {along / across:.1f} times that across it; stand "
-            "further from the normal"
+            "further from the normal",
+            {"along_over_across_ratio": float(along / across)},
         )
     angle = float(np.nanmedian(prediction.convergence_rad))
     if angle < _WEAK_CONVERGENCE_RAD:
-        said.append(f"rays meet at {np.degrees(angle):.0f} degrees at most (median of the targets); 60 to 100 are good")
-    return said
+        text = f"rays meet at {np.degrees(angle):.0f} degrees at most (median of the targets); 60 to 100 are good"
+        yield Doubt("plan_convergence_weak", text, {"convergence_rad": angle})
 
 
-def _about_the_camera(prediction: Prediction, task: Task) -> list[str]:
-    said: list[str] = []
+def _about_the_camera(prediction: Prediction, task: Task) -> Iterator[Doubt]:
     if not task.planned.free or prediction.bundle is None:
-        return said
+        return
     if not task.reach.turned:
-        said.append(
+        yield Doubt(
+            "plan_camera_never_turned",
             "no photo is turned: the principal point is badly separated from the poses; turn the camera by 90 "
-            "degrees for every other photo"
+            "degrees for every other photo",
         )
     if prediction.coverage_share < _WEAK_COVERAGE:
-        said.append(
+        yield Doubt(
+            "plan_coverage_poor",
             f"targets fill {prediction.coverage_share:.0%} of the image: beyond them the distortion is a guess; go "
-            "closer, or calibrate the camera beforehand"
+            "closer, or calibrate the camera beforehand",
+            {"covered_share": prediction.coverage_share},
         )
     own = ("focal_px", "center_x_px", "center_y_px")
     tied = [
@@ -227,5 +239,5 @@ def _about_the_camera(prediction: Prediction, task: Task) -> list[str]:
         if one.name in own and one.rival not in ("p1", "p2") and abs(one.correlation) > _WEAK_CORRELATION
     ]
     if tied:
-        said.append("the camera's parameters can hardly be told apart: " + ", ".join(tied))
-    return said
+        text = "the camera's parameters can hardly be told apart: " + ", ".join(tied)
+        yield Doubt("plan_intrinsics_correlated", text, {"pairs_count": len(tied)})

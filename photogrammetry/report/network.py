@@ -1,5 +1,6 @@
 """Results of a network as its report reads them, and the tables of the report."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -284,12 +285,12 @@ def folded_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers:
 
 def reason_table(results: NetworkResults) -> Html:
     """Return how much was left out for each reason."""
-    reasons: dict[str, int] = {}
-    for text in results.tables["rejected"]["reason"]:
-        # Numbers differ from line to line; the words before them are the reason.
-        words = text.split(", residual")[0]
-        key = "image point contradicts the others" if "times its sigma" in words else words
-        reasons[key] = reasons.get(key, 0) + 1
+    rejected = results.tables["rejected"]
+    # The reasons of outliers have numbers, which differ from line to line.
+    reasons = Counter(
+        "image point contradicts the others" if is_outlier == "1" else reason
+        for reason, is_outlier in zip(rejected["reason"], rejected["is_outlier"], strict=True)
+    )
     rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=lambda item: -item[1])]
     return table(("reason", "count"), rows, numbers=(1,)) if rows else Html("")
 

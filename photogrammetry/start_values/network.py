@@ -42,10 +42,14 @@ class LeftOut:
     """A photo or target that is not in the network.
 
     reason: Why, with numbers and remedy.
+    target: The target of a single image point; empty for everything else.
+    is_outlier: Whether it is an image point that contradicts the others.
     """
 
     name: str
     reason: str
+    target: str = ""
+    is_outlier: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -343,7 +347,8 @@ def _finished(grown: Growth) -> Network:
         ):
             far = grown.misses[row]
             text = f"{far:.0f} times its sigma off" if np.isfinite(far) else "cannot be seen from there"
-            suspicious.append(LeftOut(table.label(row), text))
+            target = table.targets[table.target_index[row]]
+            suspicious.append(LeftOut(table.label(row), text, target, bool(np.isfinite(far))))
     return Network(
         kept,
         good,

@@ -41,8 +41,8 @@ def test_a_tube_in_glass_that_was_not_stated() -> None:
     assert found.pixel_m == pytest.approx(10.4e-3)
     said = glass_doubt(found, BARE)
     assert said is not None
-    assert "none is stated" in said
-    assert "glass_outer_diameter_mm" in said
+    assert said.code == "glass_not_stated"
+    assert "glass_outer_diameter_mm" in said.text
     assert glass_doubt(found, ls2()) is None
 
 

@@ -100,7 +100,7 @@ def test_heights_stand_in_the_table_of_panels():
 
 def test_panels_far_from_the_design_are_told():
     assert heights_doubt(solved(SIGMA_M, 0)) is None
-    said = heights_doubt(solved(0.2e-3, 0)) or ""
+    said = str(heights_doubt(solved(0.2e-3, 0)))
     assert "collector.panel_height_sigma_mm = 0.2 does not fit" in said
 
 

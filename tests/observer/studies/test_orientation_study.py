@@ -18,7 +18,7 @@ from observer.absorber.product import absorber_columns, shape_numbers, span_colu
 from observer.product.orientation_study import SpanSags, mirror_change, sag_by_weight
 from observer.report import compare as report
 from observer.report.figures_modules import maps_figure
-from observer.studies.compare import mirror_changes, run, write
+from observer.studies.compare import mirror_changes, run
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -107,7 +107,7 @@ def test_command_line_makes_table_and_figure(tmp_path: Path) -> None:
 def test_the_report_has_what_the_study_wrote(tmp_path: Path) -> None:
     folders = [result_at(tmp_path / f"at{degrees:g}", degrees) for degrees in (0.0, 90.0)]
     study = run(folders)
-    write(study, tmp_path)
+    study.write(tmp_path)
     results = report.open_study(tmp_path)
     assert [one.label for one in results.profiles] == ["LS-2 (0 deg)", "LS-2 (90 deg)"]
     for one, other in zip(results.profiles, study.orientations, strict=True):
@@ -144,7 +144,8 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
     again = result_at(tmp_path / "again", 0.0, with_map=False)
     found = run([one, again])
     assert found.sags == (None,)
-    assert "10 degrees apart" in found.doubts[0]
+    assert found.doubts[0].code == "sag_not_determined"
+    assert "10 degrees apart" in found.doubts[0].text
 
 
 def test_a_turned_mirror_is_a_tilt() -> None:

@@ -14,7 +14,7 @@ from observer.pipeline.headline import panel_columns
 from observer.product.panel_alignment import image_edges, mount_moves, panel_tilts, target_plane_edges
 from observer.product.slope_map import angle_maps
 from observer.report import alignment as report
-from observer.studies.align import Result, headline_text, run, write
+from observer.studies.align import Result, run
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import ls3
 from tests.observer.report.test_report import result_folder
@@ -131,9 +131,9 @@ def test_panels_have_the_numbers_of_the_measurements_report(tmp_path):
     measured = panel_columns(slope_map, angle_maps(slope_map, absorber, collector), collector)
     worst = int(measured["panel"][np.argmax(np.abs(measured["mean_theta_r_rad"]))])
     mounts = np.array([[tilts.centre_x_m[6], tilts.centre_y_m[6]]])
-    result = Result(collector, tilts, tilts, mounts, absorber, {}, (), {})
-    write(result, tmp_path)
-    assert f"panel {worst}:" in headline_text(result)
+    result = Result(collector, tilts, tilts, mounts, absorber, {}, name="panel alignment")
+    result.write(tmp_path)
+    assert f"panel {worst}:" in result.headline()
     assert read_table_csv(tmp_path / "panels.csv", ("panel",))["panel"] == [str(number) for number in measured["panel"]]
     assert read_table_csv(tmp_path / "mounts.csv", ("panel",))["panel"] == [str(worst)]
 
@@ -155,7 +155,7 @@ def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
     assert np.nanmax(np.abs(beside)) > 0.1
     out = tmp_path / "out"
     out.mkdir()
-    write(result, out)
+    result.write(out)
     found = report.open_alignment(out)
     assert report.overlay(found).text.count("<img") == 1
     assert report.moves(found).text.count("<img") == 1

@@ -73,8 +73,9 @@ def test_short_pass_is_told_where_to_fly() -> None:
     assert coverage_warning(whole, X, aperture, line_of_cameras(3.0)) is None
     eyes = line_of_cameras(3.0)[:120]
     _, part = seen_from(eyes, collector)
-    text = coverage_warning(part, X, aperture, eyes)
-    assert text is not None
+    doubt = coverage_warning(part, X, aperture, eyes)
+    assert doubt is not None
+    text = doubt.text
     # Photos end at x = 0.57 m; edges there are seen on the mirror up to 0.57 m + 0.3 m.
     missing = X[((part.flags & SampleFlag.NOT_COVERED) > 0).all(axis=0)]
     assert missing.min() == pytest.approx(0.9, abs=0.1)
@@ -91,7 +92,7 @@ def test_pass_too_short_on_both_sides_and_with_a_gap_names_each_part() -> None:
     for kept, parts in ((np.abs(all_eyes[:, 0]) < 1.2, 2), (np.abs(all_eyes[:, 0] - 1.0) > 0.7, 1)):
         eyes = all_eyes[kept]
         _, found = seen_from(eyes, collector)
-        text = coverage_warning(found, X, np.ones(found.flags.shape, dtype=bool), eyes) or ""
+        text = str(coverage_warning(found, X, np.ones(found.flags.shape, dtype=bool), eyes))
         named = text[text.index("(x = ") : text.index(" m): ")]
         assert named.count(" to ") == parts
         assert ("1.41 m apart at x = 0.30 to 1.71 m" in text) == (parts == 1)

@@ -10,7 +10,7 @@ from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
-from photogrammetry.networks.target_size import measured_diameters_m, size_doubts
+from photogrammetry.networks.target_size import check_sizes, measured_diameters_m
 from tests.photogrammetry.bundle_networks import network
 
 RADIUS_M, SHARE = 0.02, 0.01
@@ -96,13 +96,15 @@ def test_stated_diameter_is_checked() -> None:
     solved = SimpleNamespace(bundle=adjust(problem, truth))
     measured = (table, ellipses)
     assert measured_diameters_m(solved, *measured) == pytest.approx(2 * RADIUS_M, rel=0.03)
-    assert size_doubts(solved, *measured, 40.0) == ()
-    assert size_doubts(solved, *measured, None) == ()
-    wrong = size_doubts(solved, *measured, 20.0)
-    assert "measure 4" in wrong[0] or "measure 39" in wrong[0]
-    assert "not diameter_mm = 20" in wrong[0]
+    assert list(check_sizes(solved, *measured, 40.0)) == []
+    assert list(check_sizes(solved, *measured, None)) == []
+    wrong, *_ = check_sizes(solved, *measured, 20.0)
+    assert wrong.code == "target_diameter_contradicts_photos"
+    assert wrong.numbers["measured_mm"] == pytest.approx(40, abs=2)
+    assert wrong.numbers["stated_mm"] == 20
     large = np.where((table.target_index == 3)[:, None, None], 4 * ellipses, ellipses)
-    assert "1 of 24 targets are not as large" in size_doubts(solved, table, large, 40.0)[0]
+    (odd,) = check_sizes(solved, table, large, 40.0)
+    assert (odd.code, odd.numbers["odd_count"]) == ("targets_of_several_sizes", 1)
     # Without a scale nothing can be said.
     free = SimpleNamespace(bundle=adjust(replace(problem, constraints=()), truth))
-    assert size_doubts(free, *measured, 20.0) == ()
+    assert list(check_sizes(free, *measured, 20.0)) == []

@@ -117,4 +117,5 @@ def test_a_photo_without_targets_is_named(tmp_path: Path) -> None:
     section = TargetsSection.model_validate({"dictionary": "aicon-12"})
     search = build_search(section, tmp_path)
     found = collect_photos(measure_each([first, blank], section, search, jobs=1, progress=SilentProgress()))
-    assert "1 of 2 photos show no target that can be used: blank.png" in found.doubts
+    (doubt,) = (one for one in found.doubts if one.code == "photos_without_target")
+    assert doubt.text == "1 of 2 photos show no target that can be used: blank.png"

@@ -161,22 +161,22 @@ def test_an_object_larger_than_the_image_is_divided() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "layouts", "words"),
+    ("changes", "layouts", "code"),
     [
-        ({"reach": Reach(3.5, turned=False)}, LAYOUTS, "no photo is turned"),
-        ({"planned": PlannedCamera(CAMERA, (), 0.04)}, [(np.radians(8.0),)], "depth is weak"),
-        ({}, [(np.radians(8.0),)], "rays meet at"),
-        ({"bars": ()}, LAYOUTS, "without the scale's share"),
-        ({"goal": Goal(1e-7, most_photos=8)}, LAYOUTS, "is not reached with up to 8 photos"),
-        ({"reach": Reach(12.0)}, LAYOUTS, "of the image: beyond them the distortion is a guess"),
+        ({"reach": Reach(3.5, turned=False)}, LAYOUTS, "plan_camera_never_turned"),
+        ({"planned": PlannedCamera(CAMERA, (), 0.04)}, [(np.radians(8.0),)], "plan_depth_weak"),
+        ({}, [(np.radians(8.0),)], "plan_convergence_weak"),
+        ({"bars": ()}, LAYOUTS, "plan_without_scale_bar"),
+        ({"goal": Goal(1e-7, most_photos=8)}, LAYOUTS, "plan_goal_not_reached"),
+        ({"reach": Reach(12.0)}, LAYOUTS, "plan_coverage_poor"),
     ],
 )
-def test_weak_plans_say_so(changes, layouts, words) -> None:
+def test_weak_plans_say_so(changes, layouts, code) -> None:
     plan = plan_network(task_of(6e-5, **changes), layouts)
-    assert any(words in text for text in plan.doubts)
+    assert code in [one.code for one in plan.doubts]
 
 
-def test_a_strong_plan_has_no_warnings() -> None:
+def test_a_strong_plan_has_no_doubts() -> None:
     assert plan_network(task_of(), LAYOUTS).doubts == ()
 
 
