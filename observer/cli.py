@@ -16,6 +16,7 @@ from heliogauge.running.commands import (
     deliver,
     into_folder,
     make_app,
+    say_ending,
     tell,
 )
 from heliogauge.running.progress import SilentProgress
@@ -41,14 +42,10 @@ def run_command(
     from observer.keys import load_observer
     from observer.pipeline.measure import Options
     from observer.pipeline.measure_folder import run_into
-    from observer.studies import overview
 
     progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
     result = run_into(load_observer(folder), out, options, progress, force=force, report=not no_report)
-    if isinstance(result, overview.Result):
-        tell(result.all_warnings, lambda: overview.headline_text(result), f"results: {out}", quiet=quiet)
-    else:
-        tell(result.doubts, result.headline, f"results: {out}", quiet=quiet)
+    say_ending(result.doubts, result.headline(), f"results: {out}", quiet=quiet)
 
 
 @app.command("align")
@@ -79,10 +76,9 @@ def overview_command(
     quiet: Quiet = False,
 ) -> None:
     """Put the results of several modules beside each other: overview.csv, report.html."""
-    from observer.studies.overview import headline_text, run, write
+    from observer.studies.overview import run
 
-    result = into_folder(out, lambda: run(results), write, force=force, progress=SilentProgress(), report=not no_report)
-    tell(result.doubts, lambda: headline_text(result), f"results: {out}", quiet=quiet)
+    deliver(out, lambda: run(results), SilentProgress(), force=force, quiet=quiet, report=not no_report)
 
 
 @app.command("absorber")
@@ -98,18 +94,17 @@ def absorber_command(
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
     from heliogauge.running.terminal import terminal_progress
     from observer.keys import load_observer
-    from observer.pipeline.absorber_alone import Options, headline_text, run, summarise, write
+    from observer.pipeline.absorber_alone import Options, run
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_observer(folder), Options(jobs=jobs), progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
+        quiet=quiet,
         report=not no_report,
     )
-    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("plan")

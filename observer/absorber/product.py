@@ -109,7 +109,7 @@ def shape_numbers(
     return {name: value for name, value in numbers.items() if value is not None and np.isfinite(value)}
 
 
-def absorber_warnings(
+def absorber_doubts(
     path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, *, is_design: bool
 ) -> Iterator[Doubt]:
     """Yield what is doubtful about the absorber's place.

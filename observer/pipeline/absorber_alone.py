@@ -1,19 +1,22 @@
 """Photos of the absorber alone to its position: for alignment, and for the sag at several orientations."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from heliogauge.doubts import gather_doubts
 from heliogauge.errors import EstimationError
 from heliogauge.images.photos import read_luma
 from heliogauge.reporting.notation import number_text
-from heliogauge.results.folder import Summary, hash_files, write_points_csv, write_summary, write_table_csv
+from heliogauge.results.folder import Summary, hash_files, write_points_csv, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.absorber.position import AbsorberSolution, solve_absorber
 from observer.absorber.product import (
     absorber_columns,
-    absorber_warnings,
+    absorber_doubts,
     shape_numbers,
     span_columns,
     tube_spans,
@@ -45,27 +48,55 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """Where the absorber is.
 
-    name: Name of what was measured.
     collector: The design.
     orientation_rad: Turn of the collector from zenith [rad].
     network: Cameras and targets.
     solution: The tube.
-    doubts: What makes the result doubtful.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = KIND
     collector: Collector
     orientation_rad: float
     network: photogrammetry_pipeline.Result
     solution: AbsorberSolution
-    doubts: tuple[str, ...]
-    durations_s: dict[str, float]
-    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        solution, collector = self.solution, self.collector
+        bundle = self.network.solved.bundle
+        numbers = {
+            **absorber_numbers(solution.path, collector, solution),
+            **shape_numbers(solution.path, solution, collector, self.orientation_rad),
+            "orientation_rad": self.orientation_rad,
+            "photos_count": len(bundle.problem.observations.photos),
+            "bearing_residual_rms_rad": solution.residual_rms_rad,
+        }
+        texts = {
+            "design": collector.describe(),
+            "frame": "trough: x across the aperture, y along the trough, z to the absorber",
+            "datum": bundle.datum,
+        }
+        return self._summary(numbers, texts)
+
+    def write_files(self, folder: Path) -> None:
+        """Write the absorber, its spans, targets and what was left out into an existing folder."""
+        solution, collector = self.solution, self.collector
+        write_table_csv(folder / "absorber.csv", absorber_columns(solution.path, solution, collector))
+        spans = tube_spans(solution.path, solution, collector, self.orientation_rad)
+        write_table_csv(folder / "absorber_spans.csv", span_columns(spans))
+        write_collector(folder / COLLECTOR, collector)
+        write_points_csv(folder / "points.csv", self.network.points)
+        refused = self.network.refused
+        write_table_csv(
+            folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
+        )
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
 
 
 def run(measurement: ObserverMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
@@ -94,11 +125,17 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         )
         stations = collector.stations_m(model.absorber.station_step_m)
         solution = solve_absorber(bearings, cameras.photos, expected.absorber, stations)
-    doubts = absorber_warnings(solution.path, solution, collector, is_design=False)
+    doubts = absorber_doubts(solution.path, solution, collector, is_design=False)
     return Result(
-        model.name, collector, np.radians(model.collector.orientation_deg), network, solution,
-        (*network.doubts, *doubts), dict(progress.durations_s), hashes,
-    )  # fmt: skip
+        collector,
+        np.radians(model.collector.orientation_deg),
+        network,
+        solution,
+        name=model.name,
+        doubts=gather_doubts(network.doubts, doubts),
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
+    )
 
 
 def _bearings(cameras: Cameras, meant: set[str], expected: Expectation) -> Bearings:
@@ -113,46 +150,6 @@ def _bearings(cameras: Cameras, meant: set[str], expected: Expectation) -> Beari
             "`heliogauge observer`, or show more targets in them"
         )
     return Bearings(*(np.concatenate([getattr(one, name) for one in parts]) for name in Bearings.__slots__))
-
-
-def write(result: Result, folder: Path) -> None:
-    """Write the files of a result into an existing folder.
-
-    folder: Where to; usually the folder that `heliogauge.results.folder.ResultFolder` gives.
-    """
-    solution, collector = result.solution, result.collector
-    write_table_csv(folder / "absorber.csv", absorber_columns(solution.path, solution, collector))
-    spans = tube_spans(solution.path, solution, collector, result.orientation_rad)
-    write_table_csv(folder / "absorber_spans.csv", span_columns(spans))
-    write_collector(folder / COLLECTOR, collector)
-    write_points_csv(folder / "points.csv", result.network.points)
-    refused = result.network.refused
-    write_table_csv(
-        folder / "rejected.csv", {"name": [one.name for one in refused], "reason": [one.reason for one in refused]}
-    )
-    write_summary(folder / "summary.json", summarise(result))
-
-
-def summarise(result: Result) -> Summary:
-    """Collect the headline numbers."""
-    solution, collector = result.solution, result.collector
-    bundle = result.network.solved.bundle
-    numbers = {
-        **absorber_numbers(solution.path, collector, solution),
-        **shape_numbers(solution.path, solution, collector, result.orientation_rad),
-        "orientation_rad": result.orientation_rad,
-        "photos_count": len(bundle.problem.observations.photos),
-        "bearing_residual_rms_rad": solution.residual_rms_rad,
-    }
-    texts = {
-        "design": collector.describe(),
-        "frame": "trough: x across the aperture, y along the trough, z to the absorber",
-        "datum": bundle.datum,
-    }
-    return Summary(
-        kind=KIND, name=result.name, numbers=numbers, texts=texts, doubts=result.doubts,
-        durations_s=result.durations_s, input_sha256=result.input_sha256,
-    )  # fmt: skip
 
 
 def headline_text(summary: Summary) -> str:

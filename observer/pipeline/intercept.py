@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.results.folder import write_table_csv
 from heliogauge.slopes.map import SlopeMap
@@ -73,7 +74,7 @@ class InterceptResult:
     measured_share: float
     measured_ratio: float
     light: str
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
     @property
     def assumption(self) -> str:
@@ -104,17 +105,19 @@ def evaluate_intercept(
     trough = measured_trough(slope_map, absorber, collector, slope_covariance=slope_covariance)
     optics = {case: optics_of(trough, case, profile) for case in Case}
     own = optics[Case.AS_MEASURED]
-    warnings: list[str] = []
+    doubts: list[Doubt] = []
     traced = trace_intercept(
         slope_map, absorber, collector.absorber_diameter_m, light,
         rays=_RAYS, rng=np.random.Generator(np.random.SFC64(0)),
     )  # fmt: skip
     if abs(traced.ratio - own.ratio()) > 5 * traced.sampling_sigma + 3e-4:
-        warnings.append(
+        text = (
             f"intercept factor: {own.ratio():.4f} by integration but {traced.ratio:.4f} by {traced.rays} rays; "
             "either the absorber is far from where the mirror throws the light, or the map's nodes are too far apart"
         )
-    offset, shift = _best(trough, own, profile, warnings)
+        numbers = {"integrated_ratio": own.ratio(), "traced_ratio": traced.ratio}
+        doubts.append(Doubt("intercept_factors_contradict", text, numbers))
+    offset, shift = _best(trough, own, profile, doubts)
     inside = np.full(trough.nodes.node.size, 1.0 / trough.nodes.node.size)
     return InterceptResult(
         cases={case: intercept_at_offsets(trough, case, optics[case]) for case in Case},
@@ -133,23 +136,23 @@ def evaluate_intercept(
         measured_share=trough.nodes.measured_share,
         measured_ratio=float(inside @ own.of_nodes()),
         light=profile.words,
-        doubts=tuple(warnings),
+        doubts=tuple(doubts),
     )  # fmt: skip
 
 
 def _best(
-    trough: MeasuredTrough, own: TroughOptics, profile: BeamProfile, warnings: list[str]
+    trough: MeasuredTrough, own: TroughOptics, profile: BeamProfile, doubts: list[Doubt]
 ) -> tuple[Best | None, Best | None]:
-    """Return the best tracking offset and the best way of the absorber; a warning where one lies too far away."""
+    """Return the best tracking offset and the best way of the absorber; a doubt where one lies too far away."""
     offset, shift = None, None
     try:
         offset = best_offset(trough, Case.AS_MEASURED, own)
     except EstimationError as error:
-        warnings.append(str(error))
+        doubts.append(Doubt("best_offset_not_determined", str(error)))
     try:
         shift = best_absorber(trough, own, profile)
     except EstimationError as error:
-        warnings.append(str(error))
+        doubts.append(Doubt("best_absorber_place_not_determined", str(error)))
     return offset, shift
 
 

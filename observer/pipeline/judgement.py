@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.images.photos import read_luma
 from observer.doubts.design_checks import (
     diameter_doubt,
@@ -20,16 +21,16 @@ from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
 from observer.pipeline.stated_camera import stated_camera_doubt
 from observer.pipeline.target_list import CheckedList
-from observer.product.longitudinal import incidence_warning
+from observer.product.longitudinal import incidence_doubt
 from observer.selection.edge_refusal import unchecked_doubt
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
-from observer.trough.visibility import coverage_warning, seeable_shares
+from observer.trough.visibility import coverage_doubt, seeable_shares
 
 
 def judge(
     inputs: Inputs, listed: CheckedList, cameras: Cameras, placed: PlacedAbsorber, mirror: SolvedMirror
-) -> tuple[str, ...]:
+) -> tuple[Doubt, ...]:
     """Return what is doubtful of a solution, and of what was stated.
 
     InputError: A photo cannot be read.
@@ -41,26 +42,25 @@ def judge(
     # A wrong camera or a few photos contradict right dimensions.
     with_sizes = camera is None and sparse is None
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
-    found = (
-        *inputs.doubts,
-        *listed.doubts,
+    return gather_doubts(
+        inputs.doubts,
+        listed.doubts,
         camera,
         panels_doubt(reflector.roughness, inputs.collector),
         heights_doubt(reflector) if with_sizes else None,
         sparse,
-        *design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes),
-        *placed.doubts,
-        coverage_warning(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
-        incidence_warning(slope_map, eyes, inputs.collector, along_rad),
+        design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes),
+        placed.doubts,
+        coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
+        incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
         shape_doubt(reflector.shape, inputs.shape_from_slopes, usual_sigma),
         unchecked_doubt(reflector.fate),
     )
-    return tuple(text for text in found if text is not None)
 
 
 def design_doubts(
     cameras: Cameras, mirror: SolvedMirror, collector: Collector, *, with_sizes: bool = True
-) -> tuple[str, ...]:
+) -> tuple[Doubt, ...]:
     """Compare width, length, focal length and tube diameter as stated with what seven of the photos show.
 
     with_sizes: Whether focal length and tube are judged.
@@ -74,12 +74,10 @@ def design_doubts(
         image, view = read_luma(cameras.files[number]), cameras.views[number]
         rims.append(rims_in_photo(image, view, collector, plates))
         clipped.append(clipped_share(image, view, collector))
-    said = [overexposure_doubt(float(np.median(clipped)))]
+    focal_length, diameter = None, None
     if with_sizes:
-        focal_length = focal_length_of_mirror(mirror.slope_map, collector)
-        said += [
-            focal_length_doubt(focal_length, mirror.absorber, collector),
-            diameter_doubt(diameter_of_absorber(mirror.reflector, collector), collector),
-        ]
-    said += outline_doubts(*spans_of(np.array(rims)), collector)
-    return tuple(text for text in said if text is not None)
+        seen = focal_length_of_mirror(mirror.slope_map, collector)
+        focal_length = focal_length_doubt(seen, mirror.absorber, collector)
+        diameter = diameter_doubt(diameter_of_absorber(mirror.reflector, collector), collector)
+    sizes = outline_doubts(*spans_of(np.array(rims)), collector)
+    return gather_doubts(overexposure_doubt(float(np.median(clipped))), focal_length, diameter, sizes)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.doubts import gather_doubts
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_luma
 from heliogauge.running.progress import Progress, SilentProgress
@@ -105,7 +106,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined.covariances,
         picture,
         name=inputs.name,
-        doubts=(*cameras.network.doubts, *doubts, *intercept.doubts),
+        doubts=gather_doubts(cameras.network.doubts, doubts, intercept.doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=inputs.input_sha256,
     )

@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution, solve_absorber
-from observer.absorber.product import absorber_warnings
+from observer.absorber.product import absorber_doubts
 from observer.doubts.design_checks import sparse_doubt
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.photos import SeenInPhotos
@@ -30,7 +31,7 @@ class PlacedAbsorber:
 
     path: AbsorberPath
     solution: AbsorberSolution | None
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,8 @@ def place_absorber(inputs: Inputs, seen: SeenInPhotos, photos: Photos) -> Placed
         solution = solve_absorber(seen.bearings, photos, path, inputs.stations_m)
         path = solution.path
     is_design = inputs.absorber_source == "design"
-    return PlacedAbsorber(path, solution, absorber_warnings(path, solution, inputs.collector, is_design=is_design))
+    doubts = tuple(absorber_doubts(path, solution, inputs.collector, is_design=is_design))
+    return PlacedAbsorber(path, solution, doubts)
 
 
 def solve_mirror(inputs: Inputs, seen: SeenInPhotos, photos: Photos, placed: PlacedAbsorber) -> SolvedMirror:

@@ -72,15 +72,10 @@ def run(
         raise EstimationError(f"{measurement.model.name}: none of {len(failed)} modules could be measured\n{reasons}")
     with progress.stage("overview"):
         places = {one.name: np.array(one.place_m) for one in done}
-        found = pipeline_overview.run([folder / one.name for one in done], base=folder, places_m=places)
-        found = replace(
-            found,
-            name=measurement.model.name,
-            failed=failed,
-            input_sha256=hashes,
-            durations_s=_by_module(progress.durations_s, found.labels),
-        )
-        pipeline_overview.write(found, folder)
+        found = pipeline_overview.run([folder / one.name for one in done], base=folder, places_m=places, failed=failed)
+        durations = _by_module(progress.durations_s, found.labels)
+        found = replace(found, name=measurement.model.name, input_sha256=hashes, durations_s=durations)
+        found.write(folder)
     if report:
         with progress.stage("report"):
             build_report(folder)

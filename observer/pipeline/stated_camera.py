@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
-from heliogauge.errors import EstimationError, MetrologyError
+from heliogauge.doubts import Doubt, Severity, gather_doubts
+from heliogauge.errors import EstimationError, MetrologyError, NotConvergedError
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
 from observer.doubts.design_checks import camera_doubt
@@ -33,7 +34,7 @@ _FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", 
 
 def stated_camera_doubt(
     network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
-) -> str | None:
+) -> Doubt | None:
     """Say whether the stated camera contradicts the targets, and what some photos say that it is.
 
     first: What was found in the photos.
@@ -48,7 +49,7 @@ def stated_camera_doubt(
 
 def _doubt_by_fit(
     network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
-) -> str | None:
+) -> Doubt | None:
     """Say with which camera the targets fit much better; None where there is no such camera."""
     factor = network.solved.image_sigma_factor
     found = _with_free(survey, first, _FREE, _PHOTOS)
@@ -58,16 +59,20 @@ def _doubt_by_fit(
     said = _differences(network.camera, found.camera)
     if better > _BETTER_SHARE * factor or not said:
         return None
-    return (
+    free = ", ".join(f'"{name}"' for name in _FREE)
+    return Doubt(
+        "camera_contradicts_targets",
         f"camera: with the stated one the targets' image points fit {factor:.1f} times worse than they were measured, "
         f"with {', '.join(said)} {better:.1f} times; slopes and absorber are wrong with it. Let the photos tell: under "
-        f"[camera] free = {list(_FREE)}, or calibrate the camera".replace("'", '"').replace('targets"', "targets'")
+        f"[camera] free = [{free}], or calibrate the camera",
+        {"image_sigma_factor": factor, "image_sigma_with_other_camera_factor": better},
+        Severity.SERIOUS,
     )
 
 
 def _doubt_of_focal_length(
     network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
-) -> str | None:
+) -> Doubt | None:
     """Say whether targets and list tell another focal length, however well they fit the stated one."""
     found = _with_free(survey, first, ("focal_px",), _FOCAL_PHOTOS)
     if found is None:
@@ -77,11 +82,14 @@ def _doubt_of_focal_length(
     apart = float(np.hypot(sigma, network.camera.sigma_parameters[0]))
     if not sigma > 0 or abs(now - was) < max(_FOCAL_TIMES_SIGMA * apart, _FOCAL_SHARE * was):
         return None
-    return (
+    return Doubt(
+        "focal_length_contradicts_targets",
         f"camera: focal_px = {was:.6g} does not fit: targets and their list say {now:.6g} +- {sigma:.1g} "
         f"({100 * (now / was - 1):+.2f} %), which image points in one plane hardly show; slopes and absorber are wrong "
         'with it. Let the photos tell: under [camera] free = ["focal_px"], or calibrate the camera; else look whether '
-        "the coordinates are as good as their sigmas"
+        "the coordinates are as good as their sigmas",
+        {"stated_px": was, "found_px": now, "sigma_found_px": sigma},
+        Severity.SERIOUS,
     )
 
 
@@ -129,9 +137,7 @@ def explained() -> Iterator[None]:
     """
     try:
         yield
-    except EstimationError as error:
-        if "not converged" not in str(error):
-            raise
+    except NotConvergedError as error:
         raise EstimationError(
             f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
             "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "
@@ -149,8 +155,7 @@ def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
     try:
         yield
     except EstimationError as error:
-        doubt = camera_doubt(network.solved.image_sigma_factor)
-        said = [text for text in (doubt, *network.doubts) if text is not None]
-        if not said:
+        doubts = gather_doubts(camera_doubt(network.solved.image_sigma_factor), network.doubts)
+        if not doubts:
             raise
-        raise EstimationError(f"{error}; before that: {said[0]}") from error
+        raise EstimationError(f"{error}; before that: {doubts[0]}") from error

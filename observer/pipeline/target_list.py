@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from observer.pipeline.inputs import AXES, Inputs
 from observer.pipeline.photos import Finder, FirstLook
 from observer.targets.list_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
@@ -27,7 +28,7 @@ class CheckedList:
 
     survey: PhotogrammetryMeasurement
     first: FirstLook
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def check_list(inputs: Inputs, first: FirstLook) -> CheckedList:
@@ -60,9 +61,11 @@ def leave_out_lines(survey: PhotogrammetryMeasurement, first: FirstLook, known: 
     targets = tuple(one for one in first.targets if one.detections.photo not in on_line)
     poses = {name: pose for name, pose in first.poses.items() if name not in on_line}
     files = tuple(file for file in survey.photo_files if file.name not in on_line)
-    doubt = (
+    doubt = Doubt(
+        "photos_with_targets_on_a_line",
         f"{len(on_line)} photos show targets along one line only, as those of one rim, which determine no pose, and "
-        f"were left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}"
+        f"were left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}",
+        {"photos_count": len(on_line)},
     )
     return CheckedList(replace(survey, photo_files=files), replace(first, targets=targets, poses=poses), (doubt,))
 
@@ -130,9 +133,11 @@ def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
         one for one in survey.model.constraint if not (isinstance(one, CoordinateSection) and one.target in names)
     )
     listed = ", ".join(f"{name} ({1e3 * step * far:.0f} mm)" for name, far in zip(names, usual[which], strict=True))
-    doubt = (
+    doubt = Doubt(
+        "targets_not_where_listed",
         f"targets: not where the list has them: {listed}; their coordinates were not used. Were two exchanged, one "
-        "moved, or a number mistyped?"
+        "moved, or a number mistyped?",
+        {"targets_count": len(names)},
     )
     survey = replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
     return CheckedList(survey, first, (*found.doubts, doubt))

@@ -58,7 +58,7 @@ def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: f
     return x, np.asarray(0.5 * (angles[1] - angles[0]))
 
 
-def incidence_warning(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> Doubt | None:
+def incidence_doubt(slope_map: SlopeMap, eyes_m: FloatArray, collector: Collector, along_rad: float) -> Doubt | None:
     """Say how much of the mirror was seen so slantwise that slopes along the trough matter, which nobody measured.
 
     Shapes: eyes_m (n, 3).

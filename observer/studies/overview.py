@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.results.arrays import read_arrays
-from heliogauge.results.folder import Summary, hash_files, read_summary, write_summary, write_table_csv
+from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.validate import FloatArray
 from observer.files import ANGLES, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, write_maps
 
@@ -23,43 +25,69 @@ _FACET_KEYS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(InstrumentResult):
     """Summaries of modules.
 
     folders: Results, in the order given.
     labels: What each is called: its folder, as given or relative to the overview's.
     modules: What each says.
-    doubts: Which modules are doubtful.
-    input_sha256: Hash of each file read.
-    name: Name of the flight.
     failed: Modules that could not be measured, with the reason.
     places_m: Where modules are in the common frame, by label, shape (3,) [m].
-    durations_s: Wall time of each stage [s].
     """
 
+    kind: ClassVar[str] = KIND
     folders: tuple[Path, ...]
     labels: tuple[str, ...]
     modules: tuple[Summary, ...]
-    doubts: tuple[str, ...]
-    input_sha256: dict[str, str]
-    name: str = "overview"
     failed: Mapping[str, str] = field(default_factory=dict)
     places_m: Mapping[str, FloatArray] = field(default_factory=dict)
-    durations_s: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def all_warnings(self) -> tuple[str, ...]:
-        """What failed first, then what is doubtful."""
-        return (*(f"{name}: not measured: {reason}" for name, reason in self.failed.items()), *self.doubts)
+    def summarise(self) -> Summary:
+        """Collect the headline numbers of all modules."""
+        facets = {
+            label: {key: value for key in _FACET_KEYS if (value := module.numbers.get(key)) is not None}
+            for label, module in zip(self.labels, self.modules, strict=True)
+        }
+        return self._summary(
+            {"modules_count": len(self.modules), "failed_count": len(self.failed)},
+            {"sign": "theta_ra and theta_r positive where the mirror's normal is turned towards +x"},
+            facets=facets,
+        )
+
+    def write_files(self, folder: Path) -> None:
+        """Write overview.csv and overview.nc into an existing folder."""
+        write_table_csv(folder / OVERVIEW_TABLE, _table(self))
+        maps = [_read_map(one, label) for one, label in zip(self.folders, self.labels, strict=True)]
+        write_maps(folder / OVERVIEW_MAPS, [one for one in maps if one is not None])
+
+    def headline(self) -> str:
+        """Return each module's most important numbers in a line."""
+        lines = []
+        for label, module in zip(self.labels, self.modules, strict=True):
+            slope, aimed, kept = (
+                module.numbers.get(key) for key in ("rms_theta_r_rad", "rms_theta_ra_rad", "intercept_ratio")
+            )
+            said = [f"theta_r {1e3 * slope:.2f} mrad RMS" if slope is not None else "no slopes"]
+            said += [f"theta_ra {1e3 * aimed:.2f} mrad RMS"] if aimed is not None else []
+            said += [f"intercept factor {kept:.4f}"] if kept is not None else []
+            said += [f"{len(module.doubts)} warning{'s' if len(module.doubts) > 1 else ''}"] if module.doubts else []
+            name = label if label == module.name else f"{label} ({module.name})"
+            lines.append(f"{name}: {', '.join(said)}")
+        return "\n".join([*lines, *(f"{name}: not measured" for name in self.failed)])
 
 
 def run(
-    folders: Sequence[Path], *, base: Path | None = None, places_m: Mapping[str, FloatArray] | None = None
+    folders: Sequence[Path],
+    *,
+    base: Path | None = None,
+    places_m: Mapping[str, FloatArray] | None = None,
+    failed: Mapping[str, str] | None = None,
 ) -> Result:
     """Collect results of ``heliogauge observer``.
 
     base: Folder that their names are given from.
     places_m: Where modules are in a common frame, by their names from there [m].
+    failed: Modules that could not be measured, with the reason.
     InputError: A folder that holds no result of the Observer, or the same folder twice.
     """
     if len({folder.resolve() for folder in folders}) < len(folders):
@@ -69,34 +97,34 @@ def run(
         if module.kind != "observer":
             raise InputError(f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer` are needed')
     labels = tuple(str(folder if base is None else folder.relative_to(base)) for folder in folders)
-    doubts = tuple(
-        f"{label}: {f'{len(module.doubts)} warnings, the first: ' if len(module.doubts) > 1 else ''}{module.doubts[0]}"
-        for label, module in zip(labels, modules, strict=True)
-        if module.doubts
+    not_measured = (
+        Doubt("module_not_measured", f"{name}: not measured: {reason}") for name, reason in (failed or {}).items()
     )
+    doubtful = (_first_of(label, module) for label, module in zip(labels, modules, strict=True) if module.doubts)
     # All files are called summary.json: the folder tells them apart.
     hashes = {
         str(folder / name): digest
         for folder in folders
         for name, digest in hash_files([folder / "summary.json"]).items()
     }
-    return Result(tuple(folders), labels, modules, doubts, hashes, places_m=places_m or {})
+    return Result(
+        tuple(folders),
+        labels,
+        modules,
+        failed or {},
+        places_m or {},
+        name="overview",
+        doubts=gather_doubts(not_measured, doubtful),
+        input_sha256=hashes,
+    )
 
 
-def write(result: Result, folder: Path) -> None:
-    """Write overview.csv, overview.nc and summary.json into an existing folder."""
-    write_table_csv(folder / OVERVIEW_TABLE, _table(result))
-    maps = [_read_map(one, label) for one, label in zip(result.folders, result.labels, strict=True)]
-    write_maps(folder / OVERVIEW_MAPS, [one for one in maps if one is not None])
-    facets = {
-        label: {key: value for key in _FACET_KEYS if (value := module.numbers.get(key)) is not None}
-        for label, module in zip(result.labels, result.modules, strict=True)
-    }
-    write_summary(folder / "summary.json", Summary(
-        kind=KIND, name=result.name, numbers={"modules_count": len(result.modules), "failed_count": len(result.failed)},
-        texts={"sign": "theta_ra and theta_r positive where the mirror's normal is turned towards +x"},
-        doubts=result.all_warnings, durations_s=result.durations_s, input_sha256=result.input_sha256, facets=facets,
-    ))  # fmt: skip
+def _first_of(label: str, module: Summary) -> Doubt:
+    """Return the first doubt of a module, with its name and how many there are."""
+    count = len(module.doubts)
+    text = f"{label}: {f'{count} warnings, the first: ' if count > 1 else ''}{module.doubts[0]}"
+    worst = max((one.severity for one in module.doubts), key=list(Severity).index)
+    return Doubt("module_doubtful", text, {"doubts_count": count}, worst)
 
 
 def _table(result: Result) -> dict[str, list[Any]]:
@@ -127,19 +155,3 @@ def _read_map(folder: Path, label: str) -> ModuleMap | None:
     steps = tuple(max(-(-found[axis].size // _MOST_NODES), 1) for axis in "yx")
     angles = [found[name][:: steps[0], :: steps[1]] for name in ("theta_ra", "theta_r")]
     return ModuleMap(label, found["x"][:: steps[1]], found["y"][:: steps[0]], *angles)
-
-
-def headline_text(result: Result) -> str:
-    """Say each module's most important numbers in a line."""
-    lines = []
-    for label, module in zip(result.labels, result.modules, strict=True):
-        slope, aimed, kept = (
-            module.numbers.get(key) for key in ("rms_theta_r_rad", "rms_theta_ra_rad", "intercept_ratio")
-        )
-        said = [f"theta_r {1e3 * slope:.2f} mrad RMS" if slope is not None else "no slopes"]
-        said += [f"theta_ra {1e3 * aimed:.2f} mrad RMS"] if aimed is not None else []
-        said += [f"intercept factor {kept:.4f}"] if kept is not None else []
-        said += [f"{len(module.doubts)} warning{'s' if len(module.doubts) > 1 else ''}"] if module.doubts else []
-        lines.append(f"{label}: {', '.join(said)}" if label == module.name else
-                     f"{label} ({module.name}): {', '.join(said)}")  # fmt: skip
-    return "\n".join([*lines, *(f"{name}: not measured" for name in result.failed)])

@@ -145,7 +145,7 @@ def _needed(nodes: _Nodes, eyes_m: FloatArray) -> tuple[float, float]:
     return float(np.percentile(place, 1)), float(np.percentile(place, 99))
 
 
-def coverage_warning(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> Doubt | None:
+def coverage_doubt(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes_m: FloatArray) -> Doubt | None:
     """Say which part of the aperture the cameras' path leaves out, and where to fly.
 
     Shapes: x_m (nx,), eyes_m (n, 3).

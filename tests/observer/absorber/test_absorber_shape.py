@@ -9,7 +9,7 @@ import pytest
 from heliogauge.errors import InputError
 from heliogauge.results.tables import write_table_csv
 from observer.absorber.position import AbsorberSolution, StationFate
-from observer.absorber.product import absorber_columns, absorber_warnings, shape_numbers, span_columns, tube_spans
+from observer.absorber.product import absorber_columns, absorber_doubts, shape_numbers, span_columns, tube_spans
 from observer.absorber.shape import alignment, spans, supports_of
 from observer.files import read_absorber
 from observer.trough.absorber_path import AbsorberPath
@@ -130,18 +130,18 @@ def test_numbers_and_what_is_warned_of() -> None:
     np.testing.assert_allclose(numbers["absorber_sag_down_m"], 6e-3, atol=1e-9)
     np.testing.assert_allclose(numbers["absorber_tilt_x_rad"], 4e-4, atol=1e-9)
     assert numbers["absorber_stations_measured_count"] == VISIBLE.sum()
-    assert list(absorber_warnings(path, solution_of(path), COLLECTOR, is_design=False)) == []
-    (doubt,) = absorber_warnings(path, solution_of(path, 0.075), COLLECTOR, is_design=False)
+    assert list(absorber_doubts(path, solution_of(path), COLLECTOR, is_design=False)) == []
+    (doubt,) = absorber_doubts(path, solution_of(path, 0.075), COLLECTOR, is_design=False)
     assert "looks 75.0 mm thick" in doubt.text
     # With pixels of 12.3 mm 3 % are a sixth of one, as much as blur does.
     for diameter, doubted in ((0.0674, False), (0.0723, False), (0.0745, True)):
         coarse = replace(solution_of(path, diameter), pixel_m=12.3e-3)
-        assert bool(list(absorber_warnings(path, coarse, COLLECTOR, is_design=False))) == doubted
-    (doubt,) = absorber_warnings(path, None, COLLECTOR, is_design=True)
+        assert bool(list(absorber_doubts(path, coarse, COLLECTOR, is_design=False))) == doubted
+    (doubt,) = absorber_doubts(path, None, COLLECTOR, is_design=True)
     assert "not measured" in doubt.text
     assert "0.34 mrad" in doubt.text
     vague = path_of(path.x_m, path.z_m - 1.49, 4e-6 * np.eye(66))
-    (doubt,) = absorber_warnings(vague, solution_of(vague), COLLECTOR, is_design=False)
+    (doubt,) = absorber_doubts(vague, solution_of(vague), COLLECTOR, is_design=False)
     assert "uncertain by 2.0 mm" in doubt.text
     given = shape_numbers(AbsorberPath.straight(0.0, 1.49, 3.9), None, Collector(5.0, 7.8, 1.49, 0.07), 0.0)
     assert "absorber_sag_down_m" not in given

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliogauge.slopes.map import SlopeMap, no_common_modes
-from observer.product.longitudinal import incidence_warning
+from observer.product.longitudinal import incidence_doubt
 from observer.trough.collector import ls2
 
 EYES_M = np.stack([np.linspace(-3, 3, 61), np.zeros(61), np.full(61, 15.0)], axis=1)
@@ -23,7 +23,7 @@ def mirror(half_length_m: float) -> SlopeMap:
 
 
 def test_a_long_trough_in_one_pass_is_warned_of() -> None:
-    said = incidence_warning(mirror(6.0), EYES_M, ls2(), 2e-3)
+    said = incidence_doubt(mirror(6.0), EYES_M, ls2(), 2e-3)
     # 15 degrees from 15 m: beyond 3.7 to 4 m from the middle.
     assert said is not None
     assert 0.335 < said.numbers["slantwise_share"] < 0.385
@@ -36,4 +36,4 @@ def test_no_word_where_it_does_not_matter(case: str) -> None:
     if case == "two passes":
         zero = np.zeros(found.shape)
         found = replace(found, slope_y=zero, sigma_random_y=zero + 1e-4)
-    assert incidence_warning(found, EYES_M, ls2(), 2e-3) is None
+    assert incidence_doubt(found, EYES_M, ls2(), 2e-3) is None

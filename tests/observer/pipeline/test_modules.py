@@ -128,7 +128,8 @@ def test_a_module_that_fails_is_told_and_stops_nobody(tmp_path: Path, solved: di
     assert summary.numbers == {"modules_count": 1, "failed_count": 1}
     assert summary.facets == {"A": {"rms_theta_r_rad": 3e-3}}
     assert list(summary.durations_s) == ["hash inputs", "A", "B: adjust", "overview"]
-    assert result.all_warnings == ("B: not measured: reflection: only 0 edges", "A: a doubt")
+    assert [one.code for one in result.doubts] == ["module_not_measured", "module_doubtful"]
+    assert [one.text for one in result.doubts] == ["B: not measured: reflection: only 0 edges", "A: a doubt"]
 
 
 def test_all_modules_failing_is_an_error_with_each_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

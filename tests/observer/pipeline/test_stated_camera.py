@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, NotConvergedError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.models import PhotosSection
 from observer.pipeline.photos import FirstLook
@@ -89,8 +89,8 @@ def test_focal_length_that_targets_in_one_plane_hide_is_named() -> None:
     said, factor = doubt(1.01 * TRUE_PX, 0.06, 1)
     assert factor < 1.3
     assert said is not None
-    assert "camera: focal_px = 1040.3 does not fit" in said
-    assert 'free = ["focal_px"]' in said
+    assert "camera: focal_px = 1040.3 does not fit" in said.text
+    assert 'free = ["focal_px"]' in said.text
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -101,6 +101,6 @@ def test_focal_length_that_is_right_is_not_doubted(sigma_px: float, seed: int) -
 
 def test_an_adjustment_that_does_not_settle_names_the_usual_causes() -> None:
     with pytest.raises(EstimationError, match=r"200 iterations.*rolling shutter.*zoom.*\[camera\] free"), explained():
-        raise EstimationError("bundle adjustment: not converged after 200 iterations")
+        raise NotConvergedError("bundle adjustment: not converged after 200 iterations")
     with pytest.raises(EstimationError, match=r"^other$"), explained():
         raise EstimationError("other")

@@ -1,16 +1,15 @@
 """One table for several modules."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, write_summary
 from heliogauge.results.tables import read_table_csv
 from observer.files import OVERVIEW_MAPS, write_maps
 from observer.report.figures_modules import ModuleMap, modules_figure
-from observer.studies.overview import headline_text, run, write
+from observer.studies.overview import run
 
 
 def result_of(folder, kind="observer", doubts=(), **numbers):
@@ -24,17 +23,18 @@ def result_of(folder, kind="observer", doubts=(), **numbers):
 
 def test_a_row_for_each_module(tmp_path):
     first = result_of(tmp_path / "a1", rms_theta_r_rad=3e-3, rms_theta_ra_rad=2.5e-3)
-    second = result_of(tmp_path / "a2", doubts=("a doubt",), rms_theta_r_rad=None, edges_used_count=12)
+    doubt = Doubt("a_doubt", "a doubt", severity=Severity.SERIOUS)
+    second = result_of(tmp_path / "a2", doubts=(doubt,), rms_theta_r_rad=None, edges_used_count=12)
     result = run([first, second])
     (tmp_path / "out").mkdir()
-    write(result, tmp_path / "out")
+    result.write(tmp_path / "out")
     table = read_table_csv(tmp_path / "out" / "overview.csv", ("result", "name"))
     assert table["name"] == ["A1", "A2"]
     assert [float(table["rms_theta_r_rad"][0]), table["rms_theta_r_rad"][1]] == [3e-3, ""]
     assert table["edges_used_count"] == ["", "12"]
     assert table["warnings"] == ["0", "1"]
-    assert result.doubts == (f"{second}: a doubt",)
-    assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in headline_text(result)
+    assert result.doubts == (Doubt("module_doubtful", f"{second}: a doubt", {"doubts_count": 1}, Severity.SERIOUS),)
+    assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in result.headline()
     assert len(result.input_sha256) == 2
 
 
@@ -53,7 +53,7 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
         result_of(tmp_path / name, rms_theta_r_rad=3e-3, sigma_rms_theta_r_rad=1e-4, intercept_ratio=0.99)
         for name in ("one", "two")
     ]
-    write(replace(run(folders, base=tmp_path), failed={"three": "no <targets>"}), tmp_path)
+    run(folders, base=tmp_path, failed={"three": "no <targets>"}).write(tmp_path)
     x, y = np.linspace(-2.5, 2.5, 26), np.linspace(-1.5, 1.5, 16)
     theta = np.where(x > 0, 2e-3, -1e-3) * np.ones((16, 1))
     theta[3] = np.nan

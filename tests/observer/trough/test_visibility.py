@@ -9,7 +9,7 @@ from heliogauge.flags import SampleFlag
 from observer.photo_edges.reflection_edges import design_misfit
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
-from observer.trough.visibility import Visibility, coverage_warning, seeable_shares, visibility
+from observer.trough.visibility import Visibility, coverage_doubt, seeable_shares, visibility
 
 X = (np.arange(100) + 0.5) * 0.05 - 2.5
 
@@ -70,10 +70,10 @@ def test_short_pass_is_told_where_to_fly() -> None:
     collector = trough()
     _, whole = seen_from(line_of_cameras(3.0), collector)
     aperture = np.ones(whole.flags.shape, dtype=bool)
-    assert coverage_warning(whole, X, aperture, line_of_cameras(3.0)) is None
+    assert coverage_doubt(whole, X, aperture, line_of_cameras(3.0)) is None
     eyes = line_of_cameras(3.0)[:120]
     _, part = seen_from(eyes, collector)
-    doubt = coverage_warning(part, X, aperture, eyes)
+    doubt = coverage_doubt(part, X, aperture, eyes)
     assert doubt is not None
     text = doubt.text
     # Photos end at x = 0.57 m; edges there are seen on the mirror up to 0.57 m + 0.3 m.
@@ -92,7 +92,7 @@ def test_pass_too_short_on_both_sides_and_with_a_gap_names_each_part() -> None:
     for kept, parts in ((np.abs(all_eyes[:, 0]) < 1.2, 2), (np.abs(all_eyes[:, 0] - 1.0) > 0.7, 1)):
         eyes = all_eyes[kept]
         _, found = seen_from(eyes, collector)
-        text = str(coverage_warning(found, X, np.ones(found.flags.shape, dtype=bool), eyes))
+        text = str(coverage_doubt(found, X, np.ones(found.flags.shape, dtype=bool), eyes))
         named = text[text.index("(x = ") : text.index(" m): ")]
         assert named.count(" to ") == parts
         assert ("1.41 m apart at x = 0.30 to 1.71 m" in text) == (parts == 1)
