@@ -25,6 +25,7 @@ from heliogauge.measurement.models import (
     Text,
     Vector2,
     Vector3,
+    repeated,
 )
 
 # --- camera ---------------------------------------------------------------------------------------------------------
@@ -81,24 +82,29 @@ CameraSection = Annotated[
 # --- screen ---------------------------------------------------------------------------------------------------------
 
 
-class _ScreenPose(Section):
-    """Keys that every screen has: its pose ``cam_from_screen`` with sigma, and the response of camera and display."""
+class PoseSection(Section):
+    """A pose with its sigma: ``cam_from_screen``; of a mirror ``cam_from_facet``, of several ``cam_from_ensemble``."""
 
-    rotation_vector_rad: Vector3 = Field(description="Rotation of cam_from_screen as a vector [rad].")
-    translation_m: Vector3 = Field(description="The screen's origin in the camera's frame [m].")
+    rotation_vector_rad: Vector3 = Field(description="Rotation into the camera's frame, as a vector [rad].")
+    translation_m: Vector3 = Field(description="Origin in the camera's frame [m].")
     sigma_rotation_mrad: Sigma3 = Field(
         (0.0, 0.0, 0.0), description="1 sigma about each axis; one number stands for three [mrad]."
     )
     sigma_translation_mm: Sigma3 = Field(
         (0.0, 0.0, 0.0), description="1 sigma along each axis; one number stands for three [mm]."
     )
+
+
+class _ScreenSection(PoseSection):
+    """What every screen has beside its pose: how well its shape is known, and the response of camera and display."""
+
     sigma_points_mm: Sigma = Field(0.0, description="How far points are off the screen's shape, 1 sigma [mm].")
     response_file: Text | None = Field(
         None, description="Response of camera and display: columns camera_dn, display_level."
     )
 
 
-class RectangularScreenSection(_ScreenPose):
+class RectangularScreenSection(_ScreenSection):
     """A flat rectangular screen; its frame has the origin in the middle, x right, y up, z towards the viewer."""
 
     shape: Literal["rectangle"] = Field(description="A flat rectangular screen.")
@@ -106,7 +112,7 @@ class RectangularScreenSection(_ScreenPose):
     height_m: Positive = Field(description="Height of the displayed image [m].")
 
 
-class TabulatedScreenSection(_ScreenPose):
+class TabulatedScreenSection(_ScreenSection):
     """A screen of any shape: a CSV table with the columns u, v, x_m, y_m, z_m."""
 
     shape: Literal["table"] = Field(description="A screen of any shape, as a table of points.")
@@ -181,21 +187,6 @@ class FacetSection(DesignKeys):
     )
 
 
-class PoseSection(Section):
-    """A pose that was measured otherwise: ``cam_from_facet``, or ``cam_from_ensemble`` where there are facets."""
-
-    rotation_vector_rad: Vector3 = Field(
-        description="Rotation of cam_from_facet or cam_from_ensemble as a vector [rad]."
-    )
-    translation_m: Vector3 = Field(description="Translation of cam_from_facet or cam_from_ensemble [m].")
-    sigma_rotation_mrad: Sigma3 = Field(
-        (0.0, 0.0, 0.0), description="1 sigma about each axis; one number stands for three [mrad]."
-    )
-    sigma_translation_mm: Sigma3 = Field(
-        (0.0, 0.0, 0.0), description="1 sigma along each axis; one number stands for three [mm]."
-    )
-
-
 class DistanceSection(Section):
     """The measured distance from a point of the mirror's frame to the origin of the screen's frame."""
 
@@ -254,9 +245,7 @@ class MirrorSection(DesignKeys):
             raise ValueError(
                 "outline_m and [[mirror.facet]] are both given; an ensemble has outlines in its facets only"
             )
-        names = [facet.name for facet in self.facet]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
+        if (twice := repeated(facet.name for facet in self.facet)) is not None:
             raise ValueError(f'two facets are called "{twice}"; each needs its own name')
         has_outline = self.outline_m is not None or bool(self.facet)
         if not (has_outline or self.pose or self.distance or len(self.known_point) >= 3):

@@ -11,7 +11,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
-from heliogauge.measurement.models import ImageFiles, MeasurementModel, Number, Positive, Section, Sigma, Text
+from heliogauge.measurement.models import ImageFiles, MeasurementModel, Number, Positive, Section, Sigma, Text, repeated
 from photogrammetry.keys import (
     CameraSections,
     DistanceSection,
@@ -207,10 +207,8 @@ class ObserverModel(MeasurementModel):
 
     @model_validator(mode="after")
     def _several_modules(self) -> Self:
-        names = [one.name.lower() for one in self.module]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(f"module: the name {twice[0]} occurs twice; each module gets a folder of its name")
+        if (twice := repeated(one.name.lower() for one in self.module)) is not None:
+            raise ValueError(f"module: the name {twice} occurs twice; each module gets a folder of its name")
         if self.module and (self.targets.dictionary is None or self.targets.tracked_from is not None):
             raise ValueError("module: several modules are told apart by coded targets; give targets a dictionary")
         if self.module and (self.absorber.file is not None or self.absorber.photos is not None):

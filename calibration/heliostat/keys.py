@@ -18,6 +18,7 @@ from heliogauge.measurement.models import (
     Text,
     Vector2,
     Vector3,
+    repeated,
 )
 
 Preset = Literal["azimuth-elevation", "drone", "six-error", "two-axes", "linear-actuators"]
@@ -236,9 +237,7 @@ class HeliostatModel(MeasurementModel):
         elif self.site is None:
             raise ValueError("[site] is missing: latitude_deg, longitude_deg, altitude_m of the plant, for the sun")
         for kind, names in (("target", self.target), ("camera", self.camera)):
-            listed = [one.name for one in names]
-            twice = next((name for name in listed if listed.count(name) > 1), None)
-            if twice is not None:
+            if (twice := repeated(one.name for one in names)) is not None:
                 raise ValueError(f"{kind} {twice!r} is described twice; give each its own name")
         return self
 

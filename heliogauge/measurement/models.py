@@ -5,6 +5,8 @@ keys are errors. A scalar sigma stands for three equal ones. Sections of one ins
 """
 
 import datetime
+from collections import Counter
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -26,6 +28,15 @@ def _three_times(value: Any) -> Any:
 
 Sigma3 = Annotated[tuple[Sigma, Sigma, Sigma], BeforeValidator(_three_times)]
 Outline = Annotated[tuple[Vector2, ...], Field(min_length=3)]
+
+
+def repeated(names: Iterable[str]) -> str | None:
+    """Return the first name that occurs twice.
+
+    >>> repeated(["a", "b", "a"])
+    'a'
+    """
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 class Section(BaseModel):

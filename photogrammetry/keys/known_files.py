@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from heliogauge.errors import InputError
-from heliogauge.measurement.models import Section
+from heliogauge.measurement.models import Section, repeated
 from photogrammetry.keys.measurement import (
     ControlPointSection,
     CoordinateSection,
@@ -41,9 +41,7 @@ def with_known_files(model: PhotogrammetryModel, folder: Path) -> Photogrammetry
             *model.control_point,
             *_rows(path, CONTROL_POINT_COLUMNS, _control_point, ControlPointSection),
         )
-        names = [one.target for one in more["control_point"]]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
+        if (twice := repeated(one.target for one in more["control_point"])) is not None:
             raise InputError(f"{path}: control point {twice} is given twice; keep one")
     if files.scale_bars is not None:
         bars = _rows(folder / files.scale_bars, SCALE_BAR_COLUMNS, _scale_bar, ScaleBarSection)

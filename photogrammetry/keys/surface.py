@@ -4,7 +4,17 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from heliogauge.measurement.models import DESIGN_KEYS, DesignKeys, Outline, Positive, Section, Text, Vector2, Vector3
+from heliogauge.measurement.models import (
+    DESIGN_KEYS,
+    DesignKeys,
+    Outline,
+    Positive,
+    Section,
+    Text,
+    Vector2,
+    Vector3,
+    repeated,
+)
 
 #: Names, patterns with ``*`` and ``?``, and ranges ``17..32`` or ``A1..A9``.
 TargetNames = Annotated[tuple[Text, ...], Field(min_length=1)]
@@ -76,8 +86,7 @@ class SurfaceSection(DesignKeys):
             ("facets", [one.name for one in self.facet]),
             ("references", [one.target for one in self.reference]),
         ):
-            twice = next((name for name in names if names.count(name) > 1), None)
-            if twice is not None:
+            if (twice := repeated(names)) is not None:
                 raise ValueError(f'two {what} are called "{twice}"')
         return self
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from heliogauge.measurement.models import Positive, Section, Text, Vector3
+from heliogauge.measurement.models import Positive, Section, Text, Vector3, repeated
 
 
 class UncodedSection(Section):
@@ -91,9 +91,7 @@ class TargetsSection(Section):
             )
         if self.charuco is not None and not self.has_markers:
             raise ValueError("charuco: the dictionary must be that of the board's markers, DICT_...")
-        names = [one.target for one in self.uncoded]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
+        if (twice := repeated(one.target for one in self.uncoded)) is not None:
             raise ValueError(f"uncoded: target {twice} is listed twice")
         if self.find_uncoded is False and self.is_listed:
             raise ValueError("find_uncoded = false, but targets without a code are listed; leave one of both out")

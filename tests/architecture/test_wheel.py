@@ -51,11 +51,11 @@ def test_top_level_is_the_six_packages(names: list[str]) -> None:
     assert top == set(PACKAGES)
 
 
-def test_every_module_and_notebook_is_in(names: list[str], repository: Path) -> None:
+def test_every_module_notebook_and_template_is_in(names: list[str], repository: Path) -> None:
     wanted = {
         path.relative_to(repository).as_posix()
         for package in PACKAGES
-        for pattern in ("*.py", "*.ipynb", "py.typed")
+        for pattern in ("*.py", "*.ipynb", "*.toml", "py.typed")
         for path in (repository / package).rglob(pattern)
         if ".ipynb_checkpoints" not in path.parts
     }

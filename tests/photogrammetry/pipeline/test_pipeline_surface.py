@@ -230,7 +230,7 @@ def test_section_is_checked_before_any_work(folder: Path, text: str, words: str)
 
 def test_keys_of_the_template_are_keys_of_the_section() -> None:
     template = read_resource("photogrammetry:template.toml")
-    content = tomllib.loads(template.partition("# The surface under the targets")[2].replace("#: ", ""))
+    content = tomllib.loads(template[template.index("# The surface under the targets") :].replace("#: ", ""))
     SurfaceSection.model_validate_json(json.dumps(content["surface"]))
     shown = set(content["surface"]) | {"mesh", "mesh_unit"}
     # Keys of other shapes, and where on its optic a facet sits, stand in the page.
