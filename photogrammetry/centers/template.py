@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.adjust.robust_scale import SIGMA_PER_MAD
+from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
@@ -56,6 +57,21 @@ class _Effort:
     enough_px: float
     persistent: bool
     pixels_at_once: int
+
+    @property
+    def descent(self) -> Descent:
+        """How the fits descend."""
+        return Descent(
+            self.most_steps,
+            0.0,
+            0.1,
+            10.0,
+            least=1e-3,
+            gone=1e-6,
+            rise=1e-6,
+            linear_below=1e-2,
+            persistent=self.persistent,
+        )
 
 
 _CAREFUL = _Effort(np.dtype(np.float64), 25, 1e-3, True, 20_000)
@@ -262,17 +278,6 @@ class _Start:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fits:
-    """Discs on their way to their pixels: parameters (12, n), residuals, kept (n, k), derivatives (12, n, k)."""
-
-    parameters: FloatArray
-    residuals: FloatArray
-    jacobian: FloatArray
-    kept: FloatArray
-    settled: BoolArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Fitted:
     """What came of n fits; the numbers of one that did not settle, or does not stand out, mean nothing."""
 
@@ -346,9 +351,9 @@ def _fitted(
     pixels = _cut_out(images, photo, centers, shapes, reach, effort)
     start = _started(pixels, shapes)
     fits = _robust(pixels, start, effort)
-    parameters, residuals, kept = fits.parameters, fits.residuals, fits.kept
+    parameters, residuals, kept = fits.parameters.T, fits.residuals, fits.roots
     precision = effort.precision
-    jacobian = fits.jacobian.transpose(1, 0, 2) * kept[:, None]
+    jacobian = fits.jacobian * kept[:, None]
     count, on_edge = (kept > 0).sum(axis=1), pixels.used.sum(axis=1)
     enough = _enough(count, on_edge)
     normal = (jacobian @ np.swapaxes(jacobian, 1, 2)).astype(np.float64)
@@ -500,94 +505,49 @@ def _medians(values: FloatArray, among: BoolArray) -> FloatArray:
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def _robust(pixels: _Pixels, start: _Start, effort: _Effort) -> _Fits:
+def _robust(pixels: _Pixels, start: _Start, effort: _Effort) -> SmallFits:
     """Settle all fits, and again without the pixels that are dust or glare."""
     kept = pixels.used.astype(effort.precision)
-    fits = _Fits(
-        start.parameters.copy(),
+    fits = SmallFits(
+        start.parameters.T.copy(),
         np.zeros_like(kept),
-        np.zeros((N_PARAMETERS, *kept.shape), effort.precision),
+        np.zeros((N_PARAMETERS, *kept.shape), effort.precision).transpose(1, 0, 2),
         kept,
+        start.mean.T,
+        start.weights.T,
         np.zeros(len(kept), dtype=np.bool_),
     )
+    radius = (start.parameters[2] * start.parameters[4] - start.parameters[3] ** 2) ** -0.5
+
+    def evaluate(rows: IntArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        own = slice(None) if rows.size == len(kept) else rows
+        values = pixels.values_dn[own]
+        model, jacobian = disc_model(parameters.T[:, :, None].astype(values.dtype), pixels.x[own], pixels.y[own])
+        return values - model, jacobian.transpose(0, 2, 1)
+
     active = np.flatnonzero(start.has_contrast)
     for turn in range(4):
         if turn == 0 or not effort.persistent:
-            fits.residuals[active], fits.jacobian[:, active] = _evaluated(pixels, active, fits.parameters[:, active])
-        _settle(pixels, start, fits, active, effort)
+            fits.residuals[active], fits.jacobian[active] = evaluate(active, fits.parameters[active])
+        descend(
+            fits,
+            active,
+            evaluate,
+            lambda step: np.hypot(step[:, 0], step[:, 1]) < effort.enough_px,
+            effort.descent,
+            lambda rows, trial: _plausible(trial.T, radius[rows]),
+        )
         size = np.abs(fits.residuals)
         limit = np.maximum(
             _OUTLIER_SIGMAS * SIGMA_PER_MAD * _medians(size, pixels.used),
-            _OUTLIER_CONTRAST * np.abs(fits.parameters[9]),
+            _OUTLIER_CONTRAST * np.abs(fits.parameters[:, 9]),
         )
-        kept = (pixels.used & (size <= limit[:, None])).astype(effort.precision)
-        active = active[fits.settled[active] & (kept != fits.kept)[active].any(axis=1)]
+        other = (pixels.used & (size <= limit[:, None])).astype(effort.precision)
+        active = active[fits.settled[active] & (other != kept)[active].any(axis=1)]
         if not active.size:
             break
-        fits.kept[active] = kept[active]
+        kept[active] = other[active]
     return fits
-
-
-def _evaluated(pixels: _Pixels, rows: IntArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return residuals (m, k) and derivatives (12, m, k) of some fits at parameters, (12, m)."""
-    own = slice(None) if rows.size == len(pixels.x) else rows
-    values = pixels.values_dn[own]
-    model, jacobian = disc_model(parameters[:, :, None].astype(values.dtype), pixels.x[own], pixels.y[own])
-    return values - model, jacobian.transpose(2, 0, 1)
-
-
-def _costs(fits: _Fits, start: _Start, rows: IntArray, residuals: FloatArray, parameters: FloatArray) -> FloatArray:
-    left = residuals * fits.kept[rows]
-    prior = (start.weights[:, rows] * (start.mean[:, rows] - parameters) ** 2).sum(axis=0)
-    return np.asarray((left * left).sum(axis=1) + prior)
-
-
-def _settle(pixels: _Pixels, start: _Start, fits: _Fits, active: IntArray, effort: _Effort) -> None:
-    """Levenberg-Marquardt for some fits at once; each stops by itself."""
-    count = len(pixels.x)
-    damping, cost = np.zeros(count), np.full(count, np.inf)
-    cost[active] = _costs(fits, start, active, fits.residuals[active], fits.parameters[:, active])
-    radius = (start.parameters[2] * start.parameters[4] - start.parameters[3] ** 2) ** -0.5
-    fits.settled[active] = False
-    for _ in range(effort.most_steps):
-        if not active.size:
-            return
-        own = slice(None) if active.size == count else active
-        here, mean, prior = fits.parameters[:, own], start.mean[:, own], start.weights[:, own]
-        jacobian = fits.jacobian[:, own].transpose(1, 0, 2)
-        weighted, left = jacobian * fits.kept[own][:, None], fits.residuals[own] * fits.kept[own]
-        normal = (weighted @ np.swapaxes(weighted, 1, 2)).astype(np.float64)
-        diagonal = np.einsum("nii->ni", normal)
-        diagonal += prior.T
-        diagonal *= 1 + damping[own][:, None]
-        right = (weighted @ left[:, :, None])[..., 0] + (prior * (mean - here)).T
-        try:
-            step = np.linalg.solve(normal, right[..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            step = (np.linalg.pinv(normal, hermitian=True) @ right[..., None])[..., 0]
-        moved = here + step.T
-        plausible = _plausible(moved, radius[own])
-        last = plausible & (np.hypot(step[:, 0], step[:, 1]) < effort.enough_px) & (damping[own] < 1e-2)
-        ended = active[last]
-        # So small a step that the model is linear in it.
-        fits.residuals[ended] -= (step[last, None].astype(effort.precision) @ jacobian[last])[:, 0]
-        fits.parameters[:, ended], fits.settled[ended] = moved[:, last], True
-        trial = plausible & ~last
-        rows, moved = active[trial], moved[:, trial]
-        residuals, derivatives = _evaluated(pixels, rows, moved)
-        now = _costs(fits, start, rows, residuals, moved)
-        # A rise by a millionth is round-off or a step along a direction that hardly matters.
-        better = now <= cost[rows] * (1 + 1e-6)
-        trial[trial] = better
-        good, worse = active[trial], active[~trial & ~last]
-        fits.parameters[:, good], fits.residuals[good] = moved[:, better], residuals[better]
-        fits.jacobian[:, good], cost[good] = derivatives[:, better], now[better]
-        if not effort.persistent:
-            active = good
-            continue
-        damping[good] = np.where(damping[good] > 1e-6, 0.1 * damping[good], 0.0)
-        damping[worse] = np.maximum(10 * damping[worse], 1e-3)
-        active = active[~last]
 
 
 def _plausible(parameters: FloatArray, reach: FloatArray) -> BoolArray:

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 #: Parameters of the model: corner, directions of both edges, blur, level, contrast, shading.
 _N_PARAMETERS = 9
-_MOST_STEPS = 25
+_DESCENT = Descent(most_steps=25, first=1e-6, down=0.1, up=100.0, rise=1e-9, ridge=1e-9)
 #: A ten-thousandth of a pixel is a hundredth of the noise of the best corner here.
 _ENOUGH_PX = 1e-4
 #: First the corner itself, so that few steps are made with all of its edges: 0.6 of the time.
@@ -134,10 +135,11 @@ def _fit_block(
     weights = np.clip(margin, 0.0, 1.0)
     pixels = (u, v, start.curvature_per_px)
     parameters = _start(values, weights, (off, start.along_x, start.along_y), pixels)
-    parameters, good, residuals, jacobian = _adjust(values, weights, parameters, pixels, enough_px)
+    fits = _adjust(values, weights, parameters, pixels, enough_px)
+    parameters, good = fits.parameters, fits.settled.copy()
     used = weights.sum(axis=1)
-    variance = (weights * residuals**2).sum(axis=1) / np.maximum(used - _N_PARAMETERS, 1.0)
-    covariance = _corner_covariance(jacobian, weights, variance)
+    variance = (weights * fits.residuals**2).sum(axis=1) / np.maximum(used - _N_PARAMETERS, 1.0)
+    covariance = _corner_covariance(fits.jacobian, weights, variance)
     contrast = parameters[:, 6]
     moved = np.abs(parameters[:, :2] - off).max(axis=1)
     good &= (moved < 0.2 * np.linalg.norm(start.along_x, axis=1) + 1) & (np.sqrt(variance) < 0.25 * np.abs(contrast))
@@ -206,37 +208,25 @@ def _model(
 
 def _adjust(
     values: FloatArray, weights: FloatArray, parameters: FloatArray, pixels: tuple[FloatArray, ...], enough_px: float
-) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
-    """Levenberg-Marquardt for all windows together, each with a damping; also residuals and derivatives at the end."""
-    done = np.zeros(len(values), dtype=np.bool_)
-    damping = np.full(len(values), 1e-6)
-    parameters = parameters.copy()
+) -> SmallFits:
+    """Fit all windows together."""
     u, v, curvature = pixels
-    model, jacobian = _model(parameters, *pixels)
-    residuals = values - model
-    cost = (weights * residuals**2).sum(axis=1)
-    for _ in range(_MOST_STEPS):
-        at = np.nonzero(~done)[0]
-        if not at.size:
-            break
-        weighted = jacobian[at] * weights[at][:, None]
-        normal = weighted @ np.swapaxes(jacobian[at], 1, 2)
-        right = (weighted @ residuals[at][:, :, None])[:, :, 0]
-        diagonal = np.einsum("nii->ni", normal)
-        diagonal += damping[at][:, None] * diagonal + 1e-9
-        step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        trial = parameters[at] + step
+
+    def evaluate(rows: IntArray, trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+        model, jacobian = _model(trial, u, v, curvature[rows])
+        return values[rows] - model, jacobian
+
+    def allow(rows: IntArray, trial: FloatArray) -> BoolArray:
         trial[:, 4] = np.clip(trial[:, 4], 0.05, 8.0)
-        trial_model, trial_jacobian = _model(trial, u, v, curvature[at])
-        trial_residuals = values[at] - trial_model
-        trial_cost = (weights[at] * trial_residuals**2).sum(axis=1)
-        better = trial_cost <= cost[at] * (1 + 1e-9)
-        moved = at[better]
-        parameters[moved], jacobian[moved] = trial[better], trial_jacobian[better]
-        residuals[moved], cost[moved] = trial_residuals[better], trial_cost[better]
-        damping[at] *= np.where(better, 0.1, 100.0)
-        done[at] = better & (np.abs(step[:, :2]).max(axis=1) < enough_px)
-    return parameters, done, residuals, jacobian
+        return np.ones(len(trial), dtype=np.bool_)
+
+    every = np.arange(len(values))
+    residuals, jacobian = evaluate(every, parameters)
+    nothing = np.zeros_like(parameters)
+    done = np.zeros(len(values), dtype=np.bool_)
+    fits = SmallFits(parameters.copy(), residuals, jacobian, np.sqrt(weights), nothing, nothing, done)
+    descend(fits, every, evaluate, lambda step: np.abs(step[:, :2]).max(axis=1) < enough_px, _DESCENT, allow)
+    return fits
 
 
 def _corner_covariance(jacobian: FloatArray, weights: FloatArray, variance: FloatArray) -> FloatArray:

@@ -8,8 +8,9 @@ import numpy as np
 
 from calibration.heliostat.beam_photos.light.background import area_resized
 from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "CENTROID_METHODS",
@@ -29,7 +30,7 @@ CENTROID_METHODS = ("intensity", "threshold", "gaussian", "super_gaussian")
 _THRESHOLD = 0.5
 #: Fits run on a picture of at most this many pixels on the longer side: a beam is many of them wide.
 _FIT_PX = 64
-_MOST_ITERATIONS = 60
+_DESCENT = Descent(most_steps=60, first=1e-3, down=1 / 8, up=8.0, most=1e12, ridge=1e-300)
 _LEAST_EXPONENT, _MOST_EXPONENT = 0.4, 6.0
 #: Blocks of the target across its longer side, in each of which an error of the background is taken as constant: from
 #: panels to shadows. The scale with the largest effect counts.
@@ -224,40 +225,49 @@ def _descend(
 ) -> tuple[FloatArray, FloatArray]:
     """Minimise the squares (Levenberg-Marquardt); return the parameters and the centre's derivative by each pixel."""
     x, y, wanted = pixels
-    here = start
-    values, jacobian = _model(here, x, y)
-    cost, damping = float(np.sum((wanted - values) ** 2)), 1e-3
-    for _ in range(_MOST_ITERATIONS):
-        rows = jacobian[:, free]
-        normal, gradient = rows.T @ rows, rows.T @ (wanted - values)
-        step = np.zeros(7)
-        step[free] = np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(normal)), gradient
-        )
-        trial = here + step
-        better = _possible(trial)
-        if better:
-            trial_values, trial_jacobian = _model(trial, x, y)
-            trial_cost = float(np.sum((wanted - trial_values) ** 2))
-            better = trial_cost <= cost
-        if not better:
-            damping *= 8
-            if damping > 1e12:
-                break
-            continue
-        moved = float(np.abs(step[1:3]).max())
-        here, values, jacobian, cost, damping = trial, trial_values, trial_jacobian, trial_cost, damping / 8
-        if moved < 1e-6:
-            break
-    else:
-        raise EstimationError(f"the fit of the beam did not converge in {_MOST_ITERATIONS} steps")
-    return here, _center_derivative(here, free, pixels, jacobian)
+
+    def at(values: FloatArray) -> FloatArray:
+        whole = start.copy()
+        whole[free] = values
+        return whole
+
+    def evaluate(rows: IntArray, trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if not rows.size:
+            return np.empty((0, x.size)), np.empty((0, trial.shape[1], x.size))
+        values, jacobian = _model(at(trial[0]), x, y)
+        return (wanted - values)[None], jacobian.T[free][None]
+
+    one, first = np.arange(1), start[free][None]
+    residuals, jacobian = evaluate(one, first)
+    fit = SmallFits(
+        first.copy(),
+        residuals,
+        jacobian,
+        np.ones_like(residuals),
+        np.zeros_like(first),
+        np.zeros_like(first),
+        np.zeros(1, dtype=np.bool_),
+    )
+    descend(
+        fit,
+        one,
+        evaluate,
+        lambda step: np.abs(step[:, 1:3]).max(axis=1) < 1e-6,
+        _DESCENT,
+        lambda rows, trial: np.array([_possible(at(trial[0]))]),
+    )
+    if not fit.settled[0]:
+        raise EstimationError(f"the fit of the beam did not converge in {_DESCENT.most_steps} steps")
+    return at(fit.parameters[0]), _center_derivative(at(fit.parameters[0]), free, pixels, fit.jacobian[0])
 
 
 def _center_derivative(
     found: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
 ) -> FloatArray:
-    """Implicit derivative at the minimum, with the true Hessian: a beam is no Gaussian, so residuals are not noise."""
+    """Implicit derivative at the minimum, with the true Hessian: a beam is no Gaussian, so residuals are not noise.
+
+    jacobian (p, m): Derivatives by the free parameters there.
+    """
     x, y, wanted = pixels
     names = np.flatnonzero(free)
     hessian = np.empty((names.size, names.size))
@@ -271,7 +281,7 @@ def _center_derivative(
             sides.append(rows[:, free].T @ (wanted - values))
         hessian[:, k] = (sides[1] - sides[0]) / (2 * step)
     scale = np.sqrt(np.abs(np.diag(hessian))) + 1e-300
-    solved = np.linalg.solve((hessian + hessian.T) / 2 / scale[:, None] / scale, jacobian[:, free].T / scale[:, None])
+    solved = np.linalg.solve((hessian + hessian.T) / 2 / scale[:, None] / scale, jacobian / scale[:, None])
     return np.asarray((solved / scale[:, None])[1:3])
 
 
