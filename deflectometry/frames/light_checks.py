@@ -57,7 +57,7 @@ class FrameFault:
     kind: FaultKind
     frames: tuple[int, ...]
     message: str
-    severity: Literal["error", "doubt"]
+    severity: Literal["error", "doubt"] = "error"
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property

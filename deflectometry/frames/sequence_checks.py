@@ -91,14 +91,14 @@ def check_frames(
         return [_frame_count(len(frames), pattern)]
     sample = sample_frames(frames, region, response)
     faults = list(check_finite(sample))
-    if any(fault.severity == "error" for fault in faults):
+    if _errors(faults):
         return faults
     if sample.readings.shape[1] < 30:
         return [*faults, _no_fringes("no pixel varies between the frames")]
     faults += list(check_saturation(sample, frames.dtype, saturation_dn))
     if response is not None:
         faults += check_response_range(sample, response)
-    if any(fault.severity == "error" for fault in faults):
+    if _errors(faults):
         return faults
     sample = _unsaturated(sample, frames.dtype, saturation_dn)
     noise = _linear_noise(sample, pattern, _rounding_variance(sample, frames.dtype, response))
@@ -109,7 +109,7 @@ def check_frames(
     if strength < 2.0:
         return [*faults, _no_fringes(f"the modulation is {strength:.2g} times what the noise of a reading makes")]
     sequence = _sequence_faults(sample, pattern, noise)
-    if any(fault.severity == "error" for fault in sequence):
+    if _errors(sequence):
         known = _all_late(sample, pattern, noise, sequence) or _other_pattern(sample, pattern, noise, sequence)
         return [*faults, *(known or _shortened(sequence))]
     gamma = list(check_gamma(sample, fit, pattern, noise))
@@ -119,6 +119,10 @@ def check_frames(
     if response is not None:
         faults += check_response(sample, pattern)
     return faults
+
+
+def _errors(faults: list[FrameFault]) -> list[FrameFault]:
+    return [fault for fault in faults if fault.severity == "error"]
 
 
 def _unsaturated(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> FrameSample:
@@ -140,7 +144,6 @@ def _frame_count(given: int, pattern: FringePattern) -> FrameFault:
         (),
         f"{given} frames were given, the pattern has {pattern.n_frames} in {len(pattern.sets)} sets; "
         "check that no image is missing and that [[pattern.set]] lists all periods and steps",
-        "error",
     )
 
 
@@ -150,7 +153,6 @@ def _no_fringes(seen: str) -> FrameFault:
         (),
         f"no fringes found: {seen}; check that the mirror is in view, that it shows the display, the exposure, and the "
         "order of the images against [[pattern.set]]",
-        "error",
     )
 
 
@@ -190,7 +192,6 @@ def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noi
             (),
             f"no two fringe sets agree on the position along {axes}; check the order of the images, the periods and "
             "the steps against what was displayed",
-            "error",
         )
         return
     content = frame_content(sample.light, fit, pattern, groups, noise)
@@ -202,7 +203,6 @@ def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noi
             f"frames {', '.join(map(str, lost))} do not show the fringes that the others lead to expect; check their "
             "periods and steps, and that the camera resolves the finest fringes; with three steps also the linearity "
             "of the display (a gamma disturbs their phase)",
-            "error",
         )
         return
     named: set[int] = set()
@@ -242,7 +242,6 @@ def _repeated_fault(pattern: FringePattern, earlier: int, later: int) -> FrameFa
         (earlier, later),
         f"{pattern.describe_frame(later)} is identical to frame {earlier} in every pixel looked at: the same image was "
         "stored twice; take the sequence again",
-        "error",
     )
 
 
@@ -256,7 +255,7 @@ def _all_late(
     for shift, edge, word in ((-1, last, "late"), (1, 0, "early")):
         light, raw = np.roll(sample.light, shift, axis=0), np.roll(sample.raw, shift, axis=0)
         moved = _sequence_faults(FrameSample(sample.readings, light, raw), pattern, noise)
-        errors = [fault for fault in moved if fault.severity == "error"]
+        errors = _errors(moved)
         # The frame that the move brings round from the other end is wrong for sure; nothing else may be.
         if all(edge in fault.frames and len(fault.frames) <= 2 for fault in errors):
             return [
@@ -265,7 +264,6 @@ def _all_late(
                     tuple(range(pattern.n_frames)),
                     f"every frame comes one step too {word}: the sequence fits the pattern when moved by one frame; "
                     "wait longer between display and exposure, or check for a missing first image",
-                    "error",
                 )
             ]
     return []
@@ -282,7 +280,7 @@ def _other_pattern(
         return []
     for name, sets in _mistaken_patterns(pattern):
         moved = _sequence_faults(sample, FringePattern(sets), noise)
-        if any(fault.severity == "error" for fault in moved):
+        if _errors(moved):
             continue
         frames = tuple(range(pattern.n_frames))
         steps = ", ".join(f"{math.degrees(value):g}" for value in sets[0].steps_rad)
@@ -293,7 +291,6 @@ def _other_pattern(
                 f"frames 0 to {frames[-1]} do not show the pattern of measurement.toml, but fit one with {name} (first "
                 f"set: {sets[0].axis} fringes, {sets[0].periods:g} periods, steps {steps} deg); write into "
                 "[[pattern.set]] what was displayed",
-                "error",
             )
         ]
     return []
@@ -314,7 +311,7 @@ def _mistaken_patterns(pattern: FringePattern) -> Iterator[tuple[str, tuple[Frin
 
 def _shortened(faults: list[FrameFault], most: int = 4) -> list[FrameFault]:
     """Return the first faults and one for all the others: so many have a common cause."""
-    errors = [fault for fault in faults if fault.severity == "error"]
+    errors = _errors(faults)
     if len(errors) <= most or all(fault.kind is FaultKind.WRONG_STEP for fault in errors):
         return faults
     frames = tuple(sorted({frame for fault in errors for frame in fault.frames}))
@@ -324,7 +321,6 @@ def _shortened(faults: list[FrameFault], most: int = 4) -> list[FrameFault]:
         frames,
         f"in all frames {listed} are concerned: probably the order of the images, or the axes, periods and steps of "
         "[[pattern.set]], are not what was displayed",
-        "error",
     )
     return [*(fault for fault in faults if fault.severity != "error"), *errors[:most], rest]
 
@@ -341,6 +337,7 @@ def _misplaced(content: FrameContent, pattern: FringePattern, repeated: dict[int
         # Whatever its step, fringes of its own set would fit everywhere: a part of this frame is damaged.
         if same_set and frame not in repeated and content.spoilt_share[frame] > usual + 0.1:
             continue
+        own, other = pattern.describe_frame(frame), pattern.describe_frame(source)
         if frame in repeated:
             yield _repeated_fault(pattern, repeated[frame], frame)
         elif repeated.get(source) == frame:
@@ -348,29 +345,14 @@ def _misplaced(content: FrameContent, pattern: FringePattern, repeated: dict[int
             yield _repeated_fault(pattern, frame, source)
         elif shown.get(source) == frame:
             done.add(source)
-            yield FrameFault(
-                FaultKind.SWAPPED,
-                (frame, source),
-                f"{pattern.describe_frame(frame)} and {pattern.describe_frame(source)} show each other's fringes; "
-                "exchange them",
-                "error",
-            )
+            text = f"{own} and {other} show each other's fringes; exchange them"
+            yield FrameFault(FaultKind.SWAPPED, (frame, source), text)
         elif source < frame:
-            yield FrameFault(
-                FaultKind.STALE,
-                (frame,),
-                f"{pattern.describe_frame(frame)} still shows {pattern.describe_frame(source)}; wait longer between "
-                "display and exposure and take the sequence again",
-                "error",
-            )
+            text = f"{own} still shows {other}; wait longer between display and exposure and take the sequence again"
+            yield FrameFault(FaultKind.STALE, (frame,), text)
         else:
-            yield FrameFault(
-                FaultKind.SWAPPED,
-                (frame, source),
-                f"{pattern.describe_frame(frame)} shows what belongs to {pattern.describe_frame(source)}; check the "
-                "order of the images",
-                "error",
-            )
+            text = f"{own} shows what belongs to {other}; check the order of the images"
+            yield FrameFault(FaultKind.SWAPPED, (frame, source), text)
         done.add(frame)
 
 
@@ -412,12 +394,8 @@ def _corrupt(content: FrameContent, pattern: FringePattern, named: set[int]) -> 
             seen = f"does not fit in {content.spoilt_share[frame]:.0%} of the pixels ({usual:.1%} is usual here)"
         else:
             continue
-        yield FrameFault(
-            FaultKind.CORRUPT,
-            (frame,),
-            f"{pattern.describe_frame(frame)} {seen}: a damaged or obstructed image; take it again",
-            "error",
-        )
+        text = f"{pattern.describe_frame(frame)} {seen}: a damaged or obstructed image; take it again"
+        yield FrameFault(FaultKind.CORRUPT, (frame,), text)
 
 
 def _differs(found: StepEstimate, planned: FloatArray, *, flicker: float = 0.0) -> bool:
@@ -484,5 +462,4 @@ def _step_fault(pattern: FringePattern, index: int, frames: tuple[int, ...], fou
         f"{per_step:.3f} +- {max(error, 5e-4):.3f} deg (360 deg / {360 / per_step:.3f}), not {planned:.3f} deg; frame "
         f"{frames[worst]} is {math.degrees(float(steps[worst] - fringes.steps_rad[worst])):+.2f} deg off; "
         f"write the true steps into [[pattern.set]]: steps_deg = [{listed}]",
-        "error",
     )

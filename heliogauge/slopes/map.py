@@ -12,21 +12,13 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
 class CommonModes:
     """Slope errors that the whole map shares: one smooth mode for one sigma of each independent source.
 
-    Parameters
-    ----------
-    sources : tuple of str, length k
-        Where each mode comes from ("mirror pose", "screen pose", "camera", ...); a name may repeat.
-    coefficients : ndarray, shape (k, 2, n_terms)
-        Coefficients of the slope change in x and y for +1 sigma of the source [rad], on the monomials
-        ``u**i * v**j`` with ``i + j <= degree``, ``u = (x - center_x) / scale``, ``v = (y - center_y) / scale``,
-        ordered by ``i + j`` and then by ``j``.
-    center_m : ndarray, shape (2,)
-        Centre of the polynomials [m].
-    scale_m : float
-        Length that becomes 1 [m].
+    sources length k: Where each mode comes from ("mirror pose", "screen pose", "camera", ...); a name may repeat.
+    coefficients (k, 2, n_terms): Coefficients of the slope change in x and y for +1 sigma of the source [rad], on
+        the monomials ``u**i * v**j`` with ``i + j <= degree``, ``u = (x - center_x) / scale``, ``v = (y - center_y)
+        / scale``, ordered by ``i + j`` and then by ``j``.
+    center_m (2,): Centre of the polynomials [m].
+    scale_m: Length that becomes 1 [m].
 
-    Notes
-    -----
     The covariance of all slopes of a map is ``diag(sigma_random**2) + sum_k mode_k mode_k^T``: modes are independent.
     """
 
@@ -47,15 +39,8 @@ class CommonModes:
     def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Evaluate the modes at points.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Positions [m].
-
-        Returns
-        -------
-        ndarray, shape (k, 2, ...)
-            Change of slope_x and slope_y for +1 sigma of each source [rad].
+        Shapes: x_m, y_m (...).
+        Returns (k, 2, ...): Change of slope_x and slope_y for +1 sigma of each source [rad].
         """
         terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
         return np.tensordot(self.coefficients, terms, axes=(2, 0))
@@ -63,17 +48,8 @@ class CommonModes:
     def variance_on_grid(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the variance of both slopes at the nodes of a grid, one mode after the other.
 
-        Parameters
-        ----------
-        x_m : ndarray, shape (nx,)
-            Columns [m].
-        y_m : ndarray, shape (ny,)
-            Rows [m].
-
-        Returns
-        -------
-        ndarray, shape (2, ny, nx)
-            Variance of slope_x and slope_y from all sources together [rad^2].
+        Shapes: x_m (nx,), y_m (ny,).
+        Returns (2, ny, nx): Variance of slope_x and slope_y from all sources together [rad^2].
         """
         powers = np.arange(self.degree + 1)
         columns = ((x_m - self.center_m[0]) / self.scale_m)[:, None] ** powers
@@ -98,20 +74,10 @@ def no_common_modes() -> CommonModes:
 def monomials(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
     """Stack the monomials of two variables.
 
-    Parameters
-    ----------
-    u, v : ndarray, shape (...)
-        The variables.
-    degree : int
-        Highest total degree.
+    Shapes: u, v (...).
+    degree: Highest total degree.
+    Returns (n_terms, ...): ``u**(n - j) * v**j`` for n = 0 .. degree, j = 0 .. n.
 
-    Returns
-    -------
-    ndarray, shape (n_terms, ...)
-        ``u**(n - j) * v**j`` for n = 0 .. degree, j = 0 .. n.
-
-    Examples
-    --------
     >>> monomials(np.array(2.0), np.array(3.0), 2)
     array([1., 2., 3., 4., 6., 9.])
     """
