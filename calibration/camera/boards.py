@@ -17,7 +17,7 @@ LEAST_POINTS = 6
 
 
 class Board(Protocol):
-    """What every board says of itself."""
+    """What every board describes."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -92,7 +92,7 @@ class Chessboard:
 
     @property
     def same_turns(self) -> tuple[int, ...]:
-        """Quarter turns after which the print looks the same, 0 first: corners of a photo cannot be told apart then."""
+        """Quarter turns after which the print looks the same, 0 first: its corners cannot be distinguished then."""
         if (self.columns + self.rows) % 2:
             return (0,)
         # A quarter turn of an even number of corners swaps the colours.

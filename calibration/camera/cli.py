@@ -47,3 +47,7 @@ def camera_command(
         report=not no_report,
         hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
+
+
+#: Commands by the names that they have in the group ``calibrate``.
+COMMANDS = {"camera": camera_command}

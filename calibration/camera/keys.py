@@ -1,4 +1,4 @@
-"""What measurement.toml of ``kind = "camera"`` may say, and how it is read."""
+"""Keys of measurement.toml of ``kind = "camera"``, and how it is read."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +70,7 @@ class CircleGridSection(Section):
     @model_validator(mode="after")
     def _diameter_needs_the_pitch(self) -> Self:
         if self.diameter_mm is not None and self.pitch_mm is None:
-            raise ValueError("diameter_mm says nothing without pitch_mm; give both or neither")
+            raise ValueError("diameter_mm means nothing without pitch_mm; give both or neither")
         return self
 
 
@@ -108,10 +108,10 @@ class CameraCalibrationModel(MeasurementModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibrationMeasurement:
-    """Checked photos of a calibration board: what the file says, and where its files are.
+    """Checked photos of a calibration board: the content of measurement.toml, and where its files are.
 
     folder: The measurement's folder.
-    model: What measurement.toml says.
+    model: The content of measurement.toml.
     """
 
     folder: Path

@@ -112,3 +112,11 @@ def _day(flag: str, text: str | None) -> datetime.date | None:
         return None if text is None else datetime.date.fromisoformat(text)
     except ValueError as error:
         raise InputError(f"{flag} {text}: a day such as 2026-06-21 is needed ({error})") from error
+
+
+#: Commands by the names that they have in the group ``calibrate``.
+COMMANDS = {
+    "heliostat": heliostat_command,
+    "heliostat-export": heliostat_export_command,
+    "heliostat-plan": heliostat_plan_command,
+}

@@ -1,4 +1,4 @@
-"""What measurement.toml of ``kind = "heliostat"`` may say, and folders of the PAINT database that need none."""
+"""Keys of measurement.toml of ``kind = "heliostat"``, and folders of the PAINT database that need none."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class HeliostatTargetSection(Section):
         }
         given = [key for key, value in numbers.items() if value is not None]
         if self.corners_m is not None and given:
-            raise ValueError(f"the corners say all, and so does {given[0]}; leave one of both out")
+            raise ValueError(f"the corners define the target, and so does {given[0]}; leave one of both out")
         if self.corners_m is None and len(given) < len(numbers):
             missing = ", ".join(key for key in numbers if key not in given)
             raise ValueError(f"{missing} is missing; or give the four corners_m instead")
@@ -147,7 +147,7 @@ class KinematicsSection(Section):
 class BeamImagesSection(Section):
     """Photos of beams on one target, measured before the fit; the column ``image`` of the observations names them.
 
-    One of these says where the target is in them: ``whole`` (the photo is the target: "edge" where its outer edges are
+    One of these states where the target is: ``whole`` (the photo is the target: "edge" where its outer edges are
     the target's, "index" where its outermost pixels' centres are), ``corners_px`` (upper left, upper right, lower
     right, lower left), ``markers`` (four pictures of marks, in that order), ``aruco_ids`` with ``dictionary``,
     ``dark_marks``. ``corners_sigma_px`` is how well the given pixels are known: 0.3 is careful work by hand. ``empty``
@@ -181,7 +181,7 @@ class BeamImagesSection(Section):
         given = [key for key in keys if getattr(self, key) is not None]
         if len(given) != 1:
             said = " and ".join(given) or "nothing"
-            raise ValueError(f"one of {', '.join(keys)} must say where the target is in the photos, not {said}")
+            raise ValueError(f"one of {', '.join(keys)} must state where the target is in the photos, not {said}")
         return self
 
 
@@ -244,10 +244,10 @@ class HeliostatModel(MeasurementModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeliostatMeasurement:
-    """Checked observations of heliostats: what the file says, and where its files are.
+    """Checked observations of heliostats: the content of measurement.toml, and where its files are.
 
     folder: The measurement's folder.
-    model: What measurement.toml says; for a folder of the PAINT database without one, all is default.
+    model: The content of measurement.toml; for a folder of the PAINT database without one, all is default.
     has_file: Whether there is a measurement.toml.
     """
 

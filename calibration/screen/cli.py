@@ -29,3 +29,7 @@ def response_command(
         report=False,
         hint="; use it with response_file in [screen] of measurement.toml",
     )
+
+
+#: Commands by the names that they have in the group ``calibrate``.
+COMMANDS = {"response": response_command}

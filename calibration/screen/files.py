@@ -67,7 +67,7 @@ class Result(InstrumentResult):
             "nonlinearity": "largest departure of the reading from a straight line between the ends, as a share of the "
             f"readings' range; at level {bent:.3f} of the display's range",
             "range": f"levels {first:.3f} to {last:.3f} of the display's range",
-            "joined": "levels that the camera cannot tell from the one below (within two sigma) are joined with it",
+            "joined": "levels whose reading is within two sigma of the one below are joined with it",
             "sigma": "1 standard deviation of a mean reading",
         }
         return self._summary(numbers, texts)

@@ -1,4 +1,4 @@
-"""What measurement.toml of ``kind = "response"`` may say, and how it is read."""
+"""Keys of measurement.toml of ``kind = "response"``, and how it is read."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -68,10 +68,10 @@ class ResponseModel(MeasurementModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseMeasurement:
-    """Checked photographs of grey levels: what the file says, and where its files are.
+    """Checked photographs of grey levels: the content of measurement.toml, and where its files are.
 
     folder: The measurement's folder.
-    model: What measurement.toml says.
+    model: The content of measurement.toml.
     grey_files: Photograph of each level, in the order of the levels.
     """
 

@@ -20,7 +20,7 @@ from heliogauge.validate import BoolArray
 
 #: More saturated pixels than this among those used spoil a mean; fewer are hot pixels.
 _SATURATED_SHARE = 1e-3
-#: Pixels that carry the fit. The mean of so many is known to 0.003 DN at a noise of 1 DN.
+#: Pixels that enter the fit. The mean of so many is known to 0.003 DN at a noise of 1 DN.
 _MOST_PIXELS = 100_000
 #: One display seen through vignetting differs by up to 20 % between pixels; a region half beside it by 100 %.
 _DOUBTFUL_SPREAD = 0.3
@@ -42,7 +42,7 @@ def run(measurement: ResponseMeasurement, options: Options | None = None, progre
     Returns: The look-up with its sigma.
     InputError: Photographs that cannot be used, or a region outside them.
     EstimationError: Nothing brightens, too few steps that are not saturated, readings that fall while the level
-        rises, or levels that the camera cannot tell apart.
+        rises, or levels that the camera does not separate.
     """
     options, progress = options or Options(), progress or SilentProgress()
     frames = read_frames(measurement.grey_files, jobs=options.jobs, progress=progress)
@@ -71,7 +71,7 @@ def _fit(measurement: ResponseMeasurement, frames: Frames) -> Result:
     if 2 * response.camera_dn.size < good.size:
         # Noise alone brightens in some pixels: chosen for that, they show a rise from the first to the last level.
         raise EstimationError(
-            f"screen response: the camera tells only {response.camera_dn.size} of {good.size} levels apart; raise the "
+            f"screen response: the camera separates only {response.camera_dn.size} of {good.size} levels; raise the "
             "exposure, or give the pixels that see the display as images.region_px"
         )
     brightness = pixels[good[-1]] - pixels[good[0]]

@@ -161,10 +161,10 @@ def fit_response(
     steps: One for each level, in any order; the same pixels in all.
     noise_dn: Noise of one reading; from the spread of each pixel's departure from the level's mean without it [DN].
     saturation_dn: Levels whose mean reading reaches this are left out [DN].
-    Returns: Nodes with sigma; levels that the camera cannot tell apart (within two sigma) are joined.
+    Returns: Nodes with sigma; levels whose readings differ by less than two sigma are joined.
     InputError: Fewer than 3 steps, a level twice, or different numbers of readings.
-    EstimationError: Readings that fall by more than five sigma while the level rises, or fewer than 3 levels told
-        apart.
+    EstimationError: Readings that fall by more than five sigma while the level rises, or fewer than 3 levels
+        that differ.
 
     Mean reading of the pixels for each level. Pixels differ by a fixed pattern (vignetting, reflectance) that is the
     same share in all levels, so the sigma of a mean rests on the readings divided by that pattern.
@@ -192,7 +192,7 @@ def fit_response(
     kept = _distinct(means, sigmas)
     if len(kept) < 3:
         raise EstimationError(
-            f"screen response: the camera tells only {len(kept)} of {levels.size} levels apart; raise the exposure"
+            f"screen response: the camera separates only {len(kept)} of {levels.size} levels; raise the exposure"
         )
     return ScreenResponse(freeze(means[kept]), freeze(levels[kept]), freeze(sigmas[kept]))
 

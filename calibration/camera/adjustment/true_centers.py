@@ -13,7 +13,7 @@ from photogrammetry.centers import eccentricity_px
 
 
 def with_true_centers(network: BoardNetwork, measured: Sequence[BoardPoints], state: BundleState) -> BoardNetwork:
-    """Move centres of circles' images to the images of their centres, seen as the state says.
+    """Move centres of circles' images to the images of their centres, seen from the poses of the state.
 
     state: Camera, poses and points.
     Returns: With corrected points; unchanged for boards without circles.

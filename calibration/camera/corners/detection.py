@@ -180,7 +180,7 @@ def _turns(grid: FloatArray) -> list[FloatArray]:
 
 
 def _upright(grid: FloatArray) -> FloatArray:
-    """Choose the numbering whose rows run most to the right in the image, where nothing else tells them apart."""
+    """Choose the numbering whose rows run most to the right in the image, where nothing else distinguishes them."""
     return max(_turns(grid), key=lambda one: float(np.mean(np.diff(one, axis=1)[..., 0])))
 
 

@@ -1,4 +1,4 @@
-"""The headline numbers of a calibration, and what the terminal says."""
+"""The headline numbers of a calibration, and the lines for the terminal."""
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def _departure(result: Result) -> float:
 
 
 def texts(result: Result) -> dict[str, str]:
-    """Return what must be said beside the numbers: board, datum, units, meaning of sigma."""
+    """Return what must be known beside the numbers: board, datum, units, meaning of sigma."""
     board = result.shape.board
     held = "held as drawn" if not result.shape.prior_sigma_m.any() else "estimated point by point"
     unit = "metres" if board.is_metric else "squares (pitches) of the board: lengths in cameras.json and points.csv too"

@@ -1,4 +1,4 @@
-"""Whether the photos of a calibration carry it: coverage of the image, tilt, roll, depth, photos from one place."""
+"""Whether the photos of a calibration suffice: coverage of the image, tilt, roll, depth, photos from one place."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ def coverage(camera: Camera, pixels_px: FloatArray) -> Coverage:
 
 
 def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterator[Doubt]:
-    """Yield what makes a network weak, with the number that says so and the remedy.
+    """Yield what makes a network weak, with the number that shows it and the remedy.
 
     poses: ``cam_from_board`` of each photo.
     """
@@ -75,7 +75,7 @@ def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterato
         yield Doubt(
             "network_flat",
             f"flat network: the board is never tilted by more than {np.degrees(most):.0f} deg, so focal length and "
-            "distance can hardly be told apart; tilt it by 30 to 45 deg to all sides",
+            "distance are hardly separated; tilt it by 30 to 45 deg to all sides",
             {"largest_tilt_rad": most},
         )
     difference = np.abs(np.angle(np.exp(1j * (angles[:, None, 1] - angles[None, :, 1]))))
@@ -106,7 +106,7 @@ def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterato
 
 
 def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[str, str, float]]:
-    """Find photos that show the board from one place: each counts fully, but together they tell little more than one.
+    """Find photos that show the board from one place: each counts fully, but together they hold little more than one.
 
     Returns: A photo, the earlier one it repeats, and the RMS distance of the board's points between both [px].
     """
@@ -136,7 +136,7 @@ def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doub
         yield Doubt(
             "photos_repeat",
             f"{len(same)} photos repeat another one: {listed}{more}; the board stands in the same place there, which "
-            "tells no more about the lens: move board or camera between photos",
+            "adds nothing about the lens: move board or camera between photos",
             {"photos_count": len(same)},
         )
     bright = [one for one in photos if one.saturated_share > _SATURATED_SHARE]
@@ -158,7 +158,7 @@ def check_orientations(network: BoardNetwork, found: Orientations | None) -> Dou
     if found is None:
         return None
     names = [one.photo for one in network.points]
-    said = f"{network.board.describe()}: it looks the same turned, so only its own shape tells how photos are turned; "
+    said = f"{network.board.describe()}: it looks the same turned, so only its own shape shows how photos are turned; "
     if found.open:
         listed = ", ".join(names[i] for i in found.open[:8]) + (" ..." if len(found.open) > 8 else "")
         said += (

@@ -20,7 +20,7 @@ class SigmaMap:
 
     x_px, y_px (nx,): Nodes, from the first to the last pixel [px].
     sigma_ray_rad (ny, nx): Standard deviation of the direction of a line of sight, both components in squares, as
-        the intrinsics say it; the camera's pose is held [rad].
+        the intrinsics determine it; the camera's pose is held [rad].
     sigma_free_rad (ny, nx): The same after the rotation that fits best was taken out: what is left when a pose is
         estimated with this camera [rad].
     sigma_projection_px (ny, nx): Standard deviation of the image of a point at the stated distance, both components

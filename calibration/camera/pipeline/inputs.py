@@ -1,4 +1,4 @@
-"""What the folder of a calibration says: the board, and which photos are different ones."""
+"""The board that measurement.toml describes."""
 
 from pathlib import Path
 

@@ -52,11 +52,11 @@ def run(
     Parameters
     ----------
     measurement : CameraCalibrationMeasurement
-        From `heliogauge.measurement.load_camera_calibration`.
+        From `heliogauge.load`.
     options : Options, optional
         Choices.
     progress : Progress, optional
-        Told of each stage.
+        Notified of each stage.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def run(
     model = measurement.model
     board = described_board(measurement)
     if isinstance(board, UnknownField) and not options.refine_board:
-        raise InputError("--board-as-drawn: nothing says how the targets were drawn; give [board] file")
+        raise InputError("--board-as-drawn: the places of the targets are not given; give [board] file")
     other = None if options.compare is None else read_camera_json(options.compare)
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)

@@ -94,7 +94,7 @@ def _check_size(
     wanted = (asked.width_px, asked.height_px)
     if any(want is not None and want != got for want, got in zip(wanted, own, strict=True)):
         raise InputError(
-            f"{file.name} has {own[0]} x {own[1]} px, but measurement.toml says camera.width_px = {wanted[0]}, "
+            f"{file.name} has {own[0]} x {own[1]} px, but measurement.toml has camera.width_px = {wanted[0]}, "
             f"camera.height_px = {wanted[1]}"
         )
 

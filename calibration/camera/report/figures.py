@@ -187,7 +187,7 @@ def correlation_figure(result: Result) -> "Figure":
             axes.text(column, row, text, ha="center", va="center", fontsize=7, color=color)
     axes.set_xticks(range(len(free)), names, rotation=40, ha="right", fontsize=8, color=INK)
     axes.set_yticks(range(len(free)), names, fontsize=8, color=INK)
-    add_title(figure, "Correlation of the intrinsics", "beyond 0.95 two effects are hardly told apart")
+    add_title(figure, "Correlation of the intrinsics", "beyond 0.95 two effects are hardly separated")
     return figure
 
 

@@ -56,7 +56,7 @@ def title(report: CalibrationReport) -> Html:
 
 
 def headline(report: CalibrationReport) -> Html:
-    """Return the numbers that say how good the calibration is."""
+    """Return the numbers that show how good the calibration is."""
     result = report.result
     camera, quality, sigma = result.camera, result.quality, result.sigma
     s = camera.sigma_parameters
@@ -260,6 +260,6 @@ def unused_section(report: CalibrationReport) -> Html:
 
 
 def text_table(report: CalibrationReport) -> Html:
-    """Return what must be said beside the numbers: board, datum, units, meaning of sigma."""
+    """Return what must be known beside the numbers: board, datum, units, meaning of sigma."""
     rows = [(name.replace("_", " "), text) for name, text in report.summary.texts.items()]
     return table(("", ""), rows)

@@ -24,7 +24,7 @@ class BoardNetwork:
     points length p: Its points in each photo.
     free: Intrinsics that are estimated.
     poses length p: ``cam_from_board`` to start from.
-    places_known: Whether the drawing says anything about the points' places.
+    places_known: Whether the drawing gives the points' places.
     """
 
     board: Board

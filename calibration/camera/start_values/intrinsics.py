@@ -85,7 +85,7 @@ def start_focal_px(homographies: Sequence[FloatArray], width_px: int, height_px:
         inverse = float(left @ right) / squared if squared > 0 else -1.0
         if _LONGEST**-2 < inverse < _SHORTEST**-2:
             found.append(inverse**-0.5)
-            # Tilted photos tell the focal length, fronto-parallel ones do not.
+            # Tilted photos determine the focal length, fronto-parallel ones do not.
             weights.append(float(np.linalg.norm(right)))
     if not found:
         return float("nan")
@@ -107,7 +107,7 @@ def start_camera(homographies: Sequence[FloatArray], width_px: int, height_px: i
         focal = 1.2 * max(width_px, height_px)
         doubt = Doubt(
             "board_never_tilted",
-            "no photo shows the board tilted: the focal length cannot be told from the distance",
+            "no photo shows the board tilted: focal length and distance cannot be separated",
             severity=Severity.SERIOUS,
         )
     center = (0.5 * (width_px - 1), 0.5 * (height_px - 1))

@@ -1,6 +1,6 @@
-"""From which corner a board was counted in each photo, where its print looks the same turned: told by its own shape.
+"""From which corner a board was counted in each photo, where its print looks the same turned: from its own shape.
 
-A chessboard of 9 x 7 corners looks the same after half a turn, so nothing in one photo says which corner is the first.
+A chessboard of 9 x 7 corners looks the same after half a turn, so nothing in one photo shows which corner is the first.
 But no board is as it was drawn. If all photos are counted alike, one departure from the drawing explains them all.
 """
 
@@ -42,7 +42,7 @@ class Orientations:
 
     @property
     def open(self) -> list[int]:
-        """Photos whose turn the board's shape does not tell."""
+        """Photos whose turn the board's shape does not determine."""
         return np.nonzero(self.cost < _SURE)[0].tolist()
 
 

@@ -101,7 +101,7 @@ def backlash_from_normals(
     flat = [each - (each @ direction)[:, None] * direction for each in (first, second)]
     sines = [np.linalg.norm(f, axis=1) / np.linalg.norm(n, axis=1) for f, n in zip(flat, (first, second), strict=True)]
     if min(float(s.min()) for s in sines) < 1e-3:
-        raise EstimationError("backlash: a normal along the axis does not tell how far the axis turned")
+        raise EstimationError("backlash: a normal along the axis does not show how far the axis turned")
     cross = np.einsum("ij,j->i", np.cross(flat[0], flat[1]), direction)
     angles = np.arctan2(cross, np.einsum("ij,ij->i", flat[0], flat[1]))
     n = angles.size

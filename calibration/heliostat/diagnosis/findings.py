@@ -1,4 +1,4 @@
-"""What a diagnosis says: findings with evidence, the rows they concern, and what to do."""
+"""Findings of a diagnosis with evidence, the rows they concern, and what to do."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from heliogauge.doubts import Doubt
 
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
 #: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), or the
-#: observations are too few to tell ("doubt").
+#: observations are too few to decide ("doubt").
 Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt"]
 
 #: What to do about each kind.
@@ -42,7 +42,7 @@ REMEDIES: Mapping[str, str] = {
     "duplicates": "Record each measurement once; repeats are left out.",
     "constant_column": "Check that the column is recorded.",
     "too_few": "Measure more, at other positions of the sun; until then the answer is what was known beforehand.",
-    "unexplained": "Check what was handed in: readings, sun, targets and numbers do not fit together in any known way.",
+    "unexplained": "Check the input: readings, sun, targets and numbers do not fit together in any known way.",
 }
 
 
@@ -134,7 +134,7 @@ class Diagnosis:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Kinds of the faults and of what the observations are too few to tell, each once."""
+        """Kinds of the faults and of what the observations are too few to decide, each once."""
         return tuple(dict.fromkeys(one.kind for one in self.findings if one.severity in ("fault", "doubt")))
 
     @property

@@ -17,7 +17,7 @@ from heliogauge.geometry.sun import Site
 
 __all__ = ["Diagnosis", "Finding", "Records", "diagnose"]
 
-#: A heliostat with fewer spare components than this cannot be told from a faulty one.
+#: A heliostat with fewer spare components than this cannot be distinguished from a faulty one.
 _FEWEST_SPARE = 8
 # A rejected row is no outlier any more where a fault's term brings it back within this [sigma].
 _UNDONE = 4.0
@@ -78,7 +78,7 @@ def diagnose(
     if is_far(fit):
         return Diagnosis(ordered([*findings, *_of_far(fit, known, site, numbers)]), (), significance)
     if any(one.kind == "actuator_numbers" and one.rows for one in numbers):
-        # Free numbers bend as far as they can: what is left says nothing of rows or time.
+        # Free numbers bend as far as they can: what is left shows nothing of rows or time.
         return Diagnosis(ordered([*findings, *numbers]), (), significance)
     explained_findings, explained = explained_rows(fit, known)
     looked = residual_findings(fit, known, site, significance / 2, explained)
@@ -109,7 +109,7 @@ def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> Findi
 
 
 def _much_better(looked: Looked, finding: Finding) -> bool:
-    """Tell whether a term explains all, or leaves less than half of what many other numbers leave."""
+    """Return whether a term explains all, or leaves less than half of what many other numbers leave."""
     faults = [one.evidence for one in looked.findings if one.severity == "fault"]
     if any(one["left_over_stated"] < AS_STATED for one in faults):
         return True
@@ -127,7 +127,7 @@ def _of_far(
         evidence = {**beyond.evidence, **found.evidence}
         return [replace(beyond, text=f"{beyond.text} {found.text}", evidence=evidence)]
     if found.kind == "unexplained" and actuators:
-        # Readings that cannot be say more than that nothing fits.
+        # Readings that cannot be are more specific than that nothing fits.
         return actuators
     # What a wrong record did to the numbers is no finding of its own.
     return [found]

@@ -222,7 +222,7 @@ def _axes(fit: HeliostatFit) -> Iterator[Hypothesis]:
     for axis in (0, 1):
         yield Hypothesis(
             "inverted_axis",
-            f"Axis {axis + 1} runs the other way than said",
+            f"Axis {axis + 1} runs against its stated direction",
             _inverted(fit.nominal, axis),
             lambda seen: seen,
             {"axis_number": axis + 1.0},

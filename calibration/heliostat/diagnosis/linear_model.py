@@ -15,7 +15,7 @@ _HUBER = Huber(2.0)
 _MEDIAN_LENGTH = 1.17741
 # A row's share in what is unexplained is cut here: other outliers neither make nor hide a fault [sigma].
 _CUT = 5.0
-# Directions of a term that the heliostat's own parameters imitate to better than this say nothing about it.
+# Directions of a term that the heliostat's own parameters imitate to better than this do not determine it.
 _IMITATED = 0.02
 _ROUNDS = 12
 

@@ -1,4 +1,4 @@
-"""Numbers of a heliostat that cannot be those it was handed in with."""
+"""Numbers of a heliostat that differ from those given."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: A number this many prior sigmas away was not drawn from that prior, whatever a model's misfit adds to it.
 FAR_SIGMAS = 6.0
-#: From here on it is told.
+#: From here on it is reported.
 TOLD_SIGMAS = 3.5
 #: Other numbers are a fault when they explain this share of what is unexplained: of six healthy real heliostats they
 #: explain 6 % (actuators) and 18 % (place) at most, of wrong strokes by 6 mm 45 % beside wind of 0.3 mrad.
@@ -29,8 +29,8 @@ LOOSE = 100.0
 _CUT = 5.0
 #: The findings in words.
 DEPARTED = {
-    "actuator_numbers": "The actuators' numbers are not those handed in",
-    "position": "The heliostat does not stand where it is said to",
+    "actuator_numbers": "The actuators' numbers are not those given",
+    "position": "The heliostat does not stand at its stated place",
     "nominal_angles": "Angles are far from nominal",
 }
 # Readings beyond an actuator's geometry: single ones can be slips of the log.
@@ -58,7 +58,7 @@ def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
         own = np.array([name in members for name in names], dtype=np.bool_)
         if not (clear & own).any() or any(one.kind == kind for one in findings):
             continue
-        # Angles that are not as drawn are what a calibration is for: told, not accused.
+        # Angles that are not as drawn are what a calibration is for: reported, not accused.
         grave = bool((far & own).any()) and kind != "nominal_angles"
         shown = np.flatnonzero(own & (far if grave else clear))
         shown = shown[np.argsort(-np.abs(moved[shown] / prior[shown]))]
@@ -67,7 +67,7 @@ def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
 
 
 def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
-    """Fit again without what the priors say of the actuators or the place, and judge where the numbers go.
+    """Fit again without the priors of the actuators or the place, and judge where the numbers go.
 
     fit: A fit whose residuals contradict these priors.
     Returns: A fault, if they explain it and leave their priors far behind.
@@ -92,8 +92,8 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
     if share < NUMBERS_EXPLAIN[kind] or not (np.abs(shifts) > FAR_SIGMAS * prior).any():
         return None
     order = np.argsort(-np.abs(shifts / prior))
-    told = replace(other, nominal=fit.nominal)
-    found = _finding(told, kind, "fault", [names[i] for i in order], np.zeros(1))
+    compared = replace(other, nominal=fit.nominal)
+    found = _finding(compared, kind, "fault", [names[i] for i in order], np.zeros(1))
     evidence = {**found.evidence, "explained_share": share}
     return replace(
         found, evidence=evidence, text=f"{found.text[:-1]}; this explains {100 * share:.0f} % of what is unexplained."
@@ -120,7 +120,7 @@ def _departures(fit: HeliostatFit) -> _Departures:
     # The shift of a number that really comes from its prior has the variance that the observations took away.
     own = np.sqrt(np.maximum(prior**2 - fit.sigma[free] ** 2, (0.1 * prior) ** 2))
     chance = np.array([2 * NormalDist().cdf(-abs(value)) for value in (moved / own).tolist()])
-    # Without a prior nothing was said that could be contradicted, short of the impossible.
+    # Without a prior nothing can be contradicted, short of the impossible.
     chance = np.where(np.isfinite(stated) | (np.abs(moved) > FAR_SIGMAS * prior), chance, 1.0)
     return _Departures(names, moved, prior, chance)
 
@@ -130,7 +130,7 @@ def _unit(fit: HeliostatFit, name: str) -> str:
 
 
 def _beyond(fit: HeliostatFit) -> list[Finding]:
-    """Find readings that the actuators cannot have, as they were handed in."""
+    """Find readings that the actuators as given cannot have."""
     from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 
     seen = fit.observations

@@ -58,7 +58,7 @@ class _Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """What the residuals said.
+    """What the residuals show.
 
     findings: At most three faults, and one hint.
     checks: All looks of the first round.
@@ -163,7 +163,7 @@ def _lengths(fit: HeliostatFit, groups: Sequence[_Group]) -> FloatArray:
 def _candidates(
     fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None, rows: BoolArray
 ) -> list[_Group]:
-    """Return models and the terms to look for: rows without a time have no say where time matters."""
+    """Return models and the terms to look for: rows without a time are left out where time matters."""
     timed = rows & ~np.isnat(fit.observations.time)
     terms = Terms(fit, rows)
     steady = [*terms.numbers(), *terms.drives(), *terms.sun(site), *terms.targets(targets)]
@@ -283,9 +283,7 @@ def _sentence(term: Term, look: _Look, values: FloatArray, sigmas: FloatArray, e
         return f"{size:+.2f} +- {sigma:.2f} times the refraction is missing in the sun's elevations"
     if term.kind == "target_place":
         right, up = values.tolist()
-        return (
-            f"{where} stands {right:+.3f} m to the right and {up:+.3f} m up (+- {sigma:.3f} m) of where it is said to"
-        )
+        return f"{where} stands {right:+.3f} m to the right and {up:+.3f} m up (+- {sigma:.3f} m) of its stated place"
     width, height = values.tolist()
     turned = [name for name, share in (("left and right", width), ("up and down", height)) if share > _MIRRORED]
     if turned:

@@ -1,4 +1,4 @@
-"""Single rows that are wrong: what each would have to say instead, repeats, columns that never change."""
+"""Single rows that are wrong: what each would have to be instead, repeats, columns that never change."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,12 +30,12 @@ _MANY, _MANY_SHARE = 4, 0.035
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Records:
-    """What the table of observations says beyond the observations: all its rows, those left out before the fit too.
+    """What the table of observations has beyond the observations: all its rows, those left out before the fit too.
 
     flags: Why each row was left out before the fit; empty if it was not.
     images: Photo of each row, as far as known.
     times (rows,): Time of each row.
-    ids: What a person calls each row, such as "line 7"; else its number from 0 is said.
+    ids: What a person calls each row, such as "line 7"; else its number from 0.
     """
 
     flags: tuple[str, ...]

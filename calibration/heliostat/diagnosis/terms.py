@@ -26,9 +26,9 @@ from heliogauge.validate import BoolArray, FloatArray
 SKY_RAD_PER_S = 2 * np.pi / 86400
 # Steps of the differences: 2 s of the sky, 1 mm of a spot.
 _TURN_RAD, _STEP_M = 1e-4, 1e-3
-# The reading before tells the direction of the last move on the same day only: at night the mirror was stowed.
+# The reading before gives the direction of the last move on the same day only: at night the mirror was stowed.
 _LATEST = np.timedelta64(12, "h")
-# A period that fits in less than so often cannot be told from a smooth misfit; more often than so, from noise.
+# A period that fits in less than so often cannot be separated from a smooth misfit; more often than so, from noise.
 _FEWEST_CYCLES, _MOST_CYCLES = 1.5, 40.0
 
 
@@ -155,7 +155,7 @@ class Terms:
         span = float(np.ptp(phase))
         if span == 0 or self.rows.sum() < 12:
             return None
-        # Half as many cycles as rows can be told apart; steps of a third of a cycle over the span miss no period.
+        # Half as many cycles as rows can be separated; steps of a third of a cycle over the span miss no period.
         most = min(_MOST_CYCLES, self.rows.sum() / 2)
         cycles = np.arange(_FEWEST_CYCLES, max(most, _FEWEST_CYCLES + 0.1), 1 / 3)
         numbers = cycles / span * turn
@@ -232,9 +232,9 @@ def actuator_names(design: HeliostatDesign) -> tuple[str, ...]:
 
 
 def approaches(observations: Observations) -> FloatArray:
-    """Return the direction of the last moves (n, 2): as told, else from the reading before, if not long ago."""
-    told = observations.approach
-    moves = np.zeros((len(observations), 2)) if told is None else told.copy()
+    """Return the direction of the last moves (n, 2): as recorded, else from the reading before, if not long ago."""
+    recorded = observations.approach
+    moves = np.zeros((len(observations), 2)) if recorded is None else recorded.copy()
     time, readings = observations.time, observations.readings
     known = np.flatnonzero(~np.isnat(time))
     order = known[np.argsort(time[known], kind="stable")]

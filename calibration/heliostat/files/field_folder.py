@@ -126,7 +126,7 @@ def _read_journal(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:
     except FileNotFoundError:
         return finished
     for line in lines:
-        # The last line may be half: what it tells of is then done again.
+        # The last line may be half: its heliostat is then done again.
         with contextlib.suppress(ValueError, KeyError, TypeError):
             entry = json.loads(line)
             finished[entry["name"]] = (entry["digest"], entry["row"])

@@ -29,7 +29,7 @@ class Shared:
     """What all heliostats of a run share; sent to each worker once.
 
     plant: Targets and site.
-    model: What measurement.toml says.
+    model: The content of measurement.toml.
     split: The split whose residuals are reported.
     free: Usual choice of free parameters, or "auto".
     label: Method of the beams' centres in PAINT's records.

@@ -250,7 +250,7 @@ class _PaintSource:
         self._times = {} if times is None else {key: str(value) for key, value in read_json(times).items()}
         self.files = (*measurement.input_files, file, *(() if times is None else (times,)))
         if len(self._units) == 1:
-            # Of many, each heliostat's own hash says what it was made from.
+            # Of many, each heliostat's own hash shows what it was made from.
             (unit,) = self._units.values()
             self.files = (*self.files, unit.properties, *unit.calibrations)
 

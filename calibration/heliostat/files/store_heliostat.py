@@ -1,6 +1,6 @@
 """Results of heliostats on disk: ``heliostat.json``, ``residuals.csv``, ``summary.json``, ``field.csv``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,14 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.splits import AngleSummary, HeldOut
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.store_design import design_content
-from heliogauge.doubts import Doubt, doubt_content
+from heliogauge.doubts import doubt_content
 from heliogauge.results.folder import Summary, write_json, write_table_csv
 from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
 
 HELIOSTAT_FILE = "heliostat.json"
 RESIDUALS_FILE = "residuals.csv"
-FIELD_FILE = "field.csv"
 KIND = "heliostat"
-FIELD_KIND = "heliostat-field"
 SCHEMA = 1
 
 
@@ -33,7 +31,7 @@ def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path) -> No
 
 
 def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]:
-    """Return what ``heliostat.json`` says.
+    """Return the content of ``heliostat.json``.
 
     shared: What all heliostats of the run share.
     Returns: Only numbers, texts, lists and tables; null where something is not determined.
@@ -142,7 +140,11 @@ def _model_content(result: HeliostatResult) -> dict[str, Any]:
 def _reason(result: HeliostatResult) -> str:
     if result.choice is not None:
         return result.choice.reason
-    return "what the other heliostats of the field have in common is usual" if result.free == FIELD else "said so"
+    return (
+        "what the other heliostats of the field have in common is usual"
+        if result.free == FIELD
+        else "chosen by the user"
+    )
 
 
 def _preset_of(design: HeliostatDesign) -> str:
@@ -292,70 +294,6 @@ def heliostat_summary(
         input_sha256=dict(input_sha256),
         not_determined={key: why for key, value in numbers.items() if value is None},
     )
-
-
-def split_lines(result: HeliostatResult) -> tuple[str, ...]:
-    """Say what came of each split in a line, what to expect before what was found."""
-    lines = []
-    for name, held in result.held.items():
-        asked = f"split {name}: {held.split.note if held.beyond is None else held.beyond.text}"
-        train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
-        lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
-    return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
-
-
-def _status(result: HeliostatResult, doubts: Sequence[Doubt]) -> str:
-    if result.diagnosis.kinds:
-        return "faulty"
-    # Single rows that were wrong and left out make a heliostat no worse.
-    too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
-    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.doubts) else "ok"
-
-
-def field_row(result: HeliostatResult) -> dict[str, Any]:
-    """Return a heliostat's row of ``field.csv``."""
-    east, north, up = result.fit.design.position_m.tolist()
-    # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
-    beyond = None if result.main is None else result.main.beyond
-    doubts = [one for one in result.doubts if beyond is None or one.code != beyond.code]
-    return {
-        "heliostat": result.name,
-        "status": _status(result, doubts),
-        "diagnosis": ", ".join(result.diagnosis.named),
-        "e_m": east,
-        "n_m": north,
-        "u_m": up,
-        "model": result.free,
-        **headline(result),
-        "duration_s": round(result.duration_s, 4),
-        "warnings_count": len(result.doubts),
-        "reason": "; ".join(one.text for one in doubts),
-    }
-
-
-def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
-    """Return the row of a heliostat that could not be calibrated."""
-    return {"heliostat": name, "status": "failed", "diagnosis": kind, "reason": reason}
-
-
-def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first."""
-
-    def key(row: Mapping[str, Any]) -> tuple[bool, float, str]:
-        number = row.get("beam_test_rms_mrad")
-        number = row.get("beam_all_rows_rms_mrad") if number is None else number
-        return row["status"] != "failed", -(float("inf") if number is None else float(number)), str(row["heliostat"])
-
-    return [dict(row) for row in sorted(rows, key=key)]
-
-
-def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write ``field.csv``, the worst heliostat first."""
-    ordered = worst_first(rows)
-    # The reason is long: it comes last, after whatever columns some row has.
-    names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name != "reason"]
-    columns = {name: ["" if row.get(name) is None else row[name] for row in ordered] for name in [*names, "reason"]}
-    write_table_csv(folder / FIELD_FILE, {name: np.array(cells, dtype=object) for name, cells in columns.items()})
 
 
 def read_heliostat(folder: Path) -> dict[str, Any]:

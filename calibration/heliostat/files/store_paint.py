@@ -82,13 +82,13 @@ class Tower:
 
 @dataclass(frozen=True, slots=True)
 class PaintProperties:
-    """What a properties file says of a heliostat.
+    """The content of a properties file.
 
     position: Latitude [deg], longitude [deg], altitude [m].
     actuators: Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
     translations_m: East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
-    tilts_rad: Tilts of both joints by the names of the chain; 0 where not told [rad].
-    size_m: Width and height of the mirror [m]; NaN where not told.
+    tilts_rad: Tilts of both joints by the names of the chain; 0 where not given [rad].
+    size_m: Width and height of the mirror [m]; NaN where not given.
     doubts: What was assumed.
     """
 
@@ -155,7 +155,7 @@ def find_beside(folder: Path, patterns: Iterable[str], places: Sequence[str] = (
     return None
 
 
-# --- what the files say -----------------------------------------------------------------------------------------------
+# --- content of the files ---------------------------------------------------------------------------------------------
 
 
 def read_tower(file: Path) -> Tower:
@@ -207,10 +207,10 @@ def parse_properties(text: str, where: str) -> PaintProperties:
     facing = tuple(orientation[:3]) if isinstance(orientation, list) else None
     translations = {name: _translation(kinematics, keys) for name, keys in _TRANSLATIONS.items()}
     if facing != _SOUTH:
-        told = "no initial_orientation" if facing is None else f"initial_orientation {list(facing)}"
+        stated = "no initial_orientation" if facing is None else f"initial_orientation {list(facing)}"
         if any(any(shift) for shift in translations.values()):
             text = (
-                f"{where}: {told}: an older convention, in which its joint translations have other axes; they are "
+                f"{where}: {stated}: an older convention, in which its joint translations have other axes; they are "
                 "left out"
             )
             doubts.append(Doubt("paint_translations_left_out", text))
@@ -370,14 +370,14 @@ def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> 
     old: dict[str, Any] = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
     actuators = []
     for axis, drive in enumerate(design.drives, start=1):
-        told = dict((old.get("actuators") or [{}, {}])[axis - 1])
-        told |= {"type_axis": "linear", "clockwise_axis_movement": int(getattr(drive, "clockwise", True))}
+        actuator = dict((old.get("actuators") or [{}, {}])[axis - 1])
+        actuator |= {"type_axis": "linear", "clockwise_axis_movement": int(getattr(drive, "clockwise", True))}
         low, high = design.limits[axis - 1].tolist()
         if np.isfinite([low, high]).all():
-            told |= {"min_increment": low, "max_increment": high}
+            actuator |= {"min_increment": low, "max_increment": high}
         for name in ("increment", "initial_stroke", "offset", "pivot_radius", "initial_angle"):
-            told[ACTUATOR_KEYS[name][0]] = numbers[f"{name}_{axis}"]
-        actuators.append(told)
+            actuator[ACTUATOR_KEYS[name][0]] = numbers[f"{name}_{axis}"]
+        actuators.append(actuator)
     kinematics: dict[str, Any] = {"actuators": actuators}
     for joint, (today, _) in _TRANSLATIONS.items():
         for axis_name in "enu":

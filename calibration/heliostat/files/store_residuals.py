@@ -39,7 +39,7 @@ def residual_columns(result: HeliostatResult, shared: Shared) -> dict[str, Seque
     count, place = len(rows), fit.observations.row
     main = result.main
     trained = fit if main is None else main.fit
-    told = _evaluated(trained, fit)
+    residuals = _evaluated(trained, fit)
     flags, reasons = final_flags(result)
     azimuth, elevation = angles_from_direction(seen.suns)
     measured, predicted = _on_targets(result, shared, trained, count)
@@ -53,7 +53,7 @@ def residual_columns(result: HeliostatResult, shared: Shared) -> dict[str, Seque
     if main is not None:
         for row, train, test in zip(place.tolist(), main.split.train, main.split.test, strict=True):
             splits[row] = "train" if train else "test" if test else ""
-    beam, normal = 1e3 * told.beam_rad, 1e3 * told.normal_rad
+    beam, normal = 1e3 * residuals.beam_rad, 1e3 * residuals.normal_rad
     return {
         "observation": rows.ids,
         "time_utc": ["" if np.isnat(time) else f"{time}Z" for time in rows.times],
@@ -71,10 +71,10 @@ def residual_columns(result: HeliostatResult, shared: Shared) -> dict[str, Seque
         "predicted_y_m": predicted[:, 1],
         "residual_right_mrad": spread(beam[:, 0]),
         "residual_up_mrad": spread(beam[:, 1]),
-        "residual_beam_mrad": spread(1e3 * told.beam_angle_rad),
+        "residual_beam_mrad": spread(1e3 * residuals.beam_angle_rad),
         "residual_normal_right_mrad": spread(normal[:, 0]),
         "residual_normal_up_mrad": spread(normal[:, 1]),
-        "residual_normal_mrad": spread(1e3 * told.normal_angle_rad),
+        "residual_normal_mrad": spread(1e3 * residuals.normal_angle_rad),
         "sigma_mrad": spread(1e3 * fit.residuals.sigma_beam_rad * fit.factor),
         "predicted_sigma_mrad": _predicted_sigmas(result, count),
         "all_rows_residual_beam_mrad": spread(1e3 * fit.residuals.beam_angle_rad),

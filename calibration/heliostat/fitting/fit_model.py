@@ -1,4 +1,4 @@
-"""One descent of a heliostat's free numbers at given sigmas and rows, and what it says of both."""
+"""One descent of a heliostat's free numbers at given sigmas and rows, and what follows for both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -155,7 +155,7 @@ class Descended:
         expected = 1.0 if isinstance(loss, Squares) else normal_moments(loss, block).influence
         result = {}
         for kind, factor in self.factors.items():
-            # Two spare components or fewer say nothing about a scatter.
+            # Two spare components or fewer do not give a scatter.
             enough = redundancy[kind] > 2
             found = _scale(lengths[kinds == kind], loss, expected, redundancy[kind]) if enough else np.nan
             result[kind] = max(factor * found, _LEAST_FACTOR) if enough else float("nan")
@@ -177,7 +177,7 @@ class Descended:
         """Return the same end with the covariance for normal errors of the sigmas in force.
 
         ``A^-1 B A^-1``, ``A = E psi' N + P``, ``B = E psi^2 N + P`` with the normal matrices N of the observations
-        and P of the priors. The adjustment takes the larger of this and of what the residuals themselves say; here
+        and P of the priors. The adjustment takes the larger of this and of what the residuals themselves show; here
         the sigmas were tested or estimated before, and the larger of two is 10 % too large with 15 rows and 5
         parameters.
         """

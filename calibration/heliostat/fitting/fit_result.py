@@ -1,4 +1,4 @@
-"""The fit of a heliostat: how it is asked for and what it says."""
+"""The fit of a heliostat: its options and its result."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class HeliostatFit:
     """A fitted heliostat with the evidence for and against it.
 
     design: The heliostat with the estimates as values; the sigmas of its parameters are still the priors.
-    nominal: The heliostat as it was handed in, with the parameters that the observations bring.
+    nominal: The heliostat as given, with the parameters that the observations bring.
     observations: All rows, rejected ones too.
     solution: The adjustment in the free parameters; whitened with the sigmas that were used in the end.
     covariance (p, p): Covariance of all parameters, 0 for held ones.

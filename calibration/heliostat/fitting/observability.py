@@ -16,7 +16,7 @@ _PLACES = ("position_", "camera_", "target_")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Combination:
-    """A combination of parameters on which the observations say less than was known before.
+    """A combination of parameters that the observations determine less well than was known before.
 
     names: Its parameters, the largest share first.
     coefficients (len(names),): How far each moves along it, in its own unit; the first is positive.

@@ -12,9 +12,9 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, float_array
 
-# Fewer heliostats say less of a field's scatter than manufacturing tolerances do.
+# Fewer heliostats determine a field's scatter less well than manufacturing tolerances do.
 _FEWEST = 4
-# A parameter that observations narrow to less than this share of its prior sigma is told by them.
+# A parameter that observations narrow to less than this share of its prior sigma is estimated from them.
 _TOLD = 0.5
 # Median absolute deviation of normal numbers over their sigma.
 _MAD_OF_NORMAL = 0.6745
@@ -62,8 +62,8 @@ class Population:
         return cls(tuple(names), offsets, tuple(found.design.name for found in fits))
 
     @classmethod
-    def told_by(cls, fits: Sequence[HeliostatFit]) -> "Population":
-        """Collect the estimates of the parameters that the observations themselves tell.
+    def estimated_from(cls, fits: Sequence[HeliostatFit]) -> "Population":
+        """Collect the estimates of the parameters that the observations themselves determine.
 
         fits: Fits of heliostats of one kind, each within its own priors.
         Returns: Of the parameters whose sigma is below half of the prior's in most fits; the others would come back
@@ -78,7 +78,7 @@ class Population:
         return cls.of(fits, tuple(name for name, some in shares.items() if np.median(some) < _TOLD))
 
     def knows(self, without: str) -> bool:
-        """Whether enough heliostats besides one say what is usual."""
+        """Whether enough heliostats besides one show what is usual."""
         return not np.isnan(self.middle_and_sigma(without)[0]).all()
 
     def middle_and_sigma(self, without: str | None = None) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +86,7 @@ class Population:
 
         without: A heliostat that is left out: the one that the answer is for.
         middle, sigma (p,): Median of the offsets, and their scatter by the median absolute deviation, widened for
-            the number of heliostats; NaN where fewer than four say something.
+            the number of heliostats; NaN where fewer than four have an estimate.
         """
         rows = np.array([name != without for name in self.heliostats], dtype=np.bool_)
         offsets = self.offsets[rows]
@@ -109,7 +109,7 @@ def with_population(
     Parameters
     ----------
     design : HeliostatDesign
-        The heliostat with its priors; those that the field says nothing of stay.
+        The heliostat with its priors; those that the field does not determine stay.
     population : Population
         The field; the heliostat's own row is left out.
     least_sigma : array_like, shape (p,), optional
@@ -123,7 +123,7 @@ def with_population(
     Raises
     ------
     EstimationError
-        Fewer than four other heliostats say anything.
+        Fewer than four other heliostats have an estimate.
 
     Notes
     -----

@@ -149,7 +149,7 @@ def predict_aim(
 
 
 def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
-    """Return by how much errors at suns left aside exceed what the parameters' covariance says.
+    """Return by how much errors at suns left aside exceed the parameters' covariance.
 
     options: How it was made.
     Returns: Factor on the parameters' sigmas, at least 1, at most 10; 1 with too few rows, or where the stated
@@ -432,5 +432,5 @@ def _why(distance: float, leverage: float) -> str:
     if distance > FAR_RAD:
         parts.append(f"{np.degrees(distance):.0f} degrees from the nearest position used")
     if leverage > HIGH_LEVERAGE:
-        parts.append(f"leverage {leverage:.1f}: the observations say less of it than one made there would")
+        parts.append(f"leverage {leverage:.1f}: the observations determine it less than one made there would")
     return "; ".join(parts)

@@ -34,7 +34,7 @@ def fit(design: HeliostatDesign, observations: Observations, options: FitOptions
     Parameters
     ----------
     design : HeliostatDesign
-        The heliostat; the sigmas of its parameters say what is held (0), known before (prior) and free (inf).
+        The heliostat; the sigmas of its parameters: held (0), known before (prior) and free (inf).
     observations : Observations
         Any mixture of kinds.
     options : FitOptions, optional
@@ -131,7 +131,7 @@ def _rounds(end: Descended, estimated: Mapping[str, bool]) -> Descended:
         scatter = end.scatter()
         known = {kind: estimated[kind] and np.isfinite(scatter[kind]) for kind in end.factors}
         factors = {kind: scatter[kind] if known[kind] else old for kind, old in end.factors.items()}
-        # Nothing to spare: what the median said on the way gives place to the stated sigma.
+        # Nothing to spare: what the median gave on the way gives place to the stated sigma.
         factors = {kind: 1.0 if np.isnan(scatter[kind]) else factor for kind, factor in factors.items()}
         used = _acceptable(end, factors)
         still = all(abs(factors[kind] / end.factors[kind] - 1) < 5e-3 for kind in factors)
@@ -253,7 +253,7 @@ def _doubts(end: Descended, combinations: tuple[Combination, ...]) -> Iterator[D
     if not end.solution.converged:
         yield Doubt("fit_not_converged", f"the fit has not converged: {end.solution.reason}", severity=Severity.SERIOUS)
     if combinations and len(combinations) == len(end.model.names):
-        text = f"{used} usable observations say less than the priors: this is a prior-only answer"
+        text = f"{used} usable observations determine less than the priors: this is a prior-only answer"
         yield Doubt("answer_is_of_priors_only", text, {"used_count": used})
     for one in combinations:
         if not one.held_by_prior:

@@ -19,7 +19,7 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 #: Splits by name; `column` besides takes the user's own.
 SPLIT_NAMES = ("random", "chronological", "azimuth", "azimuth-reversed", "high-variance")
-# Neighbours whose mean distance tells how lonely a sun position is.
+# Neighbours whose mean distance measures how lonely a sun position is.
 _NEIGHBOURS = 3
 _FEWEST = 4
 
@@ -66,7 +66,7 @@ class AngleSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """What a fit to one part of the observations says of the other.
+    """A fit to one part of the observations, tried out on the other.
 
     fit: Fit to the training rows.
     train: Of the training rows that were used.
@@ -227,7 +227,7 @@ def _column_split(column: Sequence[str] | None, count: int) -> Split:
     train, test = words == "train", np.isin(words, ("test", "validation"))
     if not (train.any() and test.any()):
         raise InputError("split column: rows marked train and rows marked test or validation are needed")
-    return Split("column", freeze(np.asarray(train)), freeze(np.asarray(test)), "as the table says")
+    return Split("column", freeze(np.asarray(train)), freeze(np.asarray(test)), "as in the table")
 
 
 def _loneliness(suns: FloatArray) -> FloatArray:

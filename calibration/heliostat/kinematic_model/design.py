@@ -186,7 +186,7 @@ class HeliostatDesign:
     normal : array_like, shape (3,)
         The mirror's outward normal in the mirror's frame.
     parameters : Parameters
-        All numbers with what is known of them; may hold more than the chain uses (positions of cameras, say).
+        All numbers with what is known of them; may hold more than the chain uses (such as positions of cameras).
     limits : array_like, shape (2, 2)
         Lowest and highest reading of each drive (row).
     reading_unit : {"counts", "rad"}, optional

@@ -56,7 +56,7 @@ class PoseDerivatives:
 class _Link(NamedTuple):
     """Constant steps up to a drive (or the mirror), gathered, in the frame where they start.
 
-    Rotation and offset lead to the end. Turns and moves tell what the wanted parameters in between do: columns, axes,
+    Rotation and offset lead to the end. Turns and moves hold what the wanted parameters in between do: columns, axes,
     and for turns the points that they turn about.
     """
 

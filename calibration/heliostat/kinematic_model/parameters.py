@@ -91,15 +91,15 @@ class Parameters:
             raise InputError(f"parameter {name!r}: no such parameter; {remedy}") from None
 
     def indices(self, names: Sequence[str]) -> IntArray:
-        """Return the positions of several names; `index` says what is raised."""
+        """Return the positions of several names; errors as in `index`."""
         return np.array([self.index(name) for name in names], dtype=np.intp)
 
     def value(self, name: str) -> float:
-        """Return the value of a name; `index` says what is raised."""
+        """Return the value of a name; errors as in `index`."""
         return float(self.values[self.index(name)])
 
     def sigma(self, name: str) -> float:
-        """Return the prior sigma of a name; `index` says what is raised."""
+        """Return the prior sigma of a name; errors as in `index`."""
         return float(self.sigmas[self.index(name)])
 
     def with_values(self, values: npt.ArrayLike) -> "Parameters":
@@ -121,7 +121,7 @@ class Parameters:
         return replace(self, sigmas=sigmas)
 
     def extended(self, other: "Parameters") -> "Parameters":
-        """Return these parameters followed by others (say, the positions of cameras)."""
+        """Return these parameters followed by others, such as the positions of cameras."""
         return Parameters(
             self.names + other.names,
             np.concatenate([self.values, other.values]),

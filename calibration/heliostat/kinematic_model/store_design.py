@@ -39,7 +39,7 @@ def design_content(design: HeliostatDesign) -> dict[str, Any]:
 
 
 def design_from(content: Mapping[str, Any], numbers: Mapping[str, Mapping[str, Any]], *, key: str) -> HeliostatDesign:
-    """Return a heliostat from what ``heliostat.json`` says.
+    """Return a heliostat from the content of ``heliostat.json``.
 
     key: Which numbers: "value" or "nominal".
     InputError: A key is missing, or a value that cannot be.

@@ -1,4 +1,4 @@
-"""Observations of the mirror itself: lamps seen by a camera it carries, its normals, its points."""
+"""Observations of the mirror itself: lamps seen by a camera on it, its normals, its points."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar

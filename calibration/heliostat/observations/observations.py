@@ -118,7 +118,7 @@ class Observations:
     def extra_parameters(self, design: HeliostatDesign) -> Parameters:
         """Return what the observations bring besides the heliostat's own numbers, without those it already has.
 
-        InputError: Two groups say different things of the same camera or target.
+        InputError: Two groups contradict each other about a camera or target.
         """
         extra = joined_parameters(group.extra_parameters(design) for group in self.groups if len(group))
         new = np.array([name not in design.parameters.names for name in extra.names], dtype=np.bool_)

@@ -45,8 +45,8 @@ class Observed:
     readings (n, 2): Readings of all rows in the design's unit; NaN where there are none.
     suns (n, 3): Directions to the sun; NaN where there is none.
     spots_m (n, 3): Where the beams' centres were seen [m]; NaN for other kinds.
-    sun_check_rad: Median angle between suns as told and as SPA has them [rad]; NaN where not both are there.
-    has_sigmas: Whether the table itself says how well each row is known.
+    sun_check_rad: Median angle between suns as recorded and as SPA has them [rad]; NaN where not both are there.
+    has_sigmas: Whether the table itself has sigmas.
     """
 
     rows: Rows
@@ -112,9 +112,9 @@ def _spots(rows: Rows, kinds: Sequence[str], plant: Plant, verdicts: Verdicts) -
     flat, space = rows.vector("x_m", "y_m"), rows.vector("e_m", "n_m", "u_m")
     for name, target in plant.targets.items():
         here = is_beam & np.array([one == name for one in names], dtype=np.bool_)
-        told = here & np.isfinite(flat).all(axis=1)
-        spots[told] = target.points(flat[told])
-        spots[here & ~told] = space[here & ~told]
+        flat_here = here & np.isfinite(flat).all(axis=1)
+        spots[flat_here] = target.points(flat[flat_here])
+        spots[here & ~flat_here] = space[here & ~flat_here]
         _refuse_off_target(target, spots, here, verdicts)
     missing = is_beam & ~np.isfinite(spots).all(axis=1)
     verdicts.refuse(missing, "not_finite", "the beam's centre is missing: x_m, y_m (or e_m, n_m, u_m)")

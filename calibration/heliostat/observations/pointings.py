@@ -181,7 +181,7 @@ def joined_parameters(parts: Iterable[Parameters]) -> Parameters:
         known = [name in joined.names for name in part.names]
         for name, value, sigma, again in zip(part.names, part.values, part.sigmas, known, strict=True):
             if again and (joined.value(name), joined.sigma(name)) != (value, sigma):
-                raise InputError(f"{name}: two groups of observations say different things of it")
+                raise InputError(f"{name}: two groups of observations contradict each other")
         new = ~np.array(known, dtype=np.bool_)
         names = tuple(name for name, again in zip(part.names, known, strict=True) if not again)
         units = tuple(unit for unit, again in zip(part.units, known, strict=True) if not again)
@@ -234,4 +234,4 @@ def check_places(what: str, names: tuple[str, ...], places: tuple[Place, ...], c
     known = [place.name for place in places]
     unknown = sorted(set(names) - set(known))
     if unknown or len(set(known)) != len(known):
-        raise InputError(f"{what} {', '.join(unknown)}: each must be told once; there are {', '.join(known)}")
+        raise InputError(f"{what} {', '.join(unknown)}: each must be given once; there are {', '.join(known)}")

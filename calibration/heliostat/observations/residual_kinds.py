@@ -1,4 +1,4 @@
-"""The observation equations: what each kind of observation says of the mirror's pose, to first order."""
+"""The observation equations: each kind of observation against the pose of the mirror, to first order."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ class Prepared:
     sigma_rad (n,): Stated sigma per axis [rad]; NaN for points.
     rows: Rows of each camera, target or image position.
     stretch (n,): Divisor of the components: the stereographic map stretches away from its middle.
-    distance_m (n,): Distance at which a sigma in metres was made an angle; NaN where it was told as an angle [m].
+    distance_m (n,): Distance at which a sigma in metres was made an angle; NaN where it was given as an angle [m].
     """
 
     sights: Sights | None

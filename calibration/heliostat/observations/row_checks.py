@@ -52,7 +52,7 @@ def readings_of(rows: Rows, design: HeliostatDesign, verdicts: Verdicts) -> Floa
 
 def _wrong_kind(design: HeliostatDesign, unit: str) -> str:
     if unit == "counts":
-        return f"{design.name}: readings are counts, which mean no angle yet; say counts_per_turn in [kinematics]"
+        return f"{design.name}: readings are counts, which mean no angle yet; give counts_per_turn in [kinematics]"
     if isinstance(design.drives[0], LinearActuator):
         return f"{design.name}: linear actuators are read in counts (axis_1_counts, axis_2_counts), not in {unit}"
     return f"{design.name}: counts_per_turn belongs to readings in counts; the table has axis_1_{unit}"
@@ -97,34 +97,34 @@ def _outside_text(design: HeliostatDesign, names: list[str], values: FloatArray,
 
 
 def suns_of(rows: Rows, site: Site, verdicts: Verdicts, needed: BoolArray) -> tuple[FloatArray, float]:
-    """Return the direction to the sun of each row: as told, else from its time.
+    """Return the direction to the sun of each row: as recorded, else from its time.
 
     verdicts: Takes rows without a sun, with one below the horizon, and with one that contradicts its time.
     needed (n,): Rows that are nothing without the sun.
     Returns (n, 3): Unit vectors to the apparent sun; NaN where there is none.
-    Returns: Median angle between the sun as told and as SPA has it [rad]; NaN where not both are there.
-    InputError: The suns as told are in radians, or counted by another convention, or the times are of another zone.
+    Returns: Median angle between the sun as recorded and as SPA has it [rad]; NaN where not both are there.
+    InputError: The suns as recorded are in radians, or counted by another convention, or the times are of another zone.
     """
-    told = np.deg2rad(rows.vector("sun_azimuth_deg", "sun_elevation_deg"))
-    is_told: BoolArray = np.asarray(np.isfinite(told).all(axis=1))
-    _refuse_radians(np.rad2deg(told[is_told & verdicts.usable]))
+    recorded = np.deg2rad(rows.vector("sun_azimuth_deg", "sun_elevation_deg"))
+    is_recorded: BoolArray = np.asarray(np.isfinite(recorded).all(axis=1))
+    _refuse_radians(np.rad2deg(recorded[is_recorded & verdicts.usable]))
     timed = ~np.isnat(rows.times)
     suns, computed = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
-    suns[is_told] = direction_from_angles(told[is_told, 0], told[is_told, 1])
+    suns[is_recorded] = direction_from_angles(recorded[is_recorded, 0], recorded[is_recorded, 1])
     if timed.any():
         computed[timed] = sun_directions(rows.times[timed], site)
-    both = is_told & timed & verdicts.usable & needed
+    both = is_recorded & timed & verdicts.usable & needed
     apart = _angle(suns, computed)
     median = float(np.median(apart[both])) if both.any() else float("nan")
     if np.count_nonzero(both) >= _ENOUGH and median > _CONVENTION_LIMIT_RAD:
-        raise _convention(told[both], rows.times[both], site, median)
+        raise _convention(recorded[both], rows.times[both], site, median)
 
     def aside(row: int) -> str:
-        return f"the sun as told is {1e3 * apart[row]:.0f} mrad from where {rows.times[row]}Z puts it"
+        return f"the sun as recorded is {1e3 * apart[row]:.0f} mrad from where {rows.times[row]}Z puts it"
 
     with np.errstate(invalid="ignore"):
         verdicts.refuse(both & (apart > _SUN_LIMIT_RAD), "sun", aside)
-    suns = np.where(is_told[:, None], suns, computed)
+    suns = np.where(is_recorded[:, None], suns, computed)
     verdicts.refuse(needed & ~np.isfinite(suns).all(axis=1), "time", "neither a time nor the sun's angles")
     verdicts.refuse(
         needed & (suns[:, 2] <= 0),
@@ -148,10 +148,10 @@ def _refuse_radians(angles_deg: FloatArray) -> None:
         )
 
 
-def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> ColumnError:
-    """Find the convention by which the suns as told would be those of their times."""
+def _convention(recorded: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> ColumnError:
+    """Find the convention by which the suns as recorded would be those of their times."""
     truth = sun_directions(times, site)
-    azimuth, elevation = told.T
+    azimuth, elevation = recorded.T
     forms: dict[str, Callable[[], FloatArray]] = {
         "the azimuth is 0 in the south and positive to the east: write 180 - azimuth": lambda: np.pi - azimuth,
         "the azimuth is 0 in the south and positive to the west: write 180 + azimuth": lambda: np.pi + azimuth,
@@ -169,11 +169,11 @@ def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site,
         if np.median(_angle(suns, shifted)) < _CONVENTION_LIMIT_RAD:
             return ColumnError(
                 "time_offset",
-                f"time_utc: the sun as told is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times",
+                f"time_utc: the recorded sun is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times",
             )
     return ColumnError(
         "sun_convention",
-        f"the sun as told is {1e3 * median:.0f} mrad (median) from where its times put it, by no known convention; "
+        f"the sun as recorded is {1e3 * median:.0f} mrad (median) from where its times put it, by no known convention; "
         "azimuth must be 0 in the north and clockwise, elevation from the horizon; is the site's place right?",
     )
 
@@ -182,7 +182,7 @@ def _convention(told: FloatArray, times: npt.NDArray[np.datetime64], site: Site,
 
 
 def refuse_repeats(rows: Rows, verdicts: Verdicts) -> None:
-    """Refuse rows that say what an earlier one said: they would count twice.
+    """Refuse rows that repeat an earlier one: they would count twice.
 
     verdicts: Takes the repeats.
     """

@@ -217,7 +217,7 @@ def parse_times(texts: Sequence[str], verdicts: Verdicts) -> Times:
             if moment.tzinfo is not None:
                 times[row] = np.datetime64(moment.astimezone(datetime.UTC).replace(tzinfo=None), "ms")
                 continue
-            reason = f"time_utc = {text!r} says no zone; write {text.replace(' ', 'T')}Z if it is UTC"
+            reason = f"time_utc = {text!r} has no zone; write {text.replace(' ', 'T')}Z if it is UTC"
         verdicts.refuse(np.arange(len(texts)) == row, "time", reason)
     return np.asarray(freeze(times))
 

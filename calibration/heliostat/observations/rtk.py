@@ -8,7 +8,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, float_array, positive
 
-#: Fewer epochs say nothing of a spread that is wanted to 10 %.
+#: Fewer epochs do not give a spread to 10 %.
 _FEWEST = 20
 
 

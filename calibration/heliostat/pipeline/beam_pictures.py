@@ -1,4 +1,4 @@
-"""Pictures of beams for the reports: the photos that tell most, drawn with what was measured and what was expected."""
+"""Pictures of beams for the reports: the most informative photos, drawn with measured and expected places."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,7 +40,7 @@ def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, p
     residual = np.asarray(columns["residual_beam_mrad"], dtype=np.float64)
     frames = beam_frames(shared.folder, shared.plant, shared.model)
     finders: dict[str, TargetFinder] = {}
-    for number, (row, why) in enumerate(telling_rows(residual, list(columns["flag"]), seen), start=1):
+    for number, (row, why) in enumerate(informative_rows(residual, list(columns["flag"]), seen), start=1):
         photo, name = photos[row], str(columns["target"][row])
         if name not in finders:
             finders[name] = TargetFinder(frames[name])
@@ -50,8 +50,8 @@ def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, p
             (folder / f"beam_{number:02d}.png").write_bytes(content)
 
 
-def telling_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: BoolArray) -> list[tuple[int, str]]:
-    """Choose the photos that tell most.
+def informative_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: BoolArray) -> list[tuple[int, str]]:
+    """Choose the most informative photos.
 
     residual_mrad (n,): Residual of the beam; NaN where there is none [mrad].
     flags length n: Why a row was left out; empty for those that were used.
@@ -73,7 +73,7 @@ def _picture(finder: TargetFinder, photo: Path, predicted_m: FloatArray, words: 
     try:
         image = finder.image(photo)
     except (EstimationError, InputError):
-        return None  # Its row says why: there is no target to be drawn.
+        return None  # Its row has the reason: there is no target to be drawn.
     beam, _ = finder.measure(photo, BeamSettings())
     place = predicted_m if np.isfinite(predicted_m).all() else None
     return png_of(beam_image_figure(image, beam, aim_m=place, aim_name="predicted place", title=words, methods=False))

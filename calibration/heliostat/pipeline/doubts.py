@@ -42,7 +42,7 @@ def collect_doubts(
     if shared.population is not None and shared.population.knows(task.name):
         others = len(set(shared.population.heliostats) - {task.name})
         common = ", ".join(shared.population.names)
-        text = f"{others} other heliostats of the field say what is usual: values and priors of {common}"
+        text = f"{others} other heliostats of the field give what is usual: values and priors of {common}"
         yield Doubt("priors_of_the_field", text, {"heliostats_count": others}, Severity.NOTE)
     yield from _missing_sigmas(seen, shared.model.evaluation.spot_sigma_mm)
     yield from result.doubts

@@ -82,7 +82,7 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
 
 
 def results_of(folder: Path) -> Iterator[dict[str, Any]]:
-    """Read what each calibrated heliostat of a folder of results says.
+    """Read ``heliostat.json`` of each calibrated heliostat in a folder of results.
 
     InputError: No results there, or results of another version.
     """

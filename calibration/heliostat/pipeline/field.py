@@ -12,27 +12,20 @@ import numpy as np
 from calibration.heliostat.files.field_folder import FieldFolder
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
-from calibration.heliostat.files.store_heliostat import (
+from calibration.heliostat.files.store_field import (
     failed_row,
     field_row,
-    heliostat_summary,
+    field_summary,
+    headline_text,
     split_lines,
     worst_first,
     write_field,
 )
+from calibration.heliostat.files.store_heliostat import heliostat_summary
 from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.keys import HeliostatMeasurement
-from calibration.heliostat.pipeline.measure import (
-    WORTH,
-    Chosen,
-    Options,
-    choose,
-    field_summary,
-    headline_text,
-    refuse_all,
-    run,
-    with_field,
-)
+from calibration.heliostat.pipeline.campaign import WORTH, Campaign, with_field
+from calibration.heliostat.pipeline.measure import Options, refuse_all, run
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
@@ -106,8 +99,8 @@ def run_into(
     """
     options, progress = options or Options(), progress or SilentProgress()
     with progress.stage("look at heliostats"):
-        chosen = choose(measurement, options)
-    if len(chosen.names) == 1:
+        campaign = options.choose(measurement)
+    if len(campaign.names) == 1:
         with ResultFolder(out, force=force) as working:
             result = run(measurement, options, progress)
             with progress.stage("write results"):
@@ -118,31 +111,31 @@ def run_into(
         return FieldResult([field_row(one)], summary, splits=split_lines(one))
     with FieldFolder(out, force=force) as folder:
         try:
-            chosen = with_field(chosen, options.workers, progress)
-            filled = _fill(folder, chosen, measurement, options, progress)
+            campaign = with_field(campaign, options.workers, progress)
+            filled = _fill(folder, campaign, measurement, options, progress)
             if report:
                 _report(folder.path, progress)
             return filled
         except KeyboardInterrupt:
             count = len(folder.finished.keys() | folder.before.keys())
-            kept = f"{count} of {len(chosen.names)} heliostats are finished in {out}; the same command continues"
+            kept = f"{count} of {len(campaign.names)} heliostats are finished in {out}; the same command continues"
             raise KeyboardInterrupt(kept if count else "nothing was written") from None
 
 
 def _fill(
-    folder: FieldFolder, chosen: Chosen, measurement: HeliostatMeasurement, options: Options, progress: Progress
+    folder: FieldFolder, campaign: Campaign, measurement: HeliostatMeasurement, options: Options, progress: Progress
 ) -> FieldResult:
     with progress.stage("hash inputs"):
-        hashes = hash_files(chosen.source.files, measurement.folder)
-    common = _digest(chosen.shared)
+        hashes = hash_files(campaign.source.files, measurement.folder)
+    common = _digest(campaign.shared)
     failures: dict[str, Failure] = {}
     digests: dict[str, str] = {}
-    processes = options.workers.processes(len(chosen.names), worth=WORTH[chosen.shared.thorough])
-    with progress.stage("calibrate heliostats", len(chosen.names)) as stage:
+    processes = options.workers.processes(len(campaign.names), worth=WORTH[campaign.shared.thorough])
+    with progress.stage("calibrate heliostats", len(campaign.names)) as stage:
 
         def fresh() -> Iterator[HeliostatTask]:
             """Yield what is not finished yet; what was finished from the same is taken over."""
-            for task in chosen.source.tasks(chosen.names):
+            for task in campaign.source.tasks(campaign.names):
                 digest = task.digest(common)
                 earlier = folder.before.get(task.name)
                 if earlier is not None and earlier[0] == digest and _is_there(folder.path, task.name, earlier[1]):
@@ -152,7 +145,7 @@ def _fill(
                     digests[task.name] = digest
                     yield task
 
-        for done in run_each(_finish, chosen.shared, fresh(), workers=options.workers, processes=processes):
+        for done in run_each(_finish, campaign.shared, fresh(), workers=options.workers, processes=processes):
             name, outcome = done.task.name, done.outcome
             if isinstance(outcome, Failure):
                 failures[name] = outcome
@@ -161,14 +154,14 @@ def _fill(
             else:
                 folder.keep(name, digests.pop(name), outcome.row, outcome.files)
             stage.advance()
-    if len(failures) == len(chosen.names):
+    if len(failures) == len(campaign.names):
         folder.finished.clear()
         refuse_all(failures)
-    rows = worst_first([folder.finished[name][1] for name in chosen.names])
-    resumed = sum(folder.finished[name] is folder.before.get(name) for name in chosen.names)
+    rows = worst_first([folder.finished[name][1] for name in campaign.names])
+    resumed = sum(folder.finished[name] is folder.before.get(name) for name in campaign.names)
     with progress.stage("write results"):
         summary = field_summary(
-            measurement.model.name, rows, chosen.shared, durations_s=dict(progress.durations_s), input_sha256=hashes
+            measurement.model.name, rows, campaign.shared, durations_s=dict(progress.durations_s), input_sha256=hashes
         )
         write_field(folder.path, rows)
         write_summary(folder.path / "summary.json", summary)

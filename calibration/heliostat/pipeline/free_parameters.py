@@ -43,7 +43,7 @@ def choose_free_parameters(
     kinematics = shared.model.kinematics
     if shared.free == AUTO and frees_parameters(kinematics):
         free = kinematics.free
-        return FreeParameters(nominal, free if isinstance(free, str) else "as the measurement says")
+        return FreeParameters(nominal, free if isinstance(free, str) else "as in measurement.toml")
     if shared.free != AUTO:
         return FreeParameters(nominal.with_free(shared.free), shared.free)
     known = FreeParameters(with_priors(nominal), "all with priors")

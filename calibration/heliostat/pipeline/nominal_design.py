@@ -134,7 +134,7 @@ def _cell(name: str, text: str) -> float:
 def _with_knowledge(
     design: HeliostatDesign, cells: Mapping[str, str], kinematics: KinematicsSection
 ) -> HeliostatDesign:
-    """Put in values of the heliostat's own, then those all share; then say what is free and what has a prior."""
+    """Put in values of the heliostat's own, then those all share; then set what is free and what has a prior."""
     shared = {name: one.value for name, one in kinematics.parameters.items() if one.value is not None}
     own = {name: _cell(name, text) for name, text in cells.items() if name not in _POSITION_CELLS and text}
     design = design.with_value({**shared, **own})

@@ -35,7 +35,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     free = choose_free_parameters(nominal, observations, shared, options)
     result = fit(free.design, observations, options)
     trials = try_out(nominal, free, observations, rows, shared, options, hopeless=is_hopeless(result))
-    # The scatter of a field says what is usual, not what a heliostat was delivered as: faults are judged by the latter.
+    # The scatter of a field shows what is usual, not how a heliostat was delivered: faults are judged by the latter.
     judged = result if shared.population is None else fit(with_priors(nominal), observations, options)
     records = Records(rows.flags, rows.text("image"), rows.times, rows.ids)
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)

@@ -49,7 +49,7 @@ def with_measured_beams(
     frames = beam_frames(folder, plant, model)
     known = np.array([name in frames for name in targets], dtype=np.bool_)
     verdicts.refuse(
-        wanted & ~known, "image", lambda row: f"no [[images]] says where target {targets[row]!r} is in its photo"
+        wanted & ~known, "image", lambda row: f"no [[images]] states where target {targets[row]!r} is in its photo"
     )
     files = [folder / name for name in images]
     there = np.array([file.is_file() for file in files], dtype=np.bool_)

@@ -16,7 +16,7 @@ def write_result(result: HeliostatResult, shared: Shared, folder: Path, summary:
 def write_heliostat_files(result: HeliostatResult, shared: Shared, folder: Path) -> None:
     """Write ``heliostat.json`` and ``residuals.csv`` into an existing folder.
 
-    Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the beams that tell most.
+    Where rows name photos, ``beams.csv`` too; of thorough runs pictures of the most informative beams.
     """
     write_heliostat(result, shared, folder)
     if result.beams is not None:

@@ -1,6 +1,6 @@
 """Which measurements to make next: the positions that take most from the uncertainty of a year's pointing.
 
-Everything is told of the beam: the root of both axes' variances, as `prediction` has it; the normal is half of it.
+All errors are of the beam: the root of both axes' variances, as `prediction` has it; the normal is half of it.
 """
 
 from collections.abc import Mapping
@@ -88,7 +88,7 @@ def knowledge_before(design: HeliostatDesign, misfit_rad: float = 0.0) -> Knowle
     Raises
     ------
     InputError
-        A parameter is free without a prior: nothing could be said of the beam.
+        A parameter is free without a prior: nothing would be known of the beam.
     """
     parameters = design.parameters
     unknown = [name for name, sigma in zip(parameters.names, parameters.sigmas, strict=True) if np.isinf(sigma)]

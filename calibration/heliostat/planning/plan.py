@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.files.store_heliostat import FIELD_FILE
+from calibration.heliostat.files.store_field import FIELD_FILE
 from calibration.heliostat.fitting.prediction import sun_positions_of_year
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.store_design import design_from

@@ -253,7 +253,7 @@ def drawn_sightings(
     sigma_m: tuple[float, float, float] = RTK_SIGMA_M,
     offset_sigma_m: npt.ArrayLike = 0.0,
 ) -> Observations:
-    """Draw what an RTK-GPS says of a drone's places.
+    """Draw the places of a drone as an RTK-GPS measures them.
 
     Parameters
     ----------

@@ -172,9 +172,7 @@ def correlation_figure(correlation: Mapping[str, Any]) -> "Figure":
     axes.set_xticks(range(len(names)), labels, rotation=90, fontsize=7)
     axes.set_yticks(range(len(names)), labels, fontsize=7)
     add_color_bar(figure, image, box, MapStyle("", ""), matrix)
-    add_title(
-        figure, "Correlation of the parameters", "of the fit to all usable observations; 1 and -1: not told apart"
-    )
+    add_title(figure, "Correlation of the parameters", "of the fit to all usable observations; 1 and -1: not separated")
     return figure
 
 

@@ -77,7 +77,7 @@ def split_table(report: HeliostatReport) -> Html:
     rows += [(name, *([""] * 6), f"not made: {why}") for name, why in report.content["splits_not_made"].items()]
     head = ("split", "extrapolated", "expected", "beam predicted", "fitted", "normal predicted", "fitted", "")
     note = (
-        "All angles in mrad, RMS; expected: 1 sigma of the beam, told before looking at the test positions. "
+        "All angles in mrad, RMS; expected: 1 sigma of the beam, predicted before looking at the test positions. "
         "Extrapolated: test positions beyond those of training."
     )
     return join(table(head, rows, numbers=range(1, 7)), _caption(note))
@@ -90,7 +90,7 @@ def residual_figures(report: HeliostatReport) -> Html:
 
 
 def beam_section(report: HeliostatReport) -> Html:
-    """Return the pictures of those beams in photos that tell most; nothing where there are none."""
+    """Return the pictures of the most informative beams in photos; nothing where there are none."""
     files = sorted(report.folder.glob("beam_*.png"))
     if not files:
         return Html("")

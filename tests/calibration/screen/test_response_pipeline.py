@@ -128,7 +128,7 @@ def test_too_few_steps_that_are_not_saturated(tmp_path: Path) -> None:
 
 
 def test_a_display_that_does_not_brighten_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(EstimationError, match=r"tells only \d of 17 levels apart"):
+    with pytest.raises(EstimationError, match=r"separates only \d of 17 levels"):
         evaluate(Photographs(gain_dn=0.0).write(tmp_path / "dark"))
     with pytest.raises(EstimationError, match="no pixel is brighter"):
         evaluate(Photographs(gain_dn=0.0, noise_dn=0.0).write(tmp_path / "noiseless"))

@@ -1,8 +1,8 @@
 """Brightness of the target itself: from frames without a beam, or from the picture around the beam.
 
-A target is lit by sky and ground, is made of panels, carries marks, and the receiver above may cast a shadow on it.
+A target is lit by sky and ground, is made of panels, has marks, and the receiver above may cast a shadow on it.
 Where there are frames without a beam, the model is one of them times a plane plus a constant. Where there are none, it
-is a quadratic surface. What is left around the beam (panels, edges of shadows) is carried on under the beam smoothly.
+is a quadratic surface. What is left around the beam (panels, edges of shadows) is continued smoothly under the beam.
 """
 
 from collections.abc import Sequence
@@ -104,7 +104,7 @@ def background_around(
     empty: FloatArray | None = None,
     full_scale_dn: float = 255.0,
     steps: Sequence[FloatArray] = (),
-    carried_on: bool = True,
+    continued: bool = True,
 ) -> Background:
     """Estimate the target's own brightness from the pixels that no beam lights.
 
@@ -120,8 +120,8 @@ def background_around(
         End of the grey scale [DN].
     steps : sequence of ndarray, each of shape (h, w), optional
         Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
-    carried_on : bool, optional
-        Whether what is left around the beam is carried on under it; needed for the last answer only.
+    continued : bool, optional
+        Whether what is left around the beam is continued under it; needed for the last answer only.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def background_around(
         )
     basis = np.concatenate([basis, *(step[..., None] for step in steps)], axis=2)
     smooth, residuals, scatter, cofactor = _fitted(values_dn, free, basis, full_scale_dn)
-    under = smooth + _carried_on(residuals, free) if carried_on else smooth
+    under = smooth + _continued(residuals, free) if continued else smooth
     return Background(freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals))
 
 
@@ -235,8 +235,8 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> _Robust:
     return _Robust(coefficients, scatter, np.asarray(np.linalg.inv(normal)))
 
 
-def _carried_on(residuals: FloatArray, free: BoolArray) -> FloatArray:
-    """Carry residuals on to where they are not known: averages of ever larger neighbourhoods (pull and push)."""
+def _continued(residuals: FloatArray, free: BoolArray) -> FloatArray:
+    """Continue residuals to where they are not known: averages of ever larger neighbourhoods (pull and push)."""
     mask = free.astype(np.float32)
     known = residuals.astype(np.float32)
     blurred = cv2.GaussianBlur(known, (0, 0), 1.0)

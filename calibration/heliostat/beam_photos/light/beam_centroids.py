@@ -351,7 +351,7 @@ def _block_variance(residuals: FloatArray, blocks: int) -> _Blocks:
 
 
 def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:
-    """Carry the errors of the pixels into the covariance of a centroid.
+    """Propagate the errors of the pixels into the covariance of a centroid.
 
     Shapes: result (2, 2).
     """

@@ -158,7 +158,7 @@ def measure_beam(
     Returns
     -------
     Beam
-        Place by all methods, size, shape, flags. A picture without a beam gives NaN and the flag that says so.
+        Place by all methods, size, shape, flags. A picture without a beam gives NaN and its flag.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def _spot(picture: _Picture, region: BeamRegion) -> _OnGrid:
     shape = (picture.values_dn.shape[0], picture.values_dn.shape[1])
     ground = area_resized(region.background.values_dn, shape)
     if picture.empty is not None:
-        # The pattern is known finer than the coarse grid carries it.
+        # The pattern is known finer than the coarse grid resolves it.
         coarse = (region.values_dn.shape[0], region.values_dn.shape[1])
         detail = picture.empty / area_resized(area_resized(picture.empty, coarse), shape)
         ground = ground * detail

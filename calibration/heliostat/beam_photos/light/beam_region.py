@@ -149,8 +149,8 @@ def _separate(values: FloatArray, seen: BoolArray, fit: "partial[Background]", b
         free = now_free
         # Where no edge was found, none will be, unless the beam turned out to be elsewhere.
         if k in _EDGE_ROUNDS and (steps or k == _EDGE_ROUNDS[0] or changed > 0.02):
-            steps = shadow_steps(values, free, fit(free, carried_on=False), _EDGES)
-        background = fit(free, steps=steps, carried_on=k > 0)
+            steps = shadow_steps(values, free, fit(free, continued=False), _EDGES)
+        background = fit(free, steps=steps, continued=k > 0)
     return _Separated(background, free, little)
 
 
@@ -158,9 +158,9 @@ def _start(values: FloatArray, seen: BoolArray, fit: "partial[Background]", edge
     """Fit the background first without knowing the beam: pixels that are too bright leave one round after another."""
     free = seen
     for _ in range(4):
-        background = fit(free, carried_on=False)
+        background = fit(free, continued=False)
         if edges:
-            background = fit(free, steps=shadow_steps(values, free, background, edges), carried_on=False)
+            background = fit(free, steps=shadow_steps(values, free, background, edges), continued=False)
         over = values - background.values_dn
         kept = seen & (over < 2.5 * background.scatter_dn)
         if kept.mean() < _LEAST_FREE:

@@ -1,6 +1,6 @@
 """Straight edges in the brightness of a target: borders of shadows, panels of another brightness.
 
-A surface that is smooth cannot follow a step, and carries its error under the beam. A shadow that the receiver or
+A surface that is smooth cannot follow a step, and extends its error under the beam. A shadow that the receiver or
 another tower casts on the target ends in a straight line, and so does a panel.
 """
 

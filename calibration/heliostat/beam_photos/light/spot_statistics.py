@@ -1,4 +1,4 @@
-"""What a series of beam places says of a heliostat: accuracy, repeatability, drift and oscillation.
+"""Statistics of a series of beam places: accuracy, repeatability, drift and oscillation.
 
 Every angle here is of the reflected beam: offset on the target over the slant range. The normal's is half of it where
 the heliostat turns in the plane of incidence.

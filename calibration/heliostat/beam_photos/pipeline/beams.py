@@ -73,7 +73,7 @@ class BeamMeasurements:
     flags : ndarray of uint32, shape (n,)
         Bits of `BeamFlag`.
     notes : tuple of str
-        What was said of a photo beyond its flags (why the target was not found, what cannot be read).
+        Notes on a photo beyond its flags (why the target was not found, what cannot be read).
     """
 
     files: tuple[Path, ...]
@@ -132,7 +132,7 @@ def measure_beams(
     jobs : int, optional
         Threads; as many as there are processors (at most 8) if absent.
     progress : Progress, optional
-        Told of each photo.
+        Notified of each photo.
 
     Returns
     -------

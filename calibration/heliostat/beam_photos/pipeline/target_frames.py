@@ -68,7 +68,7 @@ class CornerPixels:
 
 @dataclass(frozen=True, slots=True)
 class MarkerTemplates:
-    """The target's corners carry dark marks of which there are pictures.
+    """The target's corners have dark marks of which there are pictures.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class ArucoMarkers:
 
 @dataclass(frozen=True, slots=True)
 class DarkMarks:
-    """The target's corners carry dark marks: angles (outer corner) or filled rectangles (inner corner).
+    """The target's corners have dark marks: angles (outer corner) or filled rectangles (inner corner).
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class TargetFrame:
 
 
 class PhotoBeam(NamedTuple):
-    """The beam in a photo, and what was said of the photo beyond its flags."""
+    """The beam in a photo, and a note on the photo beyond its flags."""
 
     beam: Beam
     note: str = ""
@@ -179,7 +179,7 @@ class TargetFinder:
             try:
                 self._near = template_corners(read_channel(file, self._frame.channel), self._templates)
             except (EstimationError, InputError):
-                return  # Each photo then searches for itself, and says what is wrong with it.
+                return  # Each photo then searches for itself, and notes what is wrong with it.
 
     def measure(self, file: Path, settings: BeamSettings) -> PhotoBeam:
         """Measure one photo; the note says what cannot be measured, nothing is raised."""
@@ -261,7 +261,7 @@ def _marker_centers(photo: Image, source: ArucoMarkers) -> TargetCorners:
     twice = [number for number in source.ids if number in found.duplicated]
     if missing or twice:
         said = f"marker {missing[0]} is not found" if missing else f"marker {twice[0]} is found twice"
-        raise EstimationError(f"{said} in the photo; the target carries {', '.join(map(str, source.ids))}")
+        raise EstimationError(f"{said} in the photo; the target has {', '.join(map(str, source.ids))}")
     squares = dict(zip(found.numbers, found.squares, strict=True))
     centers, sigmas = [], []
     for number in source.ids:

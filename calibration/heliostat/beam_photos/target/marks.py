@@ -321,7 +321,7 @@ def _refined(image: npt.NDArray[np.float32], template: MarkTemplate, scale: floa
 def _registration_sigma(
     wanted: npt.NDArray[np.float32], window: npt.NDArray[np.float32], affine: FloatArray, anchor: FloatArray
 ) -> float:
-    """Carry what the two pictures differ by into the place of the anchor."""
+    """Propagate what the two pictures differ by into the place of the anchor."""
     moved = cv2.warpAffine(
         window,
         affine.astype(np.float32),

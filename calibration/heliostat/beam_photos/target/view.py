@@ -16,7 +16,7 @@ __all__ = ["Rectifier", "TargetImage", "TargetView", "view_from_points", "whole_
 
 #: Pixels on the longer side of a rectified picture, unless the camera resolves less: a beam is tens of them wide.
 _LONGEST_PX = 256
-#: Residual of the known points, as a share of the target, above which they cannot be what they are said to be.
+#: Residual of the known points, as a share of the target, above which they cannot be these points.
 _MOST_MISFIT = 0.02
 _CORNER_NAMES = ("upper left", "upper right", "lower right", "lower left")
 

@@ -95,7 +95,7 @@ class TestRows:
             (lambda t: put(t, "x_m", 3, "4.5"), "off_target", "(4.50, "),
             (lambda t: put(t, "x_m", 3, "1200"), "off_target", "are these millimetres?"),
             (lambda t: put(t, "time_utc", 3, "2026-06-21T23:30:00Z"), "sun", "degrees below the horizon"),
-            (lambda t: put(t, "time_utc", 3, "2026-06-21T12:30:00"), "time", "says no zone"),
+            (lambda t: put(t, "time_utc", 3, "2026-06-21T12:30:00"), "time", "has no zone"),
             (lambda t: put(t, "time_utc", 3, ""), "time", "neither a time nor"),
             (lambda t: put(t, "sigma_mm", 3, "0"), "not_finite", "a sigma must be positive"),
             (lambda t: put(t, "sigma_mm", 3, "1e200"), "not_finite", "a sigma must be positive, from 1e-6 to 1e6"),
@@ -138,7 +138,7 @@ class TestColumns:
             (lambda t: t.update(axis_1_deg=t.pop("axis_1_rad"), axis_2_deg=t.pop("axis_2_rad")), "look like radians"),
             (
                 lambda t: t.update(axis_1_counts=t.pop("axis_1_rad"), axis_2_counts=t.pop("axis_2_rad")),
-                "say counts_per_turn",
+                "give counts_per_turn",
             ),
             (lambda t: t.update(axis_1_rad=["0.5"] * 12), "axis 1 reads 0.5 in all 12 rows"),
             (lambda t: t.update(time_utc=[t["time_utc"][0]] * 12), "the sun stands at the same place in all 12 rows"),

@@ -31,7 +31,7 @@ def test_numbers_texts_and_times_in_utc() -> None:
         ("A1,2026-06-21T10:00:00Z,0.5,0.25,t,0", "unreadable", "6 cells, the header has 7"),
         ("A1,2026-06-21T10:00:00Z,a,0.25,t,0,0", "unreadable", "axis_1_rad = 'a' is no number"),
         ('A1,2026-06-21T10:00:00Z,"0,5",0.25,t,0,0', "unreadable", "'0,5' is no number; the decimal sign must be"),
-        ("A1,2026-06-21T10:00:00,0.5,0.25,t,0,0", "time", "says no zone; write 2026-06-21T10:00:00Z"),
+        ("A1,2026-06-21T10:00:00,0.5,0.25,t,0,0", "time", "has no zone; write 2026-06-21T10:00:00Z"),
         ("A1,21.6.2026 10:00,0.5,0.25,t,0,0", "time", "'21.6.2026 10:00' is no time"),
     ],
 )

@@ -19,7 +19,7 @@ RESIDUALS = np.array([0.1, 0.9, 0.3, np.nan, 0.5, 0.2, 0.7])
 
 
 def test_left_out_worst_and_typical_each_once() -> None:
-    rows = pipeline_pictures.telling_rows(RESIDUALS, [""] * 6 + ["outlier"], np.arange(7) != 2)
+    rows = pipeline_pictures.informative_rows(RESIDUALS, [""] * 6 + ["outlier"], np.arange(7) != 2)
     assert [row for row, _ in rows] == [6, 1, 4, 5, 0]
     assert rows[0][1] == "left out (outlier)"
     assert "worst, 0.90 mrad" in rows[1][1]
@@ -28,9 +28,9 @@ def test_left_out_worst_and_typical_each_once() -> None:
 
 def test_there_are_never_more_than_twelve() -> None:
     residuals, every = np.linspace(0.1, 2.0, 400), np.ones(400, dtype=np.bool_)
-    rows = pipeline_pictures.telling_rows(residuals, ["image" if row % 3 == 0 else "" for row in range(400)], every)
+    rows = pipeline_pictures.informative_rows(residuals, ["image" if row % 3 == 0 else "" for row in range(400)], every)
     assert len(rows) == len({row for row, _ in rows}) == 12
-    assert pipeline_pictures.telling_rows(residuals, [""] * 400, ~every) == []
+    assert pipeline_pictures.informative_rows(residuals, [""] * 400, ~every) == []
 
 
 def photographed(folder: Path, *, thorough: bool) -> Path:

@@ -78,7 +78,7 @@ def test_photos_without_a_beam_are_reasons(tmp_path: Path) -> None:
     assert "empty.png: " in rows.reasons[1]
     assert "there is no photo 'lost.png'" in rows.reasons[2]
     assert "broken.png: " in rows.reasons[3]
-    assert "no [[images]] says where target 'roof' is" in rows.reasons[4]
+    assert "no [[images]] states where target 'roof' is" in rows.reasons[4]
 
 
 def test_a_place_that_is_told_is_kept(tmp_path: Path) -> None:

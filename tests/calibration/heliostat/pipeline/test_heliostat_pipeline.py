@@ -17,7 +17,7 @@ from calibration.heliostat.files.field_folder import JOURNAL_FILE, check_names
 from calibration.heliostat.files.result import FIELD
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline import field as pipeline_field
-from calibration.heliostat.pipeline import measure as pipeline
+from calibration.heliostat.pipeline.campaign import with_field
 from calibration.heliostat.pipeline.field import FieldResult, run_into
 from calibration.heliostat.pipeline.measure import Options, run
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one
@@ -126,7 +126,7 @@ class TestOneHeliostat:
         ("options", "wanted"),
         [
             (Options(split="chronologic"), "--split chronologic: did you mean chronological"),
-            (Options(label="utis"), "--label utis: did you mean UTIS|--label utis: say UTIS, HeliOS"),
+            (Options(label="utis"), "--label utis: did you mean UTIS|--label utis: known are UTIS, HeliOS"),
             (Options(model="9"), r"no choice of free parameters '9'; known: 2, 5, 8"),
             (Options(only="X*"), r"--only X\*: no heliostat of that name; there are H1"),
         ],
@@ -489,8 +489,8 @@ class TestWhatAFieldHasInCommon:
         assert "H3" in result.failures if spoiled is None else spoiled.diagnosis.kinds
 
     def test_an_interrupted_field_is_taken_up_with_the_same_knowledge(self, folder: Path) -> None:
-        chosen = pipeline.choose(load_heliostat(folder), Options(jobs=1))
-        known = [pipeline.with_field(chosen, Workers(jobs), SilentProgress()).shared for jobs in (1, 2)]
+        chosen = Options(jobs=1).choose(load_heliostat(folder))
+        known = [with_field(chosen, Workers(jobs), SilentProgress()).shared for jobs in (1, 2)]
         assert pipeline_field._digest(known[0]) == pipeline_field._digest(known[1])
         assert pipeline_field._digest(known[0]) != pipeline_field._digest(chosen.shared)
 

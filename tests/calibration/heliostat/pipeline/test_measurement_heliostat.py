@@ -51,7 +51,10 @@ def test_every_optional_key_of_the_template_is_a_real_key(tmp_path: Path) -> Non
         (lambda c: c["site"].update(latitude_deg=137.0), r"site\.latitude_deg = 137\.0"),
         (lambda c: c["site"].update(latitude=37.0), r"did you mean 'latitude_deg'"),
         (lambda c: c["target"][0].pop("width_m"), r"width_m is missing; or give the four corners_m"),
-        (lambda c: c["target"][0].update(corners_m=[[0.0, 0.0, 0.0]] * 4), r"the corners say all, and so does cent"),
+        (
+            lambda c: c["target"][0].update(corners_m=[[0.0, 0.0, 0.0]] * 4),
+            r"corners define the target, and so does c",
+        ),
         (lambda c: c["target"].append(c["target"][0]), r"target 'target' is described twice"),
         (lambda c: c["kinematics"].update(preset="azimuth"), r"kinematics\.preset = 'azimuth': say"),
         (lambda c: c["kinematics"].update(terms=["worm"]), r"worm_ratio is needed"),

@@ -1,0 +1,177 @@
+"""Results of a field: rows of ``field.csv``, its summary, lines for the terminal."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.files.result import HeliostatResult, Shared
+from calibration.heliostat.files.store_heliostat import headline
+from calibration.heliostat.fitting.splits import SPLIT_NAMES
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.results.folder import Summary, write_table_csv
+
+FIELD_FILE = "field.csv"
+FIELD_KIND = "heliostat-field"
+
+
+def split_lines(result: HeliostatResult) -> tuple[str, ...]:
+    """Say what came of each split in a line, what to expect before what was found."""
+    lines = []
+    for name, held in result.held.items():
+        asked = f"split {name}: {held.split.note if held.beyond is None else held.beyond.text}"
+        train, test = 1e3 * held.train.beam_rms_rad, 1e3 * held.test.beam_rms_rad
+        lines.append(f"  {asked}; found {train:.2f} mrad train, {test:.2f} mrad test")
+    return (*lines, *(f"  split {name} not made: {why}" for name, why in result.not_split.items()))
+
+
+def _status(result: HeliostatResult, doubts: Sequence[Doubt]) -> str:
+    if result.diagnosis.kinds:
+        return "faulty"
+    # Single rows that were wrong and left out make a heliostat no worse.
+    too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
+    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.doubts) else "ok"
+
+
+def field_row(result: HeliostatResult) -> dict[str, Any]:
+    """Return a heliostat's row of ``field.csv``."""
+    east, north, up = result.fit.design.position_m.tolist()
+    # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
+    beyond = None if result.main is None else result.main.beyond
+    doubts = [one for one in result.doubts if beyond is None or one.code != beyond.code]
+    return {
+        "heliostat": result.name,
+        "status": _status(result, doubts),
+        "diagnosis": ", ".join(result.diagnosis.named),
+        "e_m": east,
+        "n_m": north,
+        "u_m": up,
+        "model": result.free,
+        **headline(result),
+        "duration_s": round(result.duration_s, 4),
+        "warnings_count": len(result.doubts),
+        "reason": "; ".join(one.text for one in doubts),
+    }
+
+
+def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
+    """Return the row of a heliostat that could not be calibrated."""
+    return {"heliostat": name, "status": "failed", "diagnosis": kind, "reason": reason}
+
+
+def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first."""
+    by_name = sorted((dict(row) for row in rows), key=lambda row: str(row["heliostat"]))
+    by_beam = sorted(by_name, key=_beam_mrad, reverse=True)
+    return sorted(by_beam, key=lambda row: row["status"] != "failed")
+
+
+def _beam_mrad(row: Mapping[str, Any]) -> float:
+    number = row.get("beam_test_rms_mrad")
+    number = row.get("beam_all_rows_rms_mrad") if number is None else number
+    return float("inf") if number is None else float(number)
+
+
+def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write ``field.csv``, the worst heliostat first."""
+    ordered = worst_first(rows)
+    # The reason is long: it comes last, after whatever columns some row has.
+    names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name != "reason"]
+    columns = {name: ["" if row.get(name) is None else row[name] for row in ordered] for name in [*names, "reason"]}
+    write_table_csv(folder / FIELD_FILE, {name: np.array(cells, dtype=object) for name, cells in columns.items()})
+
+
+def field_summary(
+    name: str,
+    rows: list[dict[str, object]],
+    shared: Shared,
+    *,
+    durations_s: Mapping[str, float],
+    input_sha256: Mapping[str, str],
+) -> Summary:
+    """Return the summary of a field.
+
+    shared: What all heliostats share.
+    durations_s: Time of each stage [s].
+    input_sha256: Hashes of what was read.
+    """
+    good = [row for row in rows if row["status"] != "failed"]
+    numbers: dict[str, float | int | None] = {
+        "heliostats_count": len(rows),
+        "calibrated_count": len(good),
+        "failed_count": len(rows) - len(good),
+        "faulty_count": sum(row["status"] == "faulty" for row in rows),
+        "doubtful_count": sum(row["status"] == "doubtful" for row in rows),
+    }
+    missing = {}
+    asked = ["beam_test_rms_mrad", "beam_train_rms_mrad", "normal_test_rms_mrad", "predicted_sigma_beam_mrad"]
+    asked += [f"beam_{split.replace('-', '_')}_test_rms_mrad" for split in SPLIT_NAMES if shared.thorough]
+    for key in asked:
+        known = [float(str(row[key])) for row in good if row.get(key) is not None]
+        if not known and key not in asked[:4]:
+            continue
+        numbers[f"median_{key}"] = float(np.median(known)) if known else None
+        if not known:
+            missing[f"median_{key}"] = "no heliostat has it"
+    worst = [row for row in good if row.get("beam_test_rms_mrad") is not None]
+    doubts = [
+        Doubt("heliostat_failed", f"{row['heliostat']} failed: {row['reason']}")
+        for row in rows
+        if row["status"] == "failed"
+    ]
+    doubts += [
+        Doubt(
+            "heliostat_faulty",
+            f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}",
+            severity=Severity.SERIOUS,
+        )
+        for row in rows
+        if row["status"] == "faulty"
+    ]
+    texts = {"split": shared.split, "model": shared.free, "every split made": "yes" if shared.thorough else "no"}
+    if worst:
+        first = max(worst, key=lambda row: float(str(row["beam_test_rms_mrad"])))
+        texts["worst"] = f"{first['heliostat']}: {float(str(first['beam_test_rms_mrad'])):.2f} mrad"
+    return Summary(
+        kind=FIELD_KIND,
+        name=name,
+        numbers=numbers,
+        texts=texts,
+        doubts=tuple(doubts[:100]),
+        durations_s=durations_s,
+        input_sha256=input_sha256,
+        not_determined=missing,
+    )
+
+
+def headline_text(rows: Sequence[Mapping[str, Any]], splits: Sequence[str] = ()) -> str:
+    """Return the most important numbers in a few lines.
+
+    rows: Rows of ``field.csv``, the worst first.
+    splits: For a single heliostat: what came of each split.
+    """
+    lines = []
+    shown = rows[:20]
+    for row in shown:
+        if row["status"] == "failed":
+            lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
+            continue
+        lines.append(
+            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
+            f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
+            f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
+        )
+    lines += splits if len(splits) > 1 else ()
+    if len(rows) > len(shown):
+        lines.append(f"... and {len(rows) - len(shown)} more, better ones: field.csv")
+    return "\n".join(lines)
+
+
+def _found(row: Mapping[str, Any]) -> str:
+    kinds = str(row.get("diagnosis") or "").replace("_", " ")
+    return f" ({kinds})" if kinds else ""
+
+
+def _mrad(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} mrad"
