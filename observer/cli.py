@@ -123,9 +123,13 @@ def plan_command(
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = into_folder(
-        out, lambda: run(load_observer_plan(folder), progress), write, force=force, progress=progress,
+        out,
+        lambda: run(load_observer_plan(folder), progress),
+        write,
+        force=force,
+        progress=progress,
         report=not no_report,
-    )  # fmt: skip
+    )
     tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 

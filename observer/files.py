@@ -64,9 +64,7 @@ def write_angles(path: Path, slope_map: SlopeMap, angles: AngleMaps) -> None:
         LabelledArray("y", ("y",), slope_map.y_m, "m", _Y),
         LabelledArray("x", ("x",), slope_map.x_m, "m", _X),
     ]
-    write_arrays(
-        path, [*coordinates, *maps], {"sign": _SIGN, "design": slope_map.design, "frame": slope_map.frame}
-    )  # fmt: skip
+    write_arrays(path, [*coordinates, *maps], {"sign": _SIGN, "design": slope_map.design, "frame": slope_map.frame})
 
 
 def write_collector(path: Path, collector: Collector) -> None:
@@ -104,13 +102,17 @@ def write_slices(path: Path, slices: Slices, eyes_m: FloatArray, names: Sequence
         LabelledArray(f"camera_{axis}", ("photo",), eyes_m[:, place], "m", f"camera, {axis}")
         for place, axis in enumerate("xyz")
     ]
-    write_arrays(path, [
-        LabelledArray("y", ("y",), slices.y_m, "m", _Y),
-        LabelledArray("photo", ("photo",), photos, "1", "number of the photo, see the attribute photos"),
-        LabelledArray("x", ("x",), slices.x_m, "m", _X),
-        *cameras,
-        LabelledArray("brightness", ("y", "photo", "x"), stored, "1", "brightness, 255 the brightest; 0: not seen"),
-    ], {"photos": list(names), "brightest_dn": brightest})  # fmt: skip
+    write_arrays(
+        path,
+        [
+            LabelledArray("y", ("y",), slices.y_m, "m", _Y),
+            LabelledArray("photo", ("photo",), photos, "1", "number of the photo, see the attribute photos"),
+            LabelledArray("x", ("x",), slices.x_m, "m", _X),
+            *cameras,
+            LabelledArray("brightness", ("y", "photo", "x"), stored, "1", "brightness, 255 the brightest; 0: not seen"),
+        ],
+        {"photos": list(names), "brightest_dn": brightest},
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,10 +150,13 @@ def write_overlay(folder: Path, overlay: Overlay, photo: str) -> None:
     fields = {
         "x_px": (overlay.pixels[..., 0], "px", "node in the image, from the left"),
         "y_px": (overlay.pixels[..., 1], "px", "node in the image, from the top"),
-        "beside_design": (overlay.beside_design_rad, "rad",
-                          "angle by which the reflected line of sight misses the tube, mirror and tube as designed"),
+        "beside_design": (
+            overlay.beside_design_rad,
+            "rad",
+            "angle by which the reflected line of sight misses the tube, mirror and tube as designed",
+        ),
         "beside_measured": (overlay.beside_measured_rad, "rad", "the same, mirror and tube as measured"),
-    }  # fmt: skip
+    }
     nodes = [
         LabelledArray(name, axes, values.astype(np.float32), unit, text)
         for name, (values, unit, text) in fields.items()

@@ -6,6 +6,7 @@ The cameras' poses are unknowns with their joint covariance, so that the tube's 
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     # The second round averages around the tube as found, so that its slope does not count as scatter.
     for _ in range(2):
         directions = _averaged(bearings, photos, path)
-        path, used, residuals, with_poses = _adjusted(directions, photos, path)
+        path, used, residuals, with_poses = _adjust(directions, photos, path)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
     if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
@@ -183,10 +184,17 @@ def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> FloatArray:
     return share
 
 
-def _adjusted(
-    directions: _Directions, photos: Photos, start: AbsorberPath
-) -> tuple[AbsorberPath, BoolArray, FloatArray, FloatArray]:
-    """Return the path adjusted to averaged bearings, which of them were used, what remains, and it with the poses."""
+class _Adjusted(NamedTuple):
+    """A path adjusted to averaged bearings: which of them were used, what remains, and its covariance with poses."""
+
+    path: AbsorberPath
+    used: BoolArray
+    residuals_rad: FloatArray
+    with_poses: FloatArray
+
+
+def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath) -> _Adjusted:
+    """Adjust a path to averaged bearings."""
     place, derivatives = _bearing_derivatives(directions, photos, start)
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
     index, value, size = _sparse_rows(directions, place, modes, start)
@@ -199,8 +207,8 @@ def _adjusted(
     used = np.ones(directions.photo.size, dtype=bool)
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
-        said, wanted, following = _of_stations(normal + prior, right, 2 * start.n)
-        smooth = _told_smoothness(said, wanted, bent, start.y_m)
+        said, wanted, following = _reduce_to_stations(normal + prior, right, 2 * start.n)
+        smooth = _probable_smoothness(said, wanted, bent, start.y_m)
         inverse = np.linalg.inv(said + smooth)
         stations = inverse @ (wanted - smooth @ bent)
         step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
@@ -213,10 +221,10 @@ def _adjusted(
         used = kept
     n = start.n
     covariance = scatter**2 * inverse
-    # The poses as the bundle left them; that the tube told a little of them too is not carried on.
+    # The poses as the bundle left them; what the tube adds to them is left out.
     with_poses = -(following[:-1, :-1] @ inverse).T @ poses_known @ modes.with_steps(photos.covariance)
     path = AbsorberPath(start.y_m, start.x_m + step[:n], start.z_m + step[n : 2 * n], 0.5 * (covariance + covariance.T))
-    return path, used, residuals, with_poses
+    return _Adjusted(path, used, residuals, with_poses)
 
 
 def _out_of_place(modes: FloatArray, photo: IntArray, used: BoolArray) -> BoolArray:
@@ -231,10 +239,16 @@ def _out_of_place(modes: FloatArray, photo: IntArray, used: BoolArray) -> BoolAr
     return np.asarray(left_out[photo])
 
 
-def _sparse_rows(
-    directions: _Directions, place: FloatArray, modes: CameraModes, path: AbsorberPath
-) -> tuple[IntArray, FloatArray, int]:
-    """Return the unknowns of each averaged bearing and its derivatives, shape (m, 5 + modes), and how many there are.
+class _SparseRows(NamedTuple):
+    """Unknowns of each averaged bearing and its derivatives, shape (m, 5 + modes), and how many unknowns there are."""
+
+    unknown: IntArray
+    value: FloatArray
+    size: int
+
+
+def _sparse_rows(directions: _Directions, place: FloatArray, modes: CameraModes, path: AbsorberPath) -> _SparseRows:
+    """Set up the rows of the averaged bearings.
 
     Unknowns are x at all stations, z at all stations, modes, and what one side has in common; between stations the
     axis is straight.
@@ -245,7 +259,7 @@ def _sparse_rows(
     places = [before, after, path.n + before, path.n + after, 2 * path.n + modes.index, np.full_like(before, last)]
     weights = np.column_stack([1 - share, share])
     value = [weights * place[:, :1], weights * place[:, 1:], modes.derivative, directions.one_sided_rad]
-    return np.column_stack(places), np.column_stack(value), last + 1
+    return _SparseRows(np.column_stack(places), np.column_stack(value), last + 1)
 
 
 def _normal_equations(
@@ -289,18 +303,28 @@ def bearing_derivatives(points_m: FloatArray, photos: Photos, photo: IntArray) -
     return place, np.asarray(-(place[:, 0, None] * moved[:, 0] + place[:, 1, None] * moved[:, 2]))
 
 
-def _of_stations(normal: FloatArray, right: FloatArray, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate what follows the first n unknowns.
+class _ForStations(NamedTuple):
+    """Normal matrix and right side that are left for the first n unknowns, and how the others follow.
 
-    Return the normal matrix and the right side that are left for these, shapes (n, n) and (n,), and how the others
-    follow: by minus the first n columns times their step, and the last column.
+    following: Minus its first n columns times the step of the first n unknowns, plus its last column.
     """
+
+    normal: FloatArray
+    right: FloatArray
+    following: FloatArray
+
+
+def _reduce_to_stations(normal: FloatArray, right: FloatArray, n: int) -> _ForStations:
+    """Eliminate what follows the first n unknowns."""
     following = solve_with(root_of(normal[n:, n:])[0], np.column_stack([normal[n:, :n], right[n:]]))
-    return normal[:n, :n] - normal[:n, n:] @ following[:, :n], right[:n] - normal[:n, n:] @ following[:, n], following
+    left = normal[:n, :n] - normal[:n, n:] @ following[:, :n]
+    return _ForStations(left, right[:n] - normal[:n, n:] @ following[:, n], following)
 
 
-def _told_smoothness(said: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray) -> FloatArray:
-    """Return the prior's precision of both coordinates along the stations, as smooth as the bearings tell.
+def _probable_smoothness(
+    said: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray
+) -> FloatArray:
+    """Return the prior's precision of both coordinates along the stations, as smooth as the bearings show.
 
     By the marginal likelihood of what poses and sides leave of what the bearings say, with the stations integrated out.
     """

@@ -73,9 +73,7 @@ def alignment(path: AbsorberPath, measured: BoolArray, focal_length_m: float) ->
     sigmas = [
         _sigma(path, np.concatenate(parts)) for parts in ((offset, zero), (zero, offset), (tilt, zero), (zero, tilt))
     ]
-    return Alignment(
-        float(offset @ path.x_m), float(offset @ z), float(tilt @ path.x_m), float(tilt @ z), *sigmas
-    )  # fmt: skip
+    return Alignment(float(offset @ path.x_m), float(offset @ z), float(tilt @ path.x_m), float(tilt @ z), *sigmas)
 
 
 def supports_of(path: AbsorberPath, measured: BoolArray, collector: Collector) -> FloatArray:

@@ -266,9 +266,10 @@ def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
     steps = np.diff(np.sort(eyes_m[:, 0]))
     usual = float(np.median(steps)) if steps.size else 0.0
     remedy = (
-        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough" if usual > _GOOD_STEP_M
+        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough"
+        if usual > _GOOD_STEP_M
         else "look at reflection_edges.csv for why edges were refused"
-    )  # fmt: skip
+    )
     return Doubt(
         "mirror_measured_sparsely",
         f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "

@@ -148,10 +148,14 @@ def measured_trough(
         sums = with_bridged(slope_covariance, slope_map)
     stations = hstack([shares.multiply(one[:, None]) for one in follows.T], format="csr")
     return MeasuredTrough(
-        nodes, absorber, collector, sums,
-        slope_map.sigma_slope()[0].reshape(-1)[nodes.node], stations,
+        nodes,
+        absorber,
+        collector,
+        sums,
+        slope_map.sigma_slope()[0].reshape(-1)[nodes.node],
+        stations,
         missing_part(slope_map, collector.panel_edges_x_m),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

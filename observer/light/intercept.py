@@ -74,9 +74,15 @@ def mirror_nodes(slope_map: SlopeMap, focal_length_m: float) -> MirrorNodes:
     node = np.flatnonzero(valid)
     per_node = column_shares(slope_map) / np.maximum(np.count_nonzero(valid, axis=0), 1)
     return MirrorNodes(
-        slope_map.shape, node, np.stack([part[valid] for part in (x, y, height)], axis=1), slope_map.slope_x[valid],
-        slope_y[valid], slope_map.design_slope_x[valid], per_node[node % slope_map.shape[1]], slope_map.measured_share,
-    )  # fmt: skip
+        slope_map.shape,
+        node,
+        np.stack([part[valid] for part in (x, y, height)], axis=1),
+        slope_map.slope_x[valid],
+        slope_y[valid],
+        slope_map.design_slope_x[valid],
+        per_node[node % slope_map.shape[1]],
+        slope_map.measured_share,
+    )
 
 
 def column_shares(slope_map: SlopeMap) -> FloatArray:
@@ -130,9 +136,11 @@ def acceptance_windows(
     """
     sun = np.array([0.0, np.sin(incidence_rad), np.cos(incidence_rad)])
     upper = misfit(
-        Sights(nodes.points_m, nodes.points_m + sun, np.ones(nodes.node.size)), (nodes.slope_x, nodes.slope_y),
-        absorber, radius_m,
-    )  # fmt: skip
+        Sights(nodes.points_m, nodes.points_m + sun, np.ones(nodes.node.size)),
+        (nodes.slope_x, nodes.slope_y),
+        absorber,
+        radius_m,
+    )
     # d asin(a / R) / da = 1 / sqrt(R^2 - a^2): tan(w) without a second evaluation at the other edge.
     tangent = radius_m * upper.d_angle_d_radius
     half = np.arctan(tangent)
@@ -145,10 +153,13 @@ def acceptance_windows(
         return np.asarray(np.where(meets.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0))
 
     return Windows(
-        kept(upper.angle_rad - 2 * half), kept(upper.angle_rad), kept(upper.d_angle_d_slope_x),
-        kept(upper.d_angle_d_absorber - 2 * d_half), kept(upper.d_angle_d_absorber),
+        kept(upper.angle_rad - 2 * half),
+        kept(upper.angle_rad),
+        kept(upper.d_angle_d_slope_x),
+        kept(upper.d_angle_d_absorber - 2 * d_half),
+        kept(upper.d_angle_d_absorber),
         np.where(meets, upper.passing_y_m, nodes.points_m[:, 1]),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,9 +250,10 @@ def station_shares(absorber: AbsorberPath, passing_y_m: FloatArray) -> "csr_arra
     before, share = absorber.shares(passing_y_m)
     after = np.minimum(before + 1, absorber.n - 1)
     table = (
-        np.stack([1 - share, share], axis=1).ravel(), np.stack([before, after], axis=1).ravel(),
+        np.stack([1 - share, share], axis=1).ravel(),
+        np.stack([before, after], axis=1).ravel(),
         2 * np.arange(before.size + 1),
-    )  # fmt: skip
+    )
     return csr_array(table, shape=(before.size, absorber.n))
 
 

@@ -67,6 +67,9 @@ def missing_part(slope_map: SlopeMap, panel_edges_x_m: FloatArray) -> MissingPar
     missing = aperture - np.count_nonzero(slope_map.valid, axis=0)
     panel = np.searchsorted(panel_edges_x_m[1:-1], slope_map.x_m, side="right")
     return MissingPart(
-        np.asarray(column, dtype=np.intp), np.asarray(row * _BLOCKS // slope_map.y_m.size, dtype=np.intp),
-        missing / np.maximum(aperture, 1), missing / max(int(aperture.sum()), 1), np.asarray(panel, dtype=np.intp),
-    )  # fmt: skip
+        np.asarray(column, dtype=np.intp),
+        np.asarray(row * _BLOCKS // slope_map.y_m.size, dtype=np.intp),
+        missing / np.maximum(aperture, 1),
+        missing / max(int(aperture.sum()), 1),
+        np.asarray(panel, dtype=np.intp),
+    )

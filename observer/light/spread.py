@@ -71,9 +71,14 @@ def beam_spread(optics: TroughOptics) -> BeamSpread:
 
 
 def gaussian_short_form(
-    collector: Collector, sun: BeamProfile, *, sigma_r_rad: float, sigma_a_rad: float = 0.0,
-    specularity_rad: float = 0.0, tracking_error_rad: float = 0.0,
-) -> float:  # fmt: skip
+    collector: Collector,
+    sun: BeamProfile,
+    *,
+    sigma_r_rad: float,
+    sigma_a_rad: float = 0.0,
+    specularity_rad: float = 0.0,
+    tracking_error_rad: float = 0.0,
+) -> float:
     """Return the intercept factor of a design with Gaussian errors.
 
     Parameters

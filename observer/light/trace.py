@@ -43,9 +43,7 @@ class Sunlight:
     def direction_to_sun(self) -> FloatArray:
         """Unit vector to the sun's centre, shape (3,)."""
         along = np.cos(self.incidence_rad)
-        return np.array([
-            along * np.sin(self.offset_rad), np.sin(self.incidence_rad), along * np.cos(self.offset_rad)
-        ])  # fmt: skip
+        return np.array([along * np.sin(self.offset_rad), np.sin(self.incidence_rad), along * np.cos(self.offset_rad)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,8 +108,9 @@ def find_edges(strips: Sequence[Strip], *, oversampling: int = 1) -> tuple[Edges
     shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
     first_m, step_m, noise_dn = np.repeat(
         [[strip.x_m[0], strip.x_m[1] - strip.x_m[0], part.noise_dn] for strip, part in zip(strips, parts, strict=True)],
-        counts, axis=0,
-    ).T  # fmt: skip
+        counts,
+        axis=0,
+    ).T
     height = np.concatenate([part.height_dn for part in parts])
     # The derivative's noise moves its peak by noise of the second derivative over the peak's curvature.
     wander = noise_dn * derivative.noise_of_slope / (np.abs(height) * np.abs(bend))

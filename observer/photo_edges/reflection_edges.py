@@ -181,9 +181,9 @@ def _windows(eyes_m: FloatArray, expected: Expectation) -> list[tuple[float, flo
     places = np.tile(x, len(eyes_m))
     points = np.stack([places, np.repeat(np.clip(eyes_m[:, 1], -1, 1), x.size), 0.5 * places * slope], axis=1)
     lines = Sights(points, np.repeat(eyes_m, x.size, axis=0), np.zeros_like(places))
-    angle, tube_rad, _ = beside_axis(lines, slope, absorber, collector.absorber_diameter_m / 2)
+    beside = beside_axis(lines, slope, absorber, collector.absorber_diameter_m / 2)
     windows: list[tuple[float, float] | None] = []
-    for near in (np.abs(angle) < tube_rad + 2 * expected.slope_error_rad).reshape(-1, x.size):
+    for near in (np.abs(beside.angle_rad) < beside.half_rad + 2 * expected.slope_error_rad).reshape(-1, x.size):
         seen = np.flatnonzero(near)
         windows.append((float(x[max(seen[0] - 1, 0)]), float(x[min(seen[-1] + 1, x.size - 1)])) if seen.size else None)
     return windows
@@ -197,7 +197,7 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     x, slope, radius = found.x_m, found.x_m / (2 * collector.focal_length_m), collector.absorber_diameter_m / 2
     points = np.stack([x, expected.y_m[found.row], 0.5 * x * slope], axis=1)
     eyes = np.array([one.eye_m for one in looks])[which]
-    middle, half, passing = beside_axis(Sights(points, eyes, np.zeros(x.size)), slope, absorber, radius)
+    middle, half, passing, _, _ = beside_axis(Sights(points, eyes, np.zeros(x.size)), slope, absorber, radius)
     near = np.flatnonzero(np.abs(np.abs(middle) - half) < 2 * expected.slope_error_rad)
     found, which, points, middle, half = found.chosen(near), which[near], points[near], middle[near], half[near]
     free_m = np.minimum(

@@ -197,9 +197,15 @@ def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expec
     photo = np.array([one.shot.number for one in seen], dtype=np.intp)[which]
     to_reflection = np.array([one.to_reflection_rad for one in seen])[which]
     bearings = Bearings(
-        photo, y, angle, 0.5 * np.hypot(*sigmas), wide, np.hypot(shared[which], pulled),
-        distance * pixels_rad[which], to_reflection,
-    )  # fmt: skip
+        photo,
+        y,
+        angle,
+        0.5 * np.hypot(*sigmas),
+        wide,
+        np.hypot(shared[which], pulled),
+        distance * pixels_rad[which],
+        to_reflection,
+    )
     kept = np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m)
     return [bearings.chosen(np.flatnonzero(kept & (which == k))) for k in range(len(seen))]
 
@@ -218,8 +224,8 @@ def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
         return float("inf")
     point = np.array([[x, np.clip(eye_m[1], -1, 1) * 0.1, x**2 / (4 * focal)]])
     line, slope = Sights(point, eye_m[None], np.zeros(1)), np.array([x / (2 * focal)])
-    angle, half, _ = beside_axis(line, slope, expected.absorber, collector.absorber_diameter_m / 2)
-    return max(abs(float(angle[0])) - float(half[0]) - 2 * expected.slope_error_rad, 0.0)
+    beside = beside_axis(line, slope, expected.absorber, collector.absorber_diameter_m / 2)
+    return max(abs(float(beside.angle_rad[0])) - float(beside.half_rad[0]) - 2 * expected.slope_error_rad, 0.0)
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:

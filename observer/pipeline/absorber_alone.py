@@ -160,11 +160,14 @@ def headline_text(summary: Summary) -> str:
         value, sigma = numbers.get(key), numbers.get(f"sigma_{key}")
         return "not determined" if value is None else number_text(value, None if sigma is None else float(sigma), unit)
 
-    return "\n".join([
-        f"{summary.name}: {numbers['photos_count']} photos, {numbers['absorber_stations_measured_count']} of "
-        f"{numbers['absorber_stations_count']} stations of the absorber measured",
-        f"  offset   x {said('absorber_mean_x_m', 'm')}, z {said('absorber_mean_z_offset_m', 'm')} from the focal line",
-        f"  tilt     x {said('absorber_tilt_x_rad', 'rad')}, z {said('absorber_tilt_z_rad', 'rad')}",
-        f"  sag      {said('absorber_sag_down_m', 'm')} downward, in the span where it is largest",
-        f"  design   {summary.texts['design']}",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{summary.name}: {numbers['photos_count']} photos, {numbers['absorber_stations_measured_count']} of "
+            f"{numbers['absorber_stations_count']} stations of the absorber measured",
+            f"  offset   x {said('absorber_mean_x_m', 'm')}, z {said('absorber_mean_z_offset_m', 'm')} from the focal "
+            "line",
+            f"  tilt     x {said('absorber_tilt_x_rad', 'rad')}, z {said('absorber_tilt_z_rad', 'rad')}",
+            f"  sag      {said('absorber_sag_down_m', 'm')} downward, in the span where it is largest",
+            f"  design   {summary.texts['design']}",
+        ]
+    )

@@ -178,17 +178,20 @@ def headline_text(summary: Summary) -> str:
         unit = "rad" if key.endswith("_rad") else "m" if key.endswith("_m") else ""
         return number_text(value, None if sigma is None else float(sigma), unit, key)
 
-    return "\n".join([
-        f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
-        f"  normal, SDx      {said('sdx_rad')} (RMS of theta_r); without mean tilt {said('sdx_tilt_removed_rad')}",
-        f"  with the absorber theta_ra {said('rms_theta_ra_rad')} RMS",
-        f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
-        "theta_ra (median)",
-        f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal line",
-        f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
-        f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
-        f"{said('intercept_gain_mirror_perfect_ratio')}",
-        f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
-        "show the tube",
-        f"  design           {summary.texts['design']}",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
+            f"  normal, SDx      {said('sdx_rad')} (RMS of theta_r); without mean tilt {said('sdx_tilt_removed_rad')}",
+            f"  with the absorber theta_ra {said('rms_theta_ra_rad')} RMS",
+            f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
+            "theta_ra (median)",
+            f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal "
+            "line",
+            f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
+            f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
+            f"{said('intercept_gain_mirror_perfect_ratio')}",
+            f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
+            "show the tube",
+            f"  design           {summary.texts['design']}",
+        ]
+    )

@@ -107,9 +107,13 @@ def evaluate_intercept(
     own = optics[Case.AS_MEASURED]
     doubts: list[Doubt] = []
     traced = trace_intercept(
-        slope_map, absorber, collector.absorber_diameter_m, light,
-        rays=_RAYS, rng=np.random.Generator(np.random.SFC64(0)),
-    )  # fmt: skip
+        slope_map,
+        absorber,
+        collector.absorber_diameter_m,
+        light,
+        rays=_RAYS,
+        rng=np.random.Generator(np.random.SFC64(0)),
+    )
     if abs(traced.ratio - own.ratio()) > 5 * traced.sampling_sigma + 3e-4:
         text = (
             f"intercept factor: {own.ratio():.4f} by integration but {traced.ratio:.4f} by {traced.rays} rays; "
@@ -125,7 +129,8 @@ def evaluate_intercept(
         curve=intercept_at_offsets(trough, Case.AS_MEASURED, own, OFFSETS_RAD),
         other_curves={
             case: np.array([optics[case].ratio(one) for one in OFFSETS_RAD])
-            for case in Case if case is not Case.AS_MEASURED
+            for case in Case
+            if case is not Case.AS_MEASURED
         },
         incidence=_over_incidence(trough, sun, scatter),
         offset=offset,
@@ -137,7 +142,7 @@ def evaluate_intercept(
         measured_ratio=float(inside @ own.of_nodes()),
         light=profile.words,
         doubts=tuple(doubts),
-    )  # fmt: skip
+    )
 
 
 def _best(
@@ -204,9 +209,12 @@ def intercept_numbers(result: InterceptResult) -> tuple[Numbers, dict[str, str]]
     why: dict[str, str] = {}
     _put_best(numbers, why, result.offset, ("best_tracking_offset_rad",), "intercept_best_tracking_ratio")
     _put_best(
-        numbers, why, result.shift, ("best_absorber_shift_x_m", "best_absorber_shift_z_m"),
+        numbers,
+        why,
+        result.shift,
+        ("best_absorber_shift_x_m", "best_absorber_shift_z_m"),
         "intercept_best_absorber_ratio",
-    )  # fmt: skip
+    )
     return numbers, why
 
 
@@ -231,18 +239,24 @@ def write_intercept(result: InterceptResult, folder: Path) -> None:
     result: What was computed.
     folder: An existing folder; gets ``intercept.csv``, ``intercept_incidence.csv`` and ``beam_spread.csv``.
     """
-    write_table_csv(folder / "intercept.csv", {
-        "tracking_offset_rad": OFFSETS_RAD,
-        "intercept_ratio": result.curve.ratio,
-        "sigma_intercept_ratio": result.curve.sigma_ratio,
-        "intercept_absorber_aligned_ratio": result.other_curves[Case.ABSORBER_ALIGNED],
-        "intercept_mirror_perfect_ratio": result.other_curves[Case.MIRROR_PERFECT],
-    })  # fmt: skip
-    write_table_csv(folder / "intercept_incidence.csv", {
-        "incidence_rad": INCIDENCES_RAD,
-        "intercept_ratio": result.incidence.ratio,
-        "sigma_intercept_ratio": result.incidence.sigma_ratio,
-    })  # fmt: skip
+    write_table_csv(
+        folder / "intercept.csv",
+        {
+            "tracking_offset_rad": OFFSETS_RAD,
+            "intercept_ratio": result.curve.ratio,
+            "sigma_intercept_ratio": result.curve.sigma_ratio,
+            "intercept_absorber_aligned_ratio": result.other_curves[Case.ABSORBER_ALIGNED],
+            "intercept_mirror_perfect_ratio": result.other_curves[Case.MIRROR_PERFECT],
+        },
+    )
+    write_table_csv(
+        folder / "intercept_incidence.csv",
+        {
+            "incidence_rad": INCIDENCES_RAD,
+            "intercept_ratio": result.incidence.ratio,
+            "sigma_intercept_ratio": result.incidence.sigma_ratio,
+        },
+    )
     thinned: dict[str, Any] = {
         "angle_rad": result.spread.angle_rad,
         "error_density_per_rad": result.spread.error_density,

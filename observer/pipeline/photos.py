@@ -174,9 +174,11 @@ class _Run:
             return
         waiting, self.waiting = self.waiting, []
         measured = measure_at(
-            [photo.image for photo, _ in waiting], [photo.name for photo, _ in waiting],
-            [track.ellipses for _, track in waiting], self.finder.search,
-        )  # fmt: skip
+            [photo.image for photo, _ in waiting],
+            [photo.name for photo, _ in waiting],
+            [track.ellipses for _, track in waiting],
+            self.finder.search,
+        )
         seen: list[_Placed] = []
         for (photo, track), (found, shapes) in zip(waiting, measured, strict=True):
             if np.count_nonzero(found.usable) < max(LEAST_TARGETS, _LEAST_SHARE * len(track.ellipses)):

@@ -109,9 +109,12 @@ def _with_free(
     freed = replace(survey, model=survey.model.model_copy(update={"camera": (section,)}), photo_files=files)
     try:
         return photogrammetry_pipeline.run(
-            freed, photogrammetry_pipeline.Options(jobs=1), SilentProgress(), measured=collect_photos(some),
+            freed,
+            photogrammetry_pipeline.Options(jobs=1),
+            SilentProgress(),
+            measured=collect_photos(some),
             start=StartValues(poses) if len(poses) > 1 else None,
-        )  # fmt: skip
+        )
     except MetrologyError:
         return None
 

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from observer.planning.keys import ObserverPlanModel as ObserverPlanModel
     from observer.planning.photo_network import Believed as Believed
     from observer.planning.photo_network import drawn_network as drawn_network
-    from observer.planning.photo_network import planned_network as planned_network
+    from observer.planning.plan import planned_network as planned_network
     from observer.planning.plan import planned_passes as planned_passes
     from observer.planning.simulated_edges import EdgeNoise as EdgeNoise
     from observer.planning.simulated_edges import Scene as Scene
@@ -26,7 +26,7 @@ __getattr__, __dir__, __all__ = lazy_face(
         "Scene": "observer.planning.simulated_edges",
         "drawn_network": "observer.planning.photo_network",
         "error_theta_ra": "observer.planning.simulated_flight",
-        "planned_network": "observer.planning.photo_network",
+        "planned_network": "observer.planning.plan",
         "planned_passes": "observer.planning.plan",
         "simulate": "observer.planning.simulated_flight",
     },

@@ -135,6 +135,12 @@ def monte_carlo(
     rms, stated_rms = slopes.rms(done)
     rms_absorber, stated_absorber = absorber.rms(done)
     return MonteCarlo(
-        done, tuple(failed), rms, stated_rms, rms_absorber, stated_absorber,
-        float(np.percentile(np.concatenate(inside), 95)), tuple(settling),
-    )  # fmt: skip
+        done,
+        tuple(failed),
+        rms,
+        stated_rms,
+        rms_absorber,
+        stated_absorber,
+        float(np.percentile(np.concatenate(inside), 95)),
+        tuple(settling),
+    )

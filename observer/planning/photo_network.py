@@ -1,36 +1,17 @@
 """The photo network of a planned pass: what it will know of the cameras, from targets that are only listed so far."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.measurement.models import PhotosSection
-from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.views import View
-from observer.pipeline.inputs import AXES, read_targets
-from observer.planning.keys import ObserverPlanModel
 from observer.planning.simulated_edges import in_image
 from observer.slopes.pose_modes import Photos
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, constraints
-from photogrammetry.keys import (
-    CoordinateSection,
-    DatumSection,
-    PhotogrammetryMeasurement,
-    PhotogrammetryModel,
-    TargetsSection,
-)
-from photogrammetry.pipeline import build_cameras, build_constraints
-
-#: A photo with fewer targets has no pose of its own.
-_LEAST_IN_PHOTO = 4
-#: Targets that are planned along the rims stand so far beside them [m].
-_BESIDE_RIM_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,105 +66,6 @@ class Believed:
         """The poses with their covariance."""
         poses: tuple[RigidTransform, ...] = tuple(pose for _, pose in self.views)
         return Photos(poses, self.covariance)
-
-
-def planned_network(
-    model: ObserverPlanModel, folder: Path, poses: tuple[RigidTransform, ...]
-) -> tuple[PlannedNetwork, tuple[str, ...]]:
-    """Build the photo network of a plan.
-
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What measurement.toml says.
-    folder : Path
-        Where its files are.
-    poses : tuple of RigidTransform
-        ``cam_from_frame`` of each planned photo.
-
-    Returns
-    -------
-    PlannedNetwork, tuple of str
-        The network, and why photos were left out.
-
-    Raises
-    ------
-    InputError
-        A list of targets or a camera that cannot be used.
-    EstimationError
-        Fewer than two photos see four targets.
-    """
-    coordinates, names, points = planned_targets(model, folder)
-    photogrammetry = PhotogrammetryModel(
-        kind="photogrammetry",
-        name=model.name,
-        camera=(model.camera,),
-        images=PhotosSection(photos=("planned",)),
-        targets=TargetsSection(dictionary="aicon-12"),
-        scale_bar=model.scale_bar,
-        constraint=(*coordinates, *model.distance),
-        datum=DatumSection(kind="inner"),
-    )
-    found = build_cameras(PhotogrammetryMeasurement(folder, photogrammetry, ()), ["planned"], None)
-    network = PlannedNetwork(
-        found.cameras[0],
-        found.models[0],
-        poses,
-        names,
-        points,
-        build_constraints(photogrammetry),
-        model.targets.sigma_px,
-    )
-    seen = np.array([in_image(view, points).sum() for view in network.views])
-    keep = seen >= _LEAST_IN_PHOTO
-    if keep.sum() < 2:
-        raise EstimationError(
-            f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(names)} targets, two are needed; fly "
-            "higher, look at the collector, or use a shorter focal length"
-        )
-    left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
-    return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
-
-
-def planned_targets(
-    model: ObserverPlanModel, folder: Path
-) -> tuple[tuple[CoordinateSection, ...], tuple[str, ...], FloatArray]:
-    """Return the targets that are planned: as the list has them, or along the rims.
-
-    Shapes: points_m (n, 3).
-    model: What measurement.toml says.
-    InputError: A list that cannot be used.
-    """
-    section, design = model.targets, model.collector
-    if section.list_file is not None:
-        path = folder / section.list_file
-        return (read_targets(path), *_places(path))
-    half = (section.rim_count or 0) // 2
-    across, along = design.aperture_width_m / 2 + _BESIDE_RIM_M, 0.49 * design.length_m
-    height = design.aperture_width_m**2 / (16 * design.focal_length_m)
-    points = np.array([[side * across, y, height] for side in (-1, 1) for y in np.linspace(-along, along, half)])
-    names = tuple(str(k + 1) for k in range(len(points)))
-    coordinates = tuple(
-        CoordinateSection(kind="coordinate", target=name, axis=axis, value_m=float(value), sigma_mm=section.sigma_mm)
-        for name, point in zip(names, points, strict=True)
-        for axis, value in zip(AXES, point, strict=True)
-    )
-    return coordinates, names, points
-
-
-def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:
-    """Read where the targets are planned; those whose coordinates will not be known (empty sigma) have a place too."""
-    table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
-    rows = []
-    for line, name in enumerate(table["target"], start=2):
-        try:
-            rows.append([float(table[f"{axis}_m"][line - 2]) for axis in "xyz"])
-        except ValueError:
-            raise InputError(
-                f"{path}, line {line}: target {name} needs x_m, y_m and z_m for a plan; leave the sigmas empty where "
-                "the coordinates will not be known"
-            ) from None
-    return tuple(table["target"]), np.array(rows)
 
 
 def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> BundleResult:

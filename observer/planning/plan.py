@@ -1,25 +1,28 @@
 """From measurement.toml to what a pass over a trough will give: sigmas, what is missing, where to fly."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from heliogauge.errors import InputError
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_cameras_json, write_summary, write_table_csv
 from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
+from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import COLLECTOR, read_absorber, write_collector
-from observer.pipeline.inputs import build_collector
+from observer.pipeline.inputs import AXES, build_collector, read_targets
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
-from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network, planned_network
+from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network
 from observer.planning.planned_flight import Pass, advice, steps_too_wide
-from observer.planning.simulated_edges import EdgeNoise, Scene
+from observer.planning.simulated_edges import EdgeNoise, Scene, in_image
 from observer.planning.simulated_flight import Evaluation, Simulated, simulate
 from observer.product.figures_of_merit import FlightFigures, flight_figures
 from observer.trough.absorber_path import AbsorberPath
@@ -27,7 +30,19 @@ from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
 from observer.trough.typical_mirror import MeasuredMirror, Mirror, TypicalMirror
 from photogrammetry.bundle import BundleResult
+from photogrammetry.keys import (
+    CoordinateSection,
+    DatumSection,
+    PhotogrammetryMeasurement,
+    PhotogrammetryModel,
+    TargetsSection,
+)
+from photogrammetry.pipeline import build_cameras, build_constraints
 
+#: A photo with fewer targets has no pose of its own.
+_LEAST_IN_PHOTO = 4
+#: Targets that are planned along the rims stand so far beside them [m].
+_BESIDE_RIM_M = 0.1
 #: Longitudinal incidence from which slope errors along the trough are felt (Owkes 2012, sec. 5.2) [rad].
 _LARGEST_INCIDENCE_RAD = np.radians(15.0)
 
@@ -92,9 +107,18 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
     figures = flight_figures(collector, pixel_rad, eyes[: passes[0].photos])
     warnings = (*_warnings(model, collector, passes, missing, figures), *_of_spread(spread), *left_out)
     return PlanResult(
-        model.name, collector, network, bundle, simulated, missing, figures, spread, warnings,
-        dict(progress.durations_s), hashes,
-    )  # fmt: skip
+        model.name,
+        collector,
+        network,
+        bundle,
+        simulated,
+        missing,
+        figures,
+        spread,
+        warnings,
+        dict(progress.durations_s),
+        hashes,
+    )
 
 
 def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
@@ -118,15 +142,121 @@ def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
     return tuple(Pass(one.height_m, one.reach_m, one.photos, one.y_m, one.look_y_m) for one in model.flight)
 
 
+def planned_network(
+    model: ObserverPlanModel, folder: Path, poses: tuple[RigidTransform, ...]
+) -> tuple[PlannedNetwork, tuple[str, ...]]:
+    """Build the photo network of a plan.
+
+    Parameters
+    ----------
+    model : ObserverPlanModel
+        What measurement.toml says.
+    folder : Path
+        Where its files are.
+    poses : tuple of RigidTransform
+        ``cam_from_frame`` of each planned photo.
+
+    Returns
+    -------
+    PlannedNetwork, tuple of str
+        The network, and why photos were left out.
+
+    Raises
+    ------
+    InputError
+        A list of targets or a camera that cannot be used.
+    EstimationError
+        Fewer than two photos see four targets.
+    """
+    planned = planned_targets(model, folder)
+    photogrammetry = PhotogrammetryModel(
+        kind="photogrammetry",
+        name=model.name,
+        camera=(model.camera,),
+        images=PhotosSection(photos=("planned",)),
+        targets=TargetsSection(dictionary="aicon-12"),
+        scale_bar=model.scale_bar,
+        constraint=(*planned.coordinates, *model.distance),
+        datum=DatumSection(kind="inner"),
+    )
+    found = build_cameras(PhotogrammetryMeasurement(folder, photogrammetry, ()), ["planned"], None)
+    network = PlannedNetwork(
+        found.cameras[0],
+        found.models[0],
+        poses,
+        planned.names,
+        planned.points_m,
+        build_constraints(photogrammetry),
+        model.targets.sigma_px,
+    )
+    seen = np.array([in_image(view, planned.points_m).sum() for view in network.views])
+    keep = seen >= _LEAST_IN_PHOTO
+    if keep.sum() < 2:
+        raise EstimationError(
+            f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(planned.names)} targets, two are needed; fly "
+            "higher, look at the collector, or use a shorter focal length"
+        )
+    left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
+    return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
+
+
+class PlannedTargets(NamedTuple):
+    """Targets of a plan: what will be known of them, their names, their places, shape (n, 3) [m]."""
+
+    coordinates: tuple[CoordinateSection, ...]
+    names: tuple[str, ...]
+    points_m: FloatArray
+
+
+def planned_targets(model: ObserverPlanModel, folder: Path) -> PlannedTargets:
+    """Return the targets that are planned: as the list has them, or along the rims.
+
+    model: What measurement.toml says.
+    InputError: A list that cannot be used.
+    """
+    section, design = model.targets, model.collector
+    if section.list_file is not None:
+        path = folder / section.list_file
+        return PlannedTargets(read_targets(path), *_places(path))
+    half = (section.rim_count or 0) // 2
+    across, along = design.aperture_width_m / 2 + _BESIDE_RIM_M, 0.49 * design.length_m
+    height = design.aperture_width_m**2 / (16 * design.focal_length_m)
+    points = np.array([[side * across, y, height] for side in (-1, 1) for y in np.linspace(-along, along, half)])
+    names = tuple(str(k + 1) for k in range(len(points)))
+    coordinates = tuple(
+        CoordinateSection(kind="coordinate", target=name, axis=axis, value_m=float(value), sigma_mm=section.sigma_mm)
+        for name, point in zip(names, points, strict=True)
+        for axis, value in zip(AXES, point, strict=True)
+    )
+    return PlannedTargets(coordinates, names, points)
+
+
+def _places(path: Path) -> tuple[tuple[str, ...], FloatArray]:
+    """Read where the targets are planned; those whose coordinates will not be known (empty sigma) have a place too."""
+    table = read_table_csv(path, ("target", "x_m", "y_m", "z_m"))
+    rows = []
+    for line, name in enumerate(table["target"], start=2):
+        try:
+            rows.append([float(table[f"{axis}_m"][line - 2]) for axis in "xyz"])
+        except ValueError:
+            raise InputError(
+                f"{path}, line {line}: target {name} needs x_m, y_m and z_m for a plan; leave the sigmas empty where "
+                "the coordinates will not be known"
+            ) from None
+    return tuple(table["target"]), np.array(rows)
+
+
 def planned_evaluation(model: ObserverPlanModel) -> Evaluation:
     """Return how the planned measurement will be evaluated.
 
     model: What measurement.toml says.
     """
     return Evaluation(
-        1e-3 * model.evaluation.column_step_mm, model.absorber.station_step_m,
-        1e-3 * model.evaluation.longitudinal_slope_mrad, model.absorber.source == "photos",
-    )  # fmt: skip
+        1e-3 * model.evaluation.column_step_mm,
+        model.absorber.station_step_m,
+        1e-3 * model.evaluation.longitudinal_slope_mrad,
+        model.absorber.source == "photos",
+    )
 
 
 def planned_scene(
@@ -327,9 +457,14 @@ def summarise(result: PlanResult) -> Summary:
         "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
     }
     return Summary(
-        kind="observer-plan", name=result.name, numbers=numbers, texts=texts, doubts=result.doubts,
-        durations_s=result.durations_s, input_sha256=result.input_sha256,
-    )  # fmt: skip
+        kind="observer-plan",
+        name=result.name,
+        numbers=numbers,
+        texts=texts,
+        doubts=result.doubts,
+        durations_s=result.durations_s,
+        input_sha256=result.input_sha256,
+    )
 
 
 def headline_text(summary: Summary) -> str:

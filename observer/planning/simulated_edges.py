@@ -6,6 +6,7 @@ again through those.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -126,11 +127,20 @@ def _slopes(scene: Scene, points_m: FloatArray) -> tuple[FloatArray, FloatArray]
     return points_m[:, 0] / (2 * scene.truth.collector.focal_length_m) + error_x, error_y
 
 
-def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
-    """Solve for the places of all rows where lines of sight touch the tube.
+class _Touching(NamedTuple):
+    """Where lines of sight touch the tube: rows, sides, places [m].
 
-    Returns rows, sides, places [m] and where the mirror bends so much that the tube lies on the edge's other side.
+    turned: Where the mirror bends so much that the tube lies on the edge's other side.
     """
+
+    row: IntArray
+    side: FloatArray
+    place_m: FloatArray
+    turned: BoolArray
+
+
+def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> _Touching:
+    """Solve for the places of all rows where lines of sight touch the tube."""
     truth, collector = scene.truth, scene.truth.collector
     radius, focal = collector.absorber_diameter_m / 2, collector.focal_length_m
     near = np.nonzero(_near(eye_m, lattice.x_m, truth))[0]
@@ -163,7 +173,7 @@ def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> tuple[IntAr
             break
     # What does not close is a step of the slope at a panel's edge.
     closed = np.abs(rest) < 1e3 * _CLOSE_RAD
-    return row[closed], sides[closed], place[closed], turned[closed]
+    return _Touching(row[closed], sides[closed], place[closed], turned[closed])
 
 
 def _behind_receiver(sights: Sights, truth: Expectation, margin_m: float) -> BoolArray:

@@ -80,7 +80,7 @@ def sag_by_weight(sags: SpanSags) -> WeightSag:
     worst = float(np.max(np.abs(value - design @ found) / sigma))
     return WeightSag(
         float(found[0]), float(sigmas[0]), float(found[1]), float(found[2]), float(sigmas[1]), float(sigmas[2]), worst
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True)

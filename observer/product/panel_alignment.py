@@ -11,6 +11,7 @@ Here the tilt of a panel is the mean of the measured angles over all of it inste
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -127,16 +128,24 @@ def panel_tilts(
     return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share)
 
 
-def mount_moves(
-    tilts: PanelTilts, mounts_m: FloatArray, collector: Collector
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Prescribe by how much each mount is to be moved so that its panel's mean angle becomes zero.
+class MountMoves(NamedTuple):
+    """How far each mount is to be moved.
 
-    Shapes: panel (n,).
-    mounts_m (n, 2): x and y of the mounts [m].
+    panel (n,): The panel that it holds.
     move_m (n,): Movement along the mirror's normal, positive towards the absorber; the panel turns about its
         middle, so that moves at both sides are opposite. NaN where the panel has no tilt [m].
     sigma_m (n,): Its standard deviation [m].
+    """
+
+    panel: IntArray
+    move_m: FloatArray
+    sigma_m: FloatArray
+
+
+def mount_moves(tilts: PanelTilts, mounts_m: FloatArray, collector: Collector) -> MountMoves:
+    """Prescribe by how much each mount is to be moved so that its panel's mean angle becomes zero.
+
+    mounts_m (n, 2): x and y of the mounts [m].
     InputError: A mount that is on no panel.
     """
     x, y = mounts_m.T
@@ -152,7 +161,7 @@ def mount_moves(
             f"{2 * half[1]:g} m; are the coordinates in metres?"
         )
     lever = _arc_m(x, collector.focal_length_m) - _arc_m(tilts.centre_x_m, collector.focal_length_m)[panel]
-    return panel.astype(np.intp), tilts.tilt_rad[panel] * lever, tilts.sigma_rad[panel] * np.abs(lever)
+    return MountMoves(panel.astype(np.intp), tilts.tilt_rad[panel] * lever, tilts.sigma_rad[panel] * np.abs(lever))
 
 
 def _arc_m(x_m: FloatArray, focal_length_m: float) -> FloatArray:

@@ -134,9 +134,12 @@ def draw_overlay(
 
 
 def _beside(
-    points_m: FloatArray, eye_m: FloatArray, slopes: tuple[FloatArray, FloatArray], tube: AbsorberPath,
+    points_m: FloatArray,
+    eye_m: FloatArray,
+    slopes: tuple[FloatArray, FloatArray],
+    tube: AbsorberPath,
     collector: Collector,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return by what angle reflected lines pass beside the tube's surface."""
     shape = points_m.shape[:2]
     flat = points_m.reshape(-1, 3)

@@ -91,15 +91,23 @@ def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility
     has_along = valid & ~bridged & (sigma_y < _LEAST_GAIN * reflector.roughness.along_rad)
     error_y = reflector.errors.slopes[..., 1]
     slope_map = SlopeMap(
-        grid.x_m, y,
-        design_x + nodes.error, np.where(has_along, design_y + error_y, np.nan),
-        design_x, design_y,
-        np.where(valid, sigma_x, np.nan), np.where(has_along, sigma_y, np.nan),
-        1.0, common, _height(reflector, collector, valid), nodes.flags, panel >= 0,
+        grid.x_m,
+        y,
+        design_x + nodes.error,
+        np.where(has_along, design_y + error_y, np.nan),
+        design_x,
+        design_y,
+        np.where(valid, sigma_x, np.nan),
+        np.where(has_along, sigma_y, np.nan),
+        1.0,
+        common,
+        _height(reflector, collector, valid),
+        nodes.flags,
+        panel >= 0,
         design=collector.describe(),
         frame="trough: origin at the vertex in the middle, x across, y along, z to the absorber",
         removed="nothing",
-    )  # fmt: skip
+    )
     # Cameras and absorber, which all have in common, are told apart.
     lines = reflector.lines.alone(reflector.lines.misfit_rad, reflector.lines.sigma_rad)
     own = sum_covariance(lines, grid, reflector.roughness, np.zeros((0, 0)), alike=reflector.alike)

@@ -51,9 +51,13 @@ def open_study(folder: str | Path = ".") -> StudyResults:
             for k, name in enumerate(attributes["orientations"], start=1)
         ]
     return StudyResults(
-        read_summary(folder), profiles, sags, changes, read_table_csv(folder / "orientations.csv"),
+        read_summary(folder),
+        profiles,
+        sags,
+        changes,
+        read_table_csv(folder / "orientations.csv"),
         read_table_csv(folder / "sag_by_weight.csv"),
-    )  # fmt: skip
+    )
 
 
 def _parts(columns: Columns) -> list[tuple[str, Columns]]:

@@ -93,16 +93,28 @@ def moves_figure(
         corner, size = (x[column], y[row]), (x[column + 1] - x[column], y[row + 1] - y[row])
         color = MISSING if np.isnan(tilt) else mappable.to_rgba(_MRAD * tilt)
         axes.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=FAINT, linewidth=0.8, alpha=0.75))
-        axes.text(corner[0] + size[0] / 2, corner[1] + size[1] / 2, f"{number + 1}", fontsize=9, color=INK,
-                  ha="center", va="center")  # fmt: skip
+        axes.text(
+            corner[0] + size[0] / 2,
+            corner[1] + size[1] / 2,
+            f"{number + 1}",
+            fontsize=9,
+            color=INK,
+            ha="center",
+            va="center",
+        )
     for (mount_x, mount_y), move in zip(mounts_m, moves[0], strict=True):
         axes.plot(mount_x, mount_y, ".", color=INK, markersize=3)
         if np.isfinite(move):
             is_left = mount_x < middles[np.argmin(np.abs(middles - mount_x))]
             axes.annotate(
-                f"{1e3 * move:+.2f}", (mount_x, mount_y), xytext=(-10 if is_left else 10, 3), fontsize=6.5, color=INK,
-                textcoords="offset points", ha="left" if is_left else "right",
-            )  # fmt: skip
+                f"{1e3 * move:+.2f}",
+                (mount_x, mount_y),
+                xytext=(-10 if is_left else 10, 3),
+                fontsize=6.5,
+                color=INK,
+                textcoords="offset points",
+                ha="left" if is_left else "right",
+            )
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
     axes.set_xlabel("x [m]   seen from the front", fontsize=8, color=INK, labelpad=2)

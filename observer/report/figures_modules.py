@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -92,9 +92,15 @@ def maps_figure(maps: Sequence[OneMap], title: str) -> "Figure":
         axes.patch.set(facecolor=MISSING, hatch="/////", edgecolor=MISSING_HATCH, linewidth=0)
         ends = (one.x_m[0], one.x_m[-1], one.y_m[0], one.y_m[-1])
         image = axes.imshow(
-            np.ma.masked_invalid(shown), cmap=DIVERGING, vmin=-limit, vmax=limit, extent=ends, origin="lower",
-            interpolation="nearest", zorder=2,
-        )  # fmt: skip
+            np.ma.masked_invalid(shown),
+            cmap=DIVERGING,
+            vmin=-limit,
+            vmax=limit,
+            extent=ends,
+            origin="lower",
+            interpolation="nearest",
+            zorder=2,
+        )
         rms = f"{float(np.sqrt(np.nanmean(shown**2))):.2f} mrad RMS" if np.isfinite(shown).any() else "not measured"
         axes.set_title(f"{one.name}: {rms}", fontsize=8, color=INK, loc="left", pad=3)
         axes.set_xlabel("x [m]", fontsize=8, color=INK, labelpad=2)
@@ -118,14 +124,18 @@ def _shown(one: ModuleMap, angle: str) -> FloatArray:
     return np.asarray(one.theta_r_rad - np.nanmean(one.theta_r_rad))
 
 
-def numbers_figure(
-    names: Sequence[str], panels: Sequence[tuple[str, Sequence[float | None], Sequence[float | None]]]
-) -> "Figure":
+class NumbersPanel(NamedTuple):
+    """What a panel shows with its unit, values of the modules and their standard deviations; None: there is none."""
+
+    title: str
+    values: Sequence[float | None]
+    sigmas: Sequence[float | None]
+
+
+def numbers_figure(names: Sequence[str], panels: Sequence[NumbersPanel]) -> "Figure":
     """Draw numbers of all modules below each other, so that the odd one out is seen.
 
     names: The modules, the first at the top.
-    panels: What each panel shows with its unit, the values, and their standard deviations; None where there is
-        none.
     """
     height = max(0.26 * len(names), 0.6)
     figure = new_figure(_TOP_IN + 0.2 + height + _BOTTOM_IN, _WIDE_IN)
@@ -137,9 +147,15 @@ def numbers_figure(
         axes = axes_in_inches(figure, left + number * (width + 0.35), _BOTTOM_IN, width, height)
         known = [k for k, value in enumerate(values) if value is not None]
         axes.errorbar(
-            [float(values[k] or 0.0) for k in known], [place[k] for k in known],
-            xerr=[float(sigmas[k] or 0.0) for k in known], fmt="o", color=LINE_X, markersize=4, linewidth=1, capsize=2,
-        )  # fmt: skip
+            [float(values[k] or 0.0) for k in known],
+            [place[k] for k in known],
+            xerr=[float(sigmas[k] or 0.0) for k in known],
+            fmt="o",
+            color=LINE_X,
+            markersize=4,
+            linewidth=1,
+            capsize=2,
+        )
         axes.set_ylim(-0.6, len(names) - 0.4)
         axes.set_yticks(place, list(names) if number == 0 else [""] * len(names))
         axes.grid(visible=True, color="#e4e7ea", linewidth=0.6)

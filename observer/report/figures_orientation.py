@@ -83,9 +83,19 @@ def _draw_sags(axes: "Axes", sags: Sequence[SpanSags]) -> None:
     for number, (sag, color) in enumerate(zip(sags, np.resize(_COLORS, len(sags)), strict=True), start=1):
         turn = np.degrees(sag.orientation_rad)
         for value, sigma, marker, name in (
-            (sag.sag_x_m, sag.sigma_x_m, "o", "across"), (sag.sag_z_m, sag.sigma_z_m, "^", "along the optical axis")
-        ):  # fmt: skip
-            axes.errorbar(turn, 1e3 * value, 1e3 * sigma, fmt=marker, color=color, markersize=4, linewidth=1,
-                          capsize=2, label=f"span {number}, {name}")  # fmt: skip
+            (sag.sag_x_m, sag.sigma_x_m, "o", "across"),
+            (sag.sag_z_m, sag.sigma_z_m, "^", "along the optical axis"),
+        ):
+            axes.errorbar(
+                turn,
+                1e3 * value,
+                1e3 * sigma,
+                fmt=marker,
+                color=color,
+                markersize=4,
+                linewidth=1,
+                capsize=2,
+                label=f"span {number}, {name}",
+            )
     axes.set_title("of the middle of each span from its supports", fontsize=8, color=FAINT, loc="left", pad=3)
     add_legend(axes, **_BESIDE)

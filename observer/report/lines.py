@@ -56,9 +56,12 @@ def absorber_figure(results: HasAbsorber, axis: str) -> "Figure":
     seen = np.isfinite(departure)
     mean = float(np.nanmean(departure)) if seen.any() else float("nan")
     figure, axes = chart_figure(
-        words[axis], f"mean {_MM * mean:+.2f} mm, range {_MM * float(np.ptp(departure[seen])):.2f} mm"
-        if seen.any() else "not seen", "y along the trough [m]", f"{axis} [mm]", _HEIGHT_IN,
-    )  # fmt: skip
+        words[axis],
+        f"mean {_MM * mean:+.2f} mm, range {_MM * float(np.ptp(departure[seen])):.2f} mm" if seen.any() else "not seen",
+        "y along the trough [m]",
+        f"{axis} [mm]",
+        _HEIGHT_IN,
+    )
     color = LINE_X if axis == "x" else LINE_Y
     for support in results.collector.support_y_m:
         half = results.collector.support_width_m / 2
@@ -98,13 +101,18 @@ def intercept_figure(results: TroughResults) -> "Figure | None":
     )
     at_zero, own = float(np.interp(0, offset, ratio)), float(np.interp(0, offset, sigma))
     figure, axes = chart_figure(
-        "Intercept factor", f"without tracking offset {at_zero:.4f} \u00b1 {own:.4f}", "tracking offset [mrad]",
-        "intercept factor", _HEIGHT_IN,
-    )  # fmt: skip
+        "Intercept factor",
+        f"without tracking offset {at_zero:.4f} \u00b1 {own:.4f}",
+        "tracking offset [mrad]",
+        "intercept factor",
+        _HEIGHT_IN,
+    )
     axes.fill_between(_MRAD * offset, ratio - sigma, ratio + sigma, color=LINE_X, alpha=0.25, linewidth=0)
     axes.plot(_MRAD * offset, ratio, color=LINE_X, linewidth=1.3, label="as measured")
-    others = (("intercept_absorber_aligned_ratio", LINE_Y, "--", "absorber aligned"),
-              ("intercept_mirror_perfect_ratio", FAINT, ":", "mirror perfect"))  # fmt: skip
+    others = (
+        ("intercept_absorber_aligned_ratio", LINE_Y, "--", "absorber aligned"),
+        ("intercept_mirror_perfect_ratio", FAINT, ":", "mirror perfect"),
+    )
     for name, color, style, label in others:
         if name in columns:
             axes.plot(_MRAD * offset, numbers(columns, name), color=color, linestyle=style, linewidth=1.2, label=label)
@@ -127,9 +135,12 @@ def spread_figure(results: TroughResults) -> "Figure | None":
         for name in ("angle_rad", "error_density_per_rad", "beam_density_per_rad", "acceptance_ratio")
     )
     figure, axes = chart_figure(
-        "Spread of the reflected light", "errors of mirror and absorber; with sun, specularity and tracking",
-        "angle of the reflected ray across the trough [mrad]", "density [1/mrad]", _HEIGHT_IN,
-    )  # fmt: skip
+        "Spread of the reflected light",
+        "errors of mirror and absorber; with sun, specularity and tracking",
+        "angle of the reflected ray across the trough [mrad]",
+        "density [1/mrad]",
+        _HEIGHT_IN,
+    )
     axes.fill_between(_MRAD * angle, error / _MRAD, color=FAINT, alpha=0.35, linewidth=0, label="errors alone")
     axes.plot(_MRAD * angle, beam / _MRAD, color=LINE_X, linewidth=1.3, label="with the sun")
     axes.set_ylim(bottom=0)
@@ -260,13 +271,17 @@ def photo_figure(results: TroughResults) -> "Figure":
     seen = counts > 0
     place = results.eyes_m[:, 0]
     figure, axes = chart_figure(
-        "Residuals by photo", f"{int(seen.sum())} of {n} photos have edges that were used", "camera, x [m]",
-        "residual [mrad]", _HEIGHT_IN,
-    )  # fmt: skip
+        "Residuals by photo",
+        f"{int(seen.sum())} of {n} photos have edges that were used",
+        "camera, x [m]",
+        "residual [mrad]",
+        _HEIGHT_IN,
+    )
     axes.plot(place[seen], _MRAD * np.sqrt(square[seen]), ".", color=LINE_X, linestyle="none", label="RMS")
     axes.plot(place[seen], _MRAD * mean[seen], ".", color=LINE_Y, linestyle="none", label="mean")
-    axes.plot(place[~seen], np.zeros(int((~seen).sum())), "x", color=INK, markersize=4, linestyle="none",
-              label="no edge used")  # fmt: skip
+    axes.plot(
+        place[~seen], np.zeros(int((~seen).sum())), "x", color=INK, markersize=4, linestyle="none", label="no edge used"
+    )
     axes.axhline(0, color=FAINT, linewidth=0.7)
     _room_above(axes)
     add_legend(axes, loc="upper right", ncols=3)

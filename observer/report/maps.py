@@ -113,14 +113,23 @@ def histogram(results: TroughResults) -> "Figure":
     limit = robust_limit(*both.values())
     mean, width = float(both["theta_r"].mean()), float(both["theta_r"].std())
     figure, axes = chart_figure(
-        "Distribution of theta_r and theta_ra", f"theta_r: mean {mean:+.3f} mrad, standard deviation {width:.3f} mrad",
-        "angle [mrad], + towards +x", "share of the nodes per mrad",
-    )  # fmt: skip
+        "Distribution of theta_r and theta_ra",
+        f"theta_r: mean {mean:+.3f} mrad, standard deviation {width:.3f} mrad",
+        "angle [mrad], + towards +x",
+        "share of the nodes per mrad",
+    )
     bins = np.linspace(-1.25 * limit, 1.25 * limit, 81)
     for (name, values), (color, filled) in zip(both.items(), ((LINE_Y, False), (LINE_X, True)), strict=True):
         density, _ = np.histogram(values, bins)
-        axes.stairs(density / max(values.size, 1) / np.diff(bins), bins, fill=filled, color=color,
-                    alpha=0.6 if filled else 1.0, label=name, zorder=2 if filled else 3)  # fmt: skip
+        axes.stairs(
+            density / max(values.size, 1) / np.diff(bins),
+            bins,
+            fill=filled,
+            color=color,
+            alpha=0.6 if filled else 1.0,
+            label=name,
+            zorder=2 if filled else 3,
+        )
     if width > 0:
         fine = np.linspace(bins[0], bins[-1], 200)
         normal = np.exp(-0.5 * ((fine - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))

@@ -9,7 +9,7 @@ from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
-from observer.report.figures_modules import modules_figure, numbers_figure
+from observer.report.figures_modules import NumbersPanel, modules_figure, numbers_figure
 
 _MRAD = 1e3
 #: Columns of the table of modules, and what they are called there.
@@ -98,7 +98,7 @@ def numbers(results: OverviewResults) -> Html:
         pairs = [(results.value(key, row), results.value(f"sigma_{key}", row)) for row in rows]
         scaled = [[None if value is None else factor * value for value in pair] for pair in pairs]
         if any(value is not None for value, _ in scaled):
-            panels.append((title, [value for value, _ in scaled], [sigma for _, sigma in scaled]))
+            panels.append(NumbersPanel(title, *zip(*scaled, strict=True)))
     return show(numbers_figure(names, panels)) if panels else Html("")
 
 

@@ -76,8 +76,7 @@ def overlay_figure(results: TroughResults) -> "Figure":
     )
     for kind, color, style, _ in kinds:
         beside = np.ma.masked_invalid(nodes[f"beside_{kind}"])
-        axes.contour(nodes["x_px"], nodes["y_px"], beside, levels=[0.0], colors=color, linewidths=1.1,
-                     linestyles=style)  # fmt: skip
+        axes.contour(nodes["x_px"], nodes["y_px"], beside, levels=[0.0], colors=color, linewidths=1.1, linestyles=style)
     axes.set_xlim(-0.5, columns - 0.5)
     axes.set_ylim(rows - 0.5, -0.5)
     axes.set(xticks=[], yticks=[])
@@ -119,8 +118,10 @@ def slice_figure(results: TroughResults, number: int) -> "Figure":
     figure, axes = chart_figure(
         f"The absorber's reflection at y = {stored.y_m[number]:.2f} m",
         f"{camera.size} photos; brightness, and edges that were found",
-        "x on the mirror [m]", "camera, x [m]", _HEIGHT_IN,
-    )  # fmt: skip
+        "x on the mirror [m]",
+        "camera, x [m]",
+        _HEIGHT_IN,
+    )
     axes.grid(visible=False)
     axes.set_facecolor("#c9cdd2")
     high = float(np.percentile(brightness.compressed(), 99.5)) if brightness.count() else 255.0
@@ -135,8 +136,16 @@ def slice_figure(results: TroughResults, number: int) -> "Figure":
     )
     for label, chosen, color, marker in kinds:
         own = here & chosen
-        axes.plot(edges.x_m[own], place[own], marker, color=color, markersize=2.2, linestyle="none",
-                  label=f"{label} ({int(own.sum())})", markeredgewidth=0.6)  # fmt: skip
+        axes.plot(
+            edges.x_m[own],
+            place[own],
+            marker,
+            color=color,
+            markersize=2.2,
+            linestyle="none",
+            label=f"{label} ({int(own.sum())})",
+            markeredgewidth=0.6,
+        )
     axes.set_xlim(stored.x_m[0], stored.x_m[-1])
     # The reflection runs from the lower left to the upper right, whatever the mirror.
     add_legend(axes, loc="lower right", markerscale=3)
@@ -159,13 +168,16 @@ def angle_figure(results: TroughResults, number: int) -> "Figure":
     figure, axes = chart_figure(
         f"Reflector-absorber angle at y = {y:.2f} m",
         f"dots: each edge alone, RMS {0.5 * _MRAD * rms:.3f} mrad about the line; +: normal turned towards +x",
-        "x on the mirror [m]", "theta_ra [mrad]", _HEIGHT_IN,
-    )  # fmt: skip
+        "x on the mirror [m]",
+        "theta_ra [mrad]",
+        _HEIGHT_IN,
+    )
     for sign, color, label in ((-1, _LOWER, "lower edge"), (1, _UPPER, "upper edge")):
         own = here & (edges.side == sign)
         axes.plot(edges.x_m[own], _MRAD * alone[own], ".", color=color, markersize=3, linestyle="none", label=label)
-    axes.fill_between(slope_map.x_m, _MRAD * (theta - band), _MRAD * (theta + band), color=FAINT, alpha=0.35,
-                      linewidth=0)  # fmt: skip
+    axes.fill_between(
+        slope_map.x_m, _MRAD * (theta - band), _MRAD * (theta + band), color=FAINT, alpha=0.35, linewidth=0
+    )
     axes.plot(slope_map.x_m, _MRAD * theta, color=INK, linewidth=0.9, label="solution")
     for edge in results.collector.panel_edges_x_m[1:-1]:
         axes.axvline(edge, color=FAINT, linewidth=0.5)

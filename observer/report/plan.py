@@ -157,9 +157,12 @@ def absorber(results: PlanResults) -> Html:
     if not (sigma_x > 0).any():
         return Html("<p>The absorber's place is not measured.</p>")
     figure, axes = chart_figure(
-        "Sigma of the absorber's place", "where the tube is seen from two sides", "y along the trough [m]",
-        "sigma [mm]", 3.6,
-    )  # fmt: skip
+        "Sigma of the absorber's place",
+        "where the tube is seen from two sides",
+        "y along the trough [m]",
+        "sigma [mm]",
+        3.6,
+    )
     axes.plot(y, _MM * sigma_x, ".-", color=LINE_X, linewidth=1.2, markersize=4, label="X_a, across")
     axes.plot(y, _MM * sigma_z, ".-", color=LINE_Y, linewidth=1.2, markersize=4, label="Z_a, along the optical axis")
     axes.set_ylim(bottom=0, top=1.25 * _MM * float(np.nanmax([sigma_x, sigma_z])))
@@ -173,15 +176,13 @@ def repeated(results: PlanResults) -> Html:
     if settling is None or nodes is None:
         return Html("")
     runs, rms = numbers(settling, "runs_count"), numbers(settling, "rms_slope_x_rad")
-    first, axes = chart_figure(
-        "RMS error over the map", "as runs are added", "runs", "RMS error of dz/dx [mrad]", 3.6
-    )  # fmt: skip
+    first, axes = chart_figure("RMS error over the map", "as runs are added", "runs", "RMS error of dz/dx [mrad]", 3.6)
     axes.plot(runs, _MRAD * rms, ".-", color=LINE_X, linewidth=1.2)
     axes.set_ylim(0, 1.25 * _MRAD * float(rms.max()))
     error, sigma = numbers(nodes, "rms_error_slope_x_rad"), numbers(nodes, "sigma_slope_x_rad")
     second, axes = chart_figure(
         "Scatter against stated sigma", "each dot a node", "stated sigma of dz/dx [mrad]", "RMS error [mrad]", 3.6
-    )  # fmt: skip
+    )
     axes.plot(_MRAD * sigma, _MRAD * error, ".", color=LINE_X, markersize=2, linestyle="none", alpha=0.5)
     end = _MRAD * float(np.nanpercentile([error, sigma], 99.5))
     axes.plot([0, end], [0, end], color=INK, linewidth=0.8, label="equal")

@@ -45,9 +45,16 @@ class EdgeTable:
 
 #: What a slope map has at each node.
 _NODE_FIELDS = (
-    "slope_x", "slope_y", "design_slope_x", "design_slope_y", "sigma_random_x", "sigma_random_y", "height_m", "flags",
+    "slope_x",
+    "slope_y",
+    "design_slope_x",
+    "design_slope_y",
+    "sigma_random_x",
+    "sigma_random_y",
+    "height_m",
+    "flags",
     "aperture",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,11 +30,12 @@ def network(results: TroughResults) -> Html:
     groups = [
         SceneGroup("mirror", mirror, [FAINT], lengths=lengths, size_px=0.8),
         SceneGroup("absorber", absorber_line(results), [LINE_Y], lengths=(len(absorber_line(results)),), size_px=3.0),
-        SceneGroup("targets", targets.xyz_m[known], [INK],
-                   labels=[targets.ids[k] for k in np.flatnonzero(known)], size_px=5),
+        SceneGroup(
+            "targets", targets.xyz_m[known], [INK], labels=[targets.ids[k] for k in np.flatnonzero(known)], size_px=5
+        ),
         SceneGroup("way of the camera", eyes, [FAINT], lengths=(len(eyes),), size_px=0.8),
         SceneGroup("cameras", eyes, [LINE_X if count else "#c9cdd2" for count in counts], labels=labels, size_px=6),
-    ]  # fmt: skip
+    ]
     words = (
         f"<p>{len(names)} photos, {int(known.sum())} targets. Median sigma of a camera's position: "
         f"{1e3 * float(np.median(by_targets)):.2f} mm from the targets alone, {1e3 * float(np.median(sigma)):.2f} mm "
@@ -66,8 +67,10 @@ def mirror_lines(results: TroughResults) -> tuple[FloatArray, tuple[int, ...]]:
     """
     collector = results.collector
     fine = np.linspace(collector.panel_edges_x_m[0], collector.panel_edges_x_m[-1], 41)
-    lines = [np.stack([fine, np.full_like(fine, y), collector.surface.height(fine, np.full_like(fine, y))], axis=1)
-             for y in collector.panel_edges_y_m]  # fmt: skip
+    lines = [
+        np.stack([fine, np.full_like(fine, y), collector.surface.height(fine, np.full_like(fine, y))], axis=1)
+        for y in collector.panel_edges_y_m
+    ]
     ends = collector.panel_edges_y_m[[0, -1]]
     for x in collector.panel_edges_x_m:
         across = np.full(2, x)

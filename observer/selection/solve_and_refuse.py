@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -97,9 +98,13 @@ class Reflector:
         Returns: From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
         """
         return sum_covariance(
-            self.lines, self.grid, self.roughness, self.errors.covariance_common, ~self.unknowns.is_place,
+            self.lines,
+            self.grid,
+            self.roughness,
+            self.errors.covariance_common,
+            ~self.unknowns.is_place,
             alike=self.alike,
-        )  # fmt: skip
+        )
 
     @property
     def alike(self) -> FloatArray:
@@ -177,12 +182,12 @@ def solve_reflector(
         fate[is_bold] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
         turned = wrong & nominal.turned & (predicted < _TURNED_KNOWN_RAD**2)
         fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
-        whole, change = _next_surface(present, errors, (_near_edges(used, grid), roughness), expected, grid)
+        whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
     flat = replace(whole, height_m=none[..., 0])
     both = tuple(_lines(nominal, expected, surface, grid) for surface in (whole, flat))
-    share = _shape_told(nominal, both, (usable, noise), grid, roughness)
+    share = _estimate_shape(nominal, both, usable, noise, grid, roughness)
     is_flat = shaped is False or (shaped is None and not share.has_shape)
     present, lines = (flat, both[1]) if is_flat else (whole, both[0])
     lines = _joint(replace(lines, sigma_rad=noise * lines.sigma_rad), nominal)
@@ -190,8 +195,8 @@ def solve_reflector(
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
     shadows = has_shadows(edges, fate, expected.y_m)
     if shadows:
-        fate, errors, roughness, agreed = _without_shadows(
-            lines, edges, (fate, errors, roughness), unknowns.covariance, grid
+        fate, errors, roughness, agreed = _refuse_shadows(
+            lines, edges, fate, errors, roughness, unknowns.covariance, grid
         )
         keep &= fate == EdgeFate.USED
     if not keep.any():
@@ -202,43 +207,70 @@ def solve_reflector(
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
     errors = solve_jointly(
-        used, grid, roughness, unknowns.covariance, with_shares=~unknowns.is_place,
+        used,
+        grid,
+        roughness,
+        unknowns.covariance,
+        with_shares=~unknowns.is_place,
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
-    )  # fmt: skip
+    )
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
-        grid, expected.y_m, errors, _near_edges(used, grid) & agreed, fate, _residuals(lines, grid, errors)[0],
-        roughness, noise, absorber, unknowns, used, present.height_m, change, shadows, share,
-    )  # fmt: skip
+        grid,
+        expected.y_m,
+        errors,
+        _near_edges(used, grid) & agreed,
+        fate,
+        _residuals(lines, grid, errors)[0],
+        roughness,
+        noise,
+        absorber,
+        unknowns,
+        used,
+        present.height_m,
+        change,
+        shadows,
+        share,
+    )
 
 
-def _shape_told(
+def _estimate_shape(
     nominal: "_Nominal",
     both: tuple[TouchingLines, ...],
-    usable: tuple[BoolArray, float],
+    usable: BoolArray,
+    noise: float,
     grid: RowGrid,
     roughness: Roughness,
 ) -> ShapeShare:
     """Compare the edges on the mirror with the heights of its slopes and without."""
-    keep, noise = usable
     # Where all edges are a little too far to one side, the mirror point moves across.
     by_edge = nominal.edges.side * nominal.across_rad_per_m
-    keep = keep & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
+    keep = usable & np.isfinite(by_edge) & np.isfinite(both[0].misfit_rad) & np.isfinite(both[1].misfit_rad)
     shaped, plain = (
         replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in (_joint(both[0], nominal), both[1])
     )
     return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
 
 
-def _without_shadows(
+class _WithoutShadows(NamedTuple):
+    """Fates, solution and roughness after edges of shadows were refused, and the nodes that both sides confirm."""
+
+    fate: IntArray
+    errors: SlopeErrors
+    roughness: Roughness
+    agreed: BoolArray
+
+
+def _refuse_shadows(
     lines: TouchingLines,
     edges: ReflectionEdges,
-    present: tuple[IntArray, SlopeErrors, Roughness],
+    fate: IntArray,
+    errors: SlopeErrors,
+    roughness: Roughness,
     covariance: FloatArray,
     grid: RowGrid,
-) -> tuple[IntArray, SlopeErrors, Roughness, BoolArray]:
-    """Refuse edges that shadows may have made; return fates, solution, roughness and the nodes that are borne out."""
-    fate, errors, roughness = present
+) -> _WithoutShadows:
+    """Refuse edges that shadows may have made."""
     fate = fate.copy()
     some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
@@ -246,7 +278,7 @@ def _without_shadows(
     keep[some] = borne
     if not borne.any():
         fate[some] = EdgeFate.ONE_SIDED
-        return fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
+        return _WithoutShadows(fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool))
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
     roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
@@ -256,7 +288,7 @@ def _without_shadows(
     errors = solve_jointly(lines.chosen(keep & some), grid, roughness, covariance, with_shares=None)
     borne, agreed = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
-    return fate, errors, roughness, agreed
+    return _WithoutShadows(fate, errors, roughness, agreed)
 
 
 def _is_pulled(
@@ -374,21 +406,33 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     sights = Sights(points, eyes, edges.side)
     # Observations are those of the nodes beside them; what the mirror departs from the chord is known by now.
     curved = slopes[:, 0] + beside_chord(present.slopes[..., 0], edges.row, points[:, 0], grid)
-    angle, by_x, by_y = misfit_with_slopes(
-        sights, (points[:, 0] / (2 * focal) + curved, slopes[:, 1]), expected.absorber,
+    found = misfit_with_slopes(
+        sights,
+        (points[:, 0] / (2 * focal) + curved, slopes[:, 1]),
+        expected.absorber,
         collector.absorber_diameter_m / 2,
-    )  # fmt: skip
+    )
     return TouchingLines(
-        edges.row, points[:, 0], angle - by_x * slopes[:, 0] - by_y * slopes[:, 1], by_x, by_y,
-        nominal.sigma_rad, np.zeros((len(angle), 0), dtype=np.intp), np.zeros((len(angle), 0)),
-    )  # fmt: skip
+        edges.row,
+        points[:, 0],
+        found.angle_rad - found.d_slope_x * slopes[:, 0] - found.d_slope_y * slopes[:, 1],
+        found.d_slope_x,
+        found.d_slope_y,
+        nominal.sigma_rad,
+        np.zeros((edges.row.size, 0), dtype=np.intp),
+        np.zeros((edges.row.size, 0)),
+    )
 
 
 def _next_surface(
-    present: _Surface, errors: SlopeErrors, known: tuple[BoolArray, Roughness], expected: Expectation, grid: RowGrid
+    present: _Surface,
+    errors: SlopeErrors,
+    measured: BoolArray,
+    roughness: Roughness,
+    expected: Expectation,
+    grid: RowGrid,
 ) -> tuple[_Surface, float]:
     """Return the surface found, and the RMS change of its height [m]."""
-    measured, roughness = known
     slopes = np.where(measured[..., None], np.clip(errors.slopes, -_STEEPEST_RAD, _STEEPEST_RAD), 0.0)
     along = errors.random[..., 1, 1] < min(_ALONG_KNOWN_RAD, _ALONG_GAIN * roughness.along_rad) ** 2
     height = heights(slopes, measured, along & measured, expected.collector, grid, expected.y_m)

@@ -19,6 +19,7 @@ standard deviation, and slopes by 0.1 mrad.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -176,14 +177,18 @@ def common_unknowns(
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
     place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube, units = _tube(found, sights, expected, outward, unit)
-    panel, lifted, n_panels = _lifted(sights, found, expected)
+    panel, lifted, n_panels = _lift_panels(sights, found, expected)
     first_tube = n_photo + 2 * n_stations
     first_panel = first_tube + _TUBE_UNKNOWNS
-    index = np.column_stack([
-        modes.index, n_modes + edges.photo, n_photo + place[0],
-        np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
-        first_panel + panel,
-    ])  # fmt: skip
+    index = np.column_stack(
+        [
+            modes.index,
+            n_modes + edges.photo,
+            n_photo + place[0],
+            np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
+            first_panel + panel,
+        ]
+    )
     derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube, lifted])
     covariance = np.eye(first_panel + n_panels)
     covariance[:n_modes, :n_modes] = modes.covariance
@@ -194,20 +199,31 @@ def common_unknowns(
             covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
             covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
     return CommonUnknowns(
-        index, np.nan_to_num(derivative), covariance, n_photo, n_stations, units, modes.steps,
+        index,
+        np.nan_to_num(derivative),
+        covariance,
+        n_photo,
+        n_stations,
+        units,
+        modes.steps,
         collector.panel_height_sigma_m,
-    )  # fmt: skip
+    )
 
 
-def _lifted(sights: Sights, found: Misfit, expected: Expectation) -> tuple[IntArray, FloatArray, int]:
-    """Return each line's panel and what its height does to the line, shapes (m, 1), and the number of panels.
+class _Lifted(NamedTuple):
+    """Each line's panel and what its height does to the line, shapes (m, 1); no column where heights are held."""
 
-    Without a column where heights are held. The line of sight stays; it meets the panel at another place.
-    """
+    panel: IntArray
+    derivative: FloatArray
+    n_panels: int
+
+
+def _lift_panels(sights: Sights, found: Misfit, expected: Expectation) -> _Lifted:
+    """Lift each line's panel: the line of sight stays, and meets the panel at another place."""
     collector, m = expected.collector, len(sights.side)
     unit, focal = collector.panel_height_sigma_m, collector.focal_length_m
     if unit == 0:
-        return np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)), 0
+        return _Lifted(np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)), 0)
     x, y, _ = sights.points_m.T
     way = sights.points_m - sights.eyes_m
     points = sights.points_m + (_LIFT_M / (way[:, 2] - x / (2 * focal) * way[:, 0]))[:, None] * way
@@ -218,7 +234,7 @@ def _lifted(sights: Sights, found: Misfit, expected: Expectation) -> tuple[IntAr
     by_height = (later.angle_rad - found.angle_rad) / _LIFT_M
     panel = collector.panel_index(x, y)
     derivative = np.where(panel >= 0, unit * by_height, 0.0)
-    return np.maximum(panel, 0)[:, None].astype(np.intp), derivative[:, None], collector.n_panels
+    return _Lifted(np.maximum(panel, 0)[:, None].astype(np.intp), derivative[:, None], collector.n_panels)
 
 
 def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:

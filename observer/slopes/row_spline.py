@@ -90,9 +90,15 @@ class TouchingLines:
     def alone(self, misfit_rad: FloatArray, sigma_rad: FloatArray) -> "TouchingLines":
         """Return them with other misfits and sigmas, and without common unknowns."""
         return TouchingLines(
-            self.row, self.x_m, misfit_rad, self.d_slope_x, self.d_slope_y, sigma_rad,
-            self.common_index[:, :0], self.d_common[:, :0],
-        )  # fmt: skip
+            self.row,
+            self.x_m,
+            misfit_rad,
+            self.d_slope_x,
+            self.d_slope_y,
+            sigma_rad,
+            self.common_index[:, :0],
+            self.d_common[:, :0],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

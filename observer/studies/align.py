@@ -71,7 +71,7 @@ class Result(InstrumentResult):
         """Collect the headline numbers with their sigmas, doubts and provenance."""
         tilt = self.to_absorber.tilt_rad
         known = tilt[np.isfinite(tilt)]
-        move = mount_moves(self.to_absorber, self.mounts_m, self.collector)[1]
+        move = mount_moves(self.to_absorber, self.mounts_m, self.collector).move_m
         largest = 1e3 * float(np.nanmax(np.abs(move))) if np.isfinite(move).any() else None
         numbers = {
             "panels_count": tilt.size,
@@ -88,24 +88,37 @@ class Result(InstrumentResult):
     def write_files(self, folder: Path) -> None:
         """Write panels.csv, mounts.csv, overlay.csv and two figures into an existing folder."""
         absorber, design = self.to_absorber, self.to_design
-        write_table_csv(folder / "panels.csv", {
-            "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
-            "x_m": absorber.centre_x_m, "y_m": absorber.centre_y_m,
-            "theta_ra_rad": absorber.tilt_rad, "sigma_theta_ra_rad": absorber.sigma_rad,
-            "theta_r_rad": design.tilt_rad, "sigma_theta_r_rad": design.sigma_rad,
-            "measured_share": absorber.measured_share,
-        })  # fmt: skip
-        panel, move, sigma = mount_moves(absorber, self.mounts_m, self.collector)
-        _, own_move, own_sigma = mount_moves(design, self.mounts_m, self.collector)
-        write_table_csv(folder / "mounts.csv", {
-            "panel": _FIRST_PANEL + panel, "x_m": self.mounts_m[:, 0], "y_m": self.mounts_m[:, 1],
-            "move_mm": 1e3 * move, "sigma_move_mm": 1e3 * sigma,
-            "move_to_design_mm": 1e3 * own_move, "sigma_move_to_design_mm": 1e3 * own_sigma,
-        })  # fmt: skip
+        write_table_csv(
+            folder / "panels.csv",
+            {
+                "panel": _FIRST_PANEL + np.arange(absorber.tilt_rad.size),
+                "x_m": absorber.centre_x_m,
+                "y_m": absorber.centre_y_m,
+                "theta_ra_rad": absorber.tilt_rad,
+                "sigma_theta_ra_rad": absorber.sigma_rad,
+                "theta_r_rad": design.tilt_rad,
+                "sigma_theta_r_rad": design.sigma_rad,
+                "measured_share": absorber.measured_share,
+            },
+        )
+        moves = mount_moves(absorber, self.mounts_m, self.collector)
+        to_design = mount_moves(design, self.mounts_m, self.collector)
+        write_table_csv(
+            folder / "mounts.csv",
+            {
+                "panel": _FIRST_PANEL + moves.panel,
+                "x_m": self.mounts_m[:, 0],
+                "y_m": self.mounts_m[:, 1],
+                "move_mm": 1e3 * moves.move_m,
+                "sigma_move_mm": 1e3 * moves.sigma_m,
+                "move_to_design_mm": 1e3 * to_design.move_m,
+                "sigma_move_to_design_mm": 1e3 * to_design.sigma_m,
+            },
+        )
         write_table_csv(folder / "overlay.csv", _overlay(self))
         if self.picture is not None:
             (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(self.picture))
-        drawn = moves_figure(self.collector, absorber.tilt_rad, self.mounts_m, (move, sigma))
+        drawn = moves_figure(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))
         (folder / ALIGNMENT_MOVES).write_bytes(png_of(drawn))
 
     def headline(self) -> str:
@@ -116,7 +129,7 @@ class Result(InstrumentResult):
             return "no panel is measured well enough for a prescription"
         rms = 1e3 * float(np.sqrt(np.mean(tilt[known] ** 2)))
         worst = int(np.nanargmax(np.abs(tilt)))
-        _, move, _ = mount_moves(self.to_absorber, self.mounts_m, self.collector)
+        move = mount_moves(self.to_absorber, self.mounts_m, self.collector).move_m
         said, spread = 1e3 * tilt[worst], 1e3 * sigma[worst]
         largest = 1e3 * float(np.nanmax(np.abs(move)))
         return (
@@ -148,7 +161,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     absorber = read_absorber(files[3])
     picture = None
     if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
-        picture = _picture(folder, slope_map, (collector, absorber), poses)
+        picture = _picture(folder, slope_map, collector, absorber, poses)
     return Result(
         collector,
         to_absorber,
@@ -164,7 +177,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
 
 
 def _picture(
-    folder: Path, slope_map: SlopeMap, trough: tuple[Collector, AbsorberPath], poses: dict[str, PhotoPose]
+    folder: Path, slope_map: SlopeMap, collector: Collector, absorber: AbsorberPath, poses: dict[str, PhotoPose]
 ) -> "Figure | None":
     """Draw the theoretical image over the photo that the result holds."""
     from scipy.interpolate import RegularGridInterpolator
@@ -180,7 +193,6 @@ def _picture(
     )
     pixels = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1)
     where = RegularGridInterpolator((y, x), pixels, bounds_error=False)
-    collector, absorber = trough
     gap = collector.panel_gap_m / 2
     ends = np.stack([collector.panel_edges_y_m[:-1] + gap, collector.panel_edges_y_m[1:] - gap], axis=1)
     lines = []

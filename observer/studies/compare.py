@@ -234,15 +234,22 @@ def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
 def _table(result: Comparison) -> dict[str, list[float | str]]:
     """Return one row for each orientation: the absorber's numbers, and the mirror's change against the first."""
     names = (
-        "absorber_mean_x_m", "sigma_absorber_mean_x_m", "absorber_mean_z_offset_m", "sigma_absorber_mean_z_offset_m",
-        "absorber_tilt_x_rad", "absorber_tilt_z_rad", "absorber_sag_down_m", "sigma_absorber_sag_down_m",
-    )  # fmt: skip
+        "absorber_mean_x_m",
+        "sigma_absorber_mean_x_m",
+        "absorber_mean_z_offset_m",
+        "sigma_absorber_mean_z_offset_m",
+        "absorber_tilt_x_rad",
+        "absorber_tilt_z_rad",
+        "absorber_sag_down_m",
+        "sigma_absorber_sag_down_m",
+    )
     rows: list[dict[str, float | str]] = []
     for one, other in zip(result.orientations, result.maps, strict=True):
         numbers = one.summary.numbers
         row: dict[str, float | str] = {
-            "result": one.folder.name, "orientation_deg": round(float(np.degrees(one.profile.orientation_rad)), 6)
-        }  # fmt: skip
+            "result": one.folder.name,
+            "orientation_deg": round(float(np.degrees(one.profile.orientation_rad)), 6),
+        }
         values = {name: numbers.get(name) for name in names}
         row |= {name: np.nan if value is None else float(value) for name, value in values.items()}
         change = None if other is None or result.maps[0] is None else mirror_change(result.maps[0], other)

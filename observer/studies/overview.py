@@ -19,9 +19,14 @@ KIND = "observer-overview"
 _MOST_NODES = 160
 #: Numbers of each module in the summary.
 _FACET_KEYS = (
-    "rms_theta_r_rad", "sigma_rms_theta_r_rad", "rms_theta_ra_rad", "sigma_rms_theta_ra_rad",
-    "intercept_ratio", "sigma_intercept_ratio", "measured_share",
-)  # fmt: skip
+    "rms_theta_r_rad",
+    "sigma_rms_theta_r_rad",
+    "rms_theta_ra_rad",
+    "sigma_rms_theta_ra_rad",
+    "intercept_ratio",
+    "sigma_intercept_ratio",
+    "measured_share",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

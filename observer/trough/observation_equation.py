@@ -12,6 +12,7 @@ Owkes (2012), eqs 5.4 and 5.10, with theta_a = (beta_0 - beta) / 2 (its eq. 5.7 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: Abso
     Returns: Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
     """
     ray = _Ray(sights, slopes)
-    angle, half, (to_x, to_z), passing = _beside_tube(sights, ray, absorber, radius_m)
+    angle, half, passing, to_x, to_z = _beside_tube(sights, ray, absorber, radius_m)
     by_x, by_y = ray.turns_with_slopes()
     with np.errstate(divide="ignore", invalid="ignore"):
         range_square = to_x**2 + to_z**2
@@ -73,21 +74,29 @@ def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: Abso
     return Misfit(angle + sights.side * half, by_x, by_y, ray.turns_with_eye(), d_absorber, d_radius, passing)
 
 
+class SlopeMisfit(NamedTuple):
+    """How far reflected lines of sight pass beside the tube's edge, and what the slopes do to that.
+
+    angle_rad (m,): NaN where the ray does not reach the tube [rad].
+    d_slope_x, d_slope_y (m,): Derivatives with respect to dz/dx and dz/dy of the mirror [rad].
+    """
+
+    angle_rad: FloatArray
+    d_slope_x: FloatArray
+    d_slope_y: FloatArray
+
+
 def misfit_with_slopes(
     sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath, radius_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> SlopeMisfit:
     """Evaluate what `misfit` does, with derivatives with respect to the slopes alone: half the time.
 
-    Shapes: d_slope_x, d_slope_y (m,).
-    sights: Mirror points, cameras and sides.
     slopes (m,): dz/dx and dz/dy of the mirror at the points.
-    absorber: The tube's axis.
     radius_m: The tube's radius [m].
-    angle_rad (m,): Angle by which the edge is missed; NaN where the ray does not reach the tube [rad].
     """
     ray = _Ray(sights, slopes)
-    angle, half, _, _ = _beside_tube(sights, ray, absorber, radius_m)
-    return angle + sights.side * half, *ray.turns_with_slopes()
+    beside = _beside_tube(sights, ray, absorber, radius_m)
+    return SlopeMisfit(beside.angle_rad + sights.side * beside.half_rad, *ray.turns_with_slopes())
 
 
 class _Ray:
@@ -124,10 +133,23 @@ class _Ray:
         return np.stack([by_x, part * self.slope_y * level, by_z], axis=1)
 
 
-def _beside_tube(
-    sights: Sights, ray: _Ray, absorber: AbsorberPath, radius_m: float
-) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray], FloatArray]:
-    """Return angle beside the axis, half the tube's width, the way from mirror to axis (x, z) and where rays pass."""
+class BesideTube(NamedTuple):
+    """Where reflected lines of sight pass the tube, arrays of shape (m,).
+
+    angle_rad: Angle beside the axis: the mean of the misfits of both edges [rad].
+    half_rad: Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
+    passing_y_m: Where along the trough [m].
+    to_x_m, to_z_m: Way from the mirror point to the axis there [m].
+    """
+
+    angle_rad: FloatArray
+    half_rad: FloatArray
+    passing_y_m: FloatArray
+    to_x_m: FloatArray
+    to_z_m: FloatArray
+
+
+def _beside_tube(sights: Sights, ray: _Ray, absorber: AbsorberPath, radius_m: float) -> BesideTube:
     points = sights.points_m
     with np.errstate(divide="ignore", invalid="ignore"):
         passing = _passing_y(points, ray.y, ray.z, absorber)
@@ -136,23 +158,16 @@ def _beside_tube(
         sine = radius_m / np.sqrt(to_x**2 + to_z**2)
         half = np.arcsin(np.where(sine < 1, sine, np.nan))
         angle = np.arctan2(ray.x, ray.z) - np.arctan2(to_x, to_z)
-    return angle, half, (to_x, to_z), passing
+    return BesideTube(angle, half, passing, to_x, to_z)
 
 
-def beside_axis(
-    sights: Sights, slope_x: FloatArray, absorber: AbsorberPath, radius_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return by what angle reflected lines of sight pass beside the tube's axis, without derivatives.
+def beside_axis(sights: Sights, slope_x: FloatArray, absorber: AbsorberPath, radius_m: float) -> BesideTube:
+    """Return where reflected lines of sight pass the tube, without derivatives.
 
     sights: Mirror points and cameras; sides do not matter.
     slope_x (m,): dz/dx of the mirror at the points; its slope along the trough counts as none.
-    angle_rad (m,): Mean of the misfits of both edges [rad].
-    half_rad (m,): Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
-    passing_y_m (m,): Where along the trough the ray passes the tube [m].
     """
-    ray = _Ray(sights, (slope_x, np.zeros_like(slope_x)))
-    angle, half, _, passing = _beside_tube(sights, ray, absorber, radius_m)
-    return angle, half, passing
+    return _beside_tube(sights, _Ray(sights, (slope_x, np.zeros_like(slope_x))), absorber, radius_m)
 
 
 def _passing_y(points_m: FloatArray, ray_y: FloatArray, ray_z: FloatArray, absorber: AbsorberPath) -> FloatArray:

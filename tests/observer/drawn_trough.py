@@ -19,11 +19,23 @@ def slope_map(
     zero = np.zeros((ny, nx))
     design = zero + x / (2 * collector.focal_length_m)
     return SlopeMap(
-        x_m=x, y_m=y, slope_x=np.tan(np.arctan(design) - error_rad), slope_y=zero + along, design_slope_x=design,
-        design_slope_y=zero, sigma_random_x=zero + sigma, sigma_random_y=zero, noise_correlation=1.0,
-        common=no_common_modes(), height_m=zero + np.nan, flags=zero, aperture=zero == 0, design="trough",
-        frame="trough", removed="nothing",
-    )  # fmt: skip
+        x_m=x,
+        y_m=y,
+        slope_x=np.tan(np.arctan(design) - error_rad),
+        slope_y=zero + along,
+        design_slope_x=design,
+        design_slope_y=zero,
+        sigma_random_x=zero + sigma,
+        sigma_random_y=zero,
+        noise_correlation=1.0,
+        common=no_common_modes(),
+        height_m=zero + np.nan,
+        flags=zero,
+        aperture=zero == 0,
+        design="trough",
+        frame="trough",
+        removed="nothing",
+    )
 
 
 def gaussian_errors(sigma_rad: float, shape: tuple[int, int], seed: int = 0) -> np.ndarray:

@@ -29,8 +29,17 @@ def drawn_tube(view: View, axis: Axis, radius_m: float, *, tones: tuple[float, f
     u, v = np.meshgrid(
         (np.arange(camera.width_px)[:, None] + grid).ravel(), (np.arange(camera.height_px)[:, None] + grid).ravel()
     )
-    rays = np.stack([(u - camera.center_x_px) / camera.focal_x_px, (v - camera.center_y_px) / camera.focal_y_px,
-                     np.ones_like(u)], axis=-1) @ pose.rotation  # fmt: skip
+    rays = (
+        np.stack(
+            [
+                (u - camera.center_x_px) / camera.focal_x_px,
+                (v - camera.center_y_px) / camera.focal_y_px,
+                np.ones_like(u),
+            ],
+            axis=-1,
+        )
+        @ pose.rotation
+    )
     eye = pose.inverse().translation_m
     x, z = np.zeros_like(u), np.full_like(u, float(axis(np.zeros(1))[1][0]))
     for _ in range(3):

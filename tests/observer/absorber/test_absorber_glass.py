@@ -81,6 +81,7 @@ def test_two_photos_of_the_thesis_give_the_absorber_within_half_a_millimetre(tmp
     for axis in "xz":
         true = np.interp(columns["y_m"], truth.absorber_y_m, getattr(truth, f"absorber_{axis}_m"))
         assert np.sqrt(np.mean((columns[f"{axis}_a_m"] - true) ** 2)) < 0.5e-3
-    for cell, sigma in zip(*(read_table_csv(out / "absorber_spans.csv")[name] for name in
-                             ("sag_down_m", "sigma_sag_down_m")), strict=True):  # fmt: skip
+    for cell, sigma in zip(
+        *(read_table_csv(out / "absorber_spans.csv")[name] for name in ("sag_down_m", "sigma_sag_down_m")), strict=True
+    ):
         assert abs(float(cell) - 4e-3) < 3 * float(sigma) < 2e-3

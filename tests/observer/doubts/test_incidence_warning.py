@@ -17,9 +17,23 @@ def mirror(half_length_m: float) -> SlopeMap:
     zero = np.zeros((41, 25))
     design = np.broadcast_to(x / (2 * 1.49), zero.shape)
     return SlopeMap(
-        x, y, design, zero * np.nan, design, zero, zero + 1e-4, zero * np.nan, 1.0, no_common_modes(), zero * np.nan,
-        zero.astype(np.uint32), zero == 0, "trough", "trough", "nothing",
-    )  # fmt: skip
+        x,
+        y,
+        design,
+        zero * np.nan,
+        design,
+        zero,
+        zero + 1e-4,
+        zero * np.nan,
+        1.0,
+        no_common_modes(),
+        zero * np.nan,
+        zero.astype(np.uint32),
+        zero == 0,
+        "trough",
+        "trough",
+        "nothing",
+    )
 
 
 def test_a_long_trough_in_one_pass_is_warned_of() -> None:

@@ -375,9 +375,7 @@ def test_sigma_of_the_best_places_is_the_scatter() -> None:
         path = replace(trough.absorber, x_m=trough.absorber.x_m + moved[:3], z_m=trough.absorber.z_m + moved[3:])
         other = replace(trough, nodes=replace(trough.nodes, slope_x=trough.nodes.slope_x + slopes), absorber=path)
         light = optics_of(other, Case.AS_MEASURED, profile)
-        found.append([
-            *best_offset(other, Case.AS_MEASURED, light).place, *best_absorber(other, light, profile).place
-        ])  # fmt: skip
+        found.append([*best_offset(other, Case.AS_MEASURED, light).place, *best_absorber(other, light, profile).place])
     stated = np.sqrt([offset.covariance[0, 0], shift.covariance[0, 0], shift.covariance[1, 1]])
     # 60 runs know a scatter to 9 %.
     np.testing.assert_allclose(stated, np.std(found, axis=0), rtol=0.35)

@@ -49,9 +49,7 @@ place_m = [7.0, 0.0, 0.0]
 
 def flight(folder: Path, toml: str = TOML, photos: int = 3) -> Path:
     """Write a folder with six targets on the rims of each of two rows."""
-    places = [
-        [row * 7 + side * 2.6, y, 1.05] for row in (0, 1) for side in (-1, 1) for y in (-1.5, 0.0, 1.5)
-    ]  # fmt: skip
+    places = [[row * 7 + side * 2.6, y, 1.05] for row in (0, 1) for side in (-1, 1) for y in (-1.5, 0.0, 1.5)]
     columns = {"target": [str(k + 1) for k in range(12)], "sigma_mm": ["1"] * 12}
     columns |= {f"{axis}_m": [f"{place[k]}" for place in places] for k, axis in enumerate("xyz")}
     write_table_csv(folder / "targets.csv", columns)
@@ -85,9 +83,10 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
     """Replace photos and solution: photo 0 shows A, 1 shows both, 2 B and one rim of A; B has no reflection."""
     first, second = tuple("123456"), ("7", "8", "9", "10", "11", "12")
     looked = (
-        shown("photo_0.png", first), shown("photo_1.png", first + second),
+        shown("photo_0.png", first),
+        shown("photo_1.png", first + second),
         shown("photo_2.png", ("4", "5", "6", *second)),
-    )  # fmt: skip
+    )
     seen: dict[str, list[str]] = {}
 
     def look(files, finders, **_):
@@ -119,8 +118,11 @@ def test_a_module_that_fails_is_told_and_stops_nobody(tmp_path: Path, solved: di
     assert solved == {"A": ["photo_0.png", "photo_1.png"], "B": ["photo_1.png", "photo_2.png"]}
     assert sorted(path.name for path in out.iterdir()) == ["A", "overview.csv", "overview.nc", "summary.json"]
     assert set(read_summary(out / "A").input_sha256) == {
-        "measurement.toml", "targets.csv", "photo_0.png", "photo_1.png"
-    }  # fmt: skip
+        "measurement.toml",
+        "targets.csv",
+        "photo_0.png",
+        "photo_1.png",
+    }
     table = read_table_csv(out / "overview.csv")
     assert table["result"] == ["A", "B"]
     assert table["failed"] == ["", "reflection: only 0 edges"]

@@ -28,14 +28,21 @@ from tests.observer.drawn_trough import SOLTRACE, gaussian_errors, slope_map
 
 
 def model(**sections: object) -> ObserverModel:
-    return ObserverModel.model_validate({
-        "kind": "observer",
-        "name": "collector",
-        "collector": {"aperture_width_m": 5.774, "length_m": 4.0, "focal_length_m": 1.71, "absorber_diameter_mm": 70.0},
-        "images": {"photos": "*.png"},
-        "targets": {"dictionary": "aicon-12", "diameter_mm": 60.0},
-        **sections,
-    })  # fmt: skip
+    return ObserverModel.model_validate(
+        {
+            "kind": "observer",
+            "name": "collector",
+            "collector": {
+                "aperture_width_m": 5.774,
+                "length_m": 4.0,
+                "focal_length_m": 1.71,
+                "absorber_diameter_mm": 70.0,
+            },
+            "images": {"photos": "*.png"},
+            "targets": {"dictionary": "aicon-12", "diameter_mm": 60.0},
+            **sections,
+        }
+    )
 
 
 def absorber(x_m: float = 3e-3, z_m: float = 1.703) -> AbsorberPath:

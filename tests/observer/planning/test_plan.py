@@ -10,8 +10,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.results.folder import read_summary, read_table_csv
 from heliogauge.results.slope_map_file import read_slope_map
 from observer.planning.keys import load_observer_plan
-from observer.planning.photo_network import planned_targets
-from observer.planning.plan import headline_text, run, summarise, write
+from observer.planning.plan import headline_text, planned_targets, run, summarise, write
 from observer.planning.planned_flight import Pass, advice
 from observer.report import plan as report
 from tests.observer.simulated_trough import short_trough

@@ -97,10 +97,23 @@ def test_a_measured_mirror_is_interpolated_and_its_holes_are_filled() -> None:
     flags = np.where(np.isfinite(measured), 0, 512).astype(np.uint32)
     zero, sigma = np.zeros_like(error), np.where(np.isfinite(measured), 1e-4, np.nan)
     slope_map = SlopeMap(
-        x, y, measured + 0.1, np.full_like(error, np.nan), zero + 0.1, zero, sigma, np.full_like(error, np.nan),
-        1.0, no_common_modes(), np.full_like(error, np.nan), flags, np.ones_like(error, dtype=bool),
-        design="plane", frame="trough", removed="nothing",
-    )  # fmt: skip
+        x,
+        y,
+        measured + 0.1,
+        np.full_like(error, np.nan),
+        zero + 0.1,
+        zero,
+        sigma,
+        np.full_like(error, np.nan),
+        1.0,
+        no_common_modes(),
+        np.full_like(error, np.nan),
+        flags,
+        np.ones_like(error, dtype=bool),
+        design="plane",
+        frame="trough",
+        removed="nothing",
+    )
     found_x, found_y = MeasuredMirror.of(slope_map).errors(np.array([0.333, -0.95]), np.array([0.111, -0.4]))
     np.testing.assert_allclose(found_x, [1e-3 * 0.333 + 2e-3 * 0.111, 1e-3 * -0.95 + 2e-3 * -0.4], atol=1e-9)
     np.testing.assert_array_equal(found_y, 0.0)
@@ -109,6 +122,8 @@ def test_a_measured_mirror_is_interpolated_and_its_holes_are_filled() -> None:
 def test_believed_poses_differ_by_what_their_covariance_says() -> None:
     scene = short_scene(perfect())
     believed = believed_with_errors(scene, np.random.default_rng(4))
-    shift = [a[1].inverse().translation_m - b[1].inverse().translation_m
-             for a, b in zip(believed.views, scene.views, strict=True)]  # fmt: skip
+    shift = [
+        a[1].inverse().translation_m - b[1].inverse().translation_m
+        for a, b in zip(believed.views, scene.views, strict=True)
+    ]
     assert 1e-3 < np.std(shift) < 5e-3

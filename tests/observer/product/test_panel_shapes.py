@@ -23,9 +23,23 @@ def mirror(noise_rad: float, rng: np.random.Generator) -> SlopeMap:
     slope = grid_x / (2 * FOCAL_M[panel]) + 1e-3 * panel + rng.normal(0, noise_rad, panel.shape)
     zero = np.zeros(panel.shape)
     return SlopeMap(
-        x, y, slope, zero, design, zero, np.full(panel.shape, max(noise_rad, 1e-9)), zero, 1.0, no_common_modes(),
-        np.full(panel.shape, np.nan), zero.astype(np.uint32), panel >= 0, "trough", "trough", "nothing",
-    )  # fmt: skip
+        x,
+        y,
+        slope,
+        zero,
+        design,
+        zero,
+        np.full(panel.shape, max(noise_rad, 1e-9)),
+        zero,
+        1.0,
+        no_common_modes(),
+        np.full(panel.shape, np.nan),
+        zero.astype(np.uint32),
+        panel >= 0,
+        "trough",
+        "trough",
+        "nothing",
+    )
 
 
 def test_focal_lengths_of_parabolic_panels() -> None:

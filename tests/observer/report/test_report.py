@@ -54,10 +54,23 @@ def mirror(collector: Collector, turned_rad: float = 0.0) -> SlopeMap:
     design = np.tile(x / (2 * collector.focal_length_m), (y.size, 1))
     zero = np.zeros_like(design)
     return SlopeMap(
-        x, y, np.tan(np.arctan(design) - turned_rad), zero, design, zero, zero + 1e-4, zero + 1e-4, 1.0,
-        no_common_modes(), np.full(design.shape, np.nan), np.zeros(design.shape, np.uint32),
-        np.ones(design.shape, bool), design="trough", frame="trough", removed="nothing",
-    )  # fmt: skip
+        x,
+        y,
+        np.tan(np.arctan(design) - turned_rad),
+        zero,
+        design,
+        zero,
+        zero + 1e-4,
+        zero + 1e-4,
+        1.0,
+        no_common_modes(),
+        np.full(design.shape, np.nan),
+        np.zeros(design.shape, np.uint32),
+        np.ones(design.shape, bool),
+        design="trough",
+        frame="trough",
+        removed="nothing",
+    )
 
 
 def tube(collector: Collector, x_m: float = 0.0, z_m: float = 0.0) -> AbsorberPath:
@@ -122,9 +135,15 @@ def test_nodes_lie_on_the_cut_out_photo(tmp_path) -> None:
 
 def test_slices_keep_away_from_ends_supports_and_gaps() -> None:
     collector = Collector(
-        5.0, 8.0, 1.49, 0.07, GlassTube(0.115, 0.109), panel_edges_y_m=np.array([-4.0, -1.6, 0.0, 1.6, 4.0]),
-        panel_gap_m=0.01, support_y_m=np.array([-4.0, 0.0, 4.0]),
-    )  # fmt: skip
+        5.0,
+        8.0,
+        1.49,
+        0.07,
+        GlassTube(0.115, 0.109),
+        panel_edges_y_m=np.array([-4.0, -1.6, 0.0, 1.6, 4.0]),
+        panel_gap_m=0.01,
+        support_y_m=np.array([-4.0, 0.0, 4.0]),
+    )
     rows = np.linspace(-3.99, 3.99, 400)
     chosen = empty_slices(collector, rows, 7)
     assert chosen.brightness_dn.shape == (5, 7, chosen.x_m.size)
@@ -198,27 +217,52 @@ def result_folder(folder) -> None:
         stored.take([Shot(np.full((640, 960), 90, np.uint8), k, View(camera, pose))], collector)
     write_slices(folder / "absorber_reflection.nc", stored, np.array([EYE, EYE + [0.3, 0, 0]]), ["a", "b"])
     y = stored.y_m
-    write_table_csv(folder / "absorber.csv", {
-        "y_m": y, "x_a_m": np.where(np.arange(5) == 2, np.nan, 1e-3), "z_a_m": np.full(5, 1.491),
-        "sigma_x_a_m": np.full(5, 1e-4), "sigma_z_a_m": np.full(5, 1e-4),
-    })  # fmt: skip
+    write_table_csv(
+        folder / "absorber.csv",
+        {
+            "y_m": y,
+            "x_a_m": np.where(np.arange(5) == 2, np.nan, 1e-3),
+            "z_a_m": np.full(5, 1.491),
+            "sigma_x_a_m": np.full(5, 1e-4),
+            "sigma_z_a_m": np.full(5, 1e-4),
+        },
+    )
     targets = PointTable(("1", "2"), np.eye(2, 3), np.ones((2, 3)), np.array([2, 2]), np.zeros(2))
     write_points_csv(folder / "points.csv", targets)
-    write_table_csv(folder / "reflection_edges.csv", {
-        "image": ["a", "b"] * 5, "x_m": np.linspace(-1, 1, 10), "y_m": np.repeat(y, 2) + 0.01,
-        "side": [1, -1] * 5, "sigma_x_m": np.full(10, 1e-3), "residual_rad": np.full(10, 1e-5),
-        "fate": ["used"] * 9 + ["faint"],
-    })  # fmt: skip
+    write_table_csv(
+        folder / "reflection_edges.csv",
+        {
+            "image": ["a", "b"] * 5,
+            "x_m": np.linspace(-1, 1, 10),
+            "y_m": np.repeat(y, 2) + 0.01,
+            "side": [1, -1] * 5,
+            "sigma_x_m": np.full(10, 1e-3),
+            "residual_rad": np.full(10, 1e-5),
+            "fate": ["used"] * 9 + ["faint"],
+        },
+    )
     write_table_csv(folder / "rejected.csv", {"name": ["c"], "reason": ["too few targets"]})
     offset = 1e-3 * np.arange(-3.0, 4.0)
-    write_table_csv(folder / "intercept.csv", {
-        "tracking_offset_rad": offset, "intercept_ratio": 0.9 - 1e3 * offset**2,
-        "sigma_intercept_ratio": np.full(7, 0.001),
-    })  # fmt: skip
-    write_table_csv(folder / "panels.csv", {
-        "panel": ["1"], "mean_theta_r_rad": [0.0015], "sigma_mean_theta_r_rad": [2e-4],
-        "mean_theta_ra_rad": [0.0011], "sigma_mean_theta_ra_rad": [1e-4], "height_m": [""], "sigma_height_m": [""],
-    })  # fmt: skip
+    write_table_csv(
+        folder / "intercept.csv",
+        {
+            "tracking_offset_rad": offset,
+            "intercept_ratio": 0.9 - 1e3 * offset**2,
+            "sigma_intercept_ratio": np.full(7, 0.001),
+        },
+    )
+    write_table_csv(
+        folder / "panels.csv",
+        {
+            "panel": ["1"],
+            "mean_theta_r_rad": [0.0015],
+            "sigma_mean_theta_r_rad": [2e-4],
+            "mean_theta_ra_rad": [0.0011],
+            "sigma_mean_theta_ra_rad": [1e-4],
+            "height_m": [""],
+            "sigma_height_m": [""],
+        },
+    )
     (folder / "network").mkdir()
     poses = {
         name: PhotoPose(
@@ -233,10 +277,17 @@ def result_folder(folder) -> None:
     }
     write_cameras_json(folder / "cameras.json", {"camera": camera}, nearer)
     numbers = {
-        "sdx_rad": 1e-3, "sigma_sdx_rad": 1e-5, "sdx_tilt_removed_rad": None, "median_sigma_slope_x_rad": 1e-4,
-        "measured_share": 0.97, "absorber_mean_x_m": 1e-3, "absorber_mean_z_offset_m": 1e-3, "rms_theta_ra_rad": 1e-3,
-        "intercept_ratio": 0.9, "odd_count": 3,
-    }  # fmt: skip
+        "sdx_rad": 1e-3,
+        "sigma_sdx_rad": 1e-5,
+        "sdx_tilt_removed_rad": None,
+        "median_sigma_slope_x_rad": 1e-4,
+        "measured_share": 0.97,
+        "absorber_mean_x_m": 1e-3,
+        "absorber_mean_z_offset_m": 1e-3,
+        "rms_theta_ra_rad": 1e-3,
+        "intercept_ratio": 0.9,
+        "odd_count": 3,
+    }
     reasons = {"sdx_tilt_removed_rad": "a reason"}
     write_summary(folder / "summary.json", Summary("observer", "<trough>", numbers, not_determined=reasons))
 

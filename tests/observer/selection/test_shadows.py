@@ -13,9 +13,15 @@ def lines_of(x: np.ndarray, row: np.ndarray, error: np.ndarray) -> TouchingLines
     """Lines that see a flat mirror with the slope error 2 mrad, and their own error."""
     n = x.size
     return TouchingLines(
-        row, x, 4e-3 + error, np.full(n, -2.0), np.zeros(n), np.full(n, 1e-4), np.zeros((n, 0), dtype=int),
+        row,
+        x,
+        4e-3 + error,
+        np.full(n, -2.0),
+        np.zeros(n),
+        np.full(n, 1e-4),
+        np.zeros((n, 0), dtype=int),
         np.zeros((n, 0)),
-    )  # fmt: skip
+    )
 
 
 def test_what_one_side_says_alone_or_both_differently_is_refused() -> None:

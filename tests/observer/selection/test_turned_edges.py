@@ -86,7 +86,7 @@ def test_sides_are_told_by_brightness_where_normals_turn_by_more_than_a_quarter_
     collector = scene.truth.collector
     slope = edges.points_m[:, 0] / (2 * collector.focal_length_m)
     sights = Sights(edges.points_m, eyes, edges.side)
-    middle, half, _ = beside_axis(sights, slope, scene.truth.absorber, collector.absorber_diameter_m / 2)
+    middle, half, *_ = beside_axis(sights, slope, scene.truth.absorber, collector.absorber_diameter_m / 2)
     nearest = np.where(middle < 0, 1.0, -1.0)
     assert np.count_nonzero(nearest != edges.side) > 20
     everywhere = np.ones(half.size, dtype=bool)

@@ -13,10 +13,15 @@ from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemb
 
 def random_lines(rng: np.random.Generator, grid: RowGrid, m: int, n_common: int) -> TouchingLines:
     return TouchingLines(
-        rng.integers(0, grid.n_rows, m), rng.uniform(grid.x_m[0], grid.x_m[-1], m), rng.normal(0, 1e-3, m),
-        rng.normal(-2, 0.2, m), rng.normal(0, 0.1, m), 1e-4 * rng.uniform(1, 2, m),
-        rng.integers(0, n_common, (m, 1)), rng.normal(-0.07, 0.01, (m, 1)),
-    )  # fmt: skip
+        rng.integers(0, grid.n_rows, m),
+        rng.uniform(grid.x_m[0], grid.x_m[-1], m),
+        rng.normal(0, 1e-3, m),
+        rng.normal(-2, 0.2, m),
+        rng.normal(0, 0.1, m),
+        1e-4 * rng.uniform(1, 2, m),
+        rng.integers(0, n_common, (m, 1)),
+        rng.normal(-0.07, 0.01, (m, 1)),
+    )
 
 
 def small_grid(n_rows: int = 3) -> RowGrid:
@@ -243,8 +248,16 @@ def measured(seed: int) -> tuple[float, float, float]:
     value = np.array([np.interp(x[i], grid.x_m, slopes[row[i]]) for i in range(row.size)])
     inner = np.abs(x) > 0.06
     misfit = 2 * value - eyes[photo] / 14.0 + rng.normal(0, sigma)
-    lines = TouchingLines(row, x, misfit, np.full(row.size, -2.0), np.zeros(row.size), sigma, photo[:, None],
-                          np.full((row.size, 1), 1 / 14.0)).chosen(inner)  # fmt: skip
+    lines = TouchingLines(
+        row,
+        x,
+        misfit,
+        np.full(row.size, -2.0),
+        np.zeros(row.size),
+        sigma,
+        photo[:, None],
+        np.full((row.size, 1), 1 / 14.0),
+    ).chosen(inner)
     covariance = sigma_eye**2 * np.eye(n_photos)
     prior = find_roughness(lines, grid, Roughness(1.0, along_rad=1e-6), covariance)
     assert abs(np.log10(prior.across / truth_prior.across)) < 1.0

@@ -68,9 +68,23 @@ def test_noise_correlation_is_that_of_sums_over_panels() -> None:
     zero, x, y = np.zeros(shape), np.arange(6.0), np.arange(6.0)
     panel = np.repeat([0, 0, 0, 1, 1, 1], 6).reshape(6, 6).T
     slope_map = SlopeMap(
-        x, y, zero, zero, zero, zero, zero + sigma, zero + sigma, 1.0, no_common_modes(), zero,
-        np.zeros(shape, dtype=np.uint32), np.ones(shape, dtype=bool), "d", "f", "nothing",
-    )  # fmt: skip
+        x,
+        y,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero + sigma,
+        zero + sigma,
+        1.0,
+        no_common_modes(),
+        zero,
+        np.zeros(shape, dtype=np.uint32),
+        np.ones(shape, dtype=bool),
+        "d",
+        "f",
+        "nothing",
+    )
 
     def of_blocks(weights: np.ndarray) -> np.ndarray:
         blocks = weights.reshape(-1, 3, 2, 2, 3).sum(axis=(2, 4)).reshape(len(weights), -1)
@@ -94,9 +108,23 @@ def test_bridged_nodes_err_as_the_nearest_that_have_a_value() -> None:
     flags[2:5, 1] = np.uint32(SampleFlag.SMOOTHED_GAP)
     zero, x, y = np.zeros((6, 3)), np.arange(3.0), np.arange(6.0)
     slope_map = SlopeMap(
-        x, y, zero, zero, zero, zero, sigma, sigma, 1.0, no_common_modes(), zero, flags, np.ones((6, 3), dtype=bool),
-        "d", "f", "nothing",
-    )  # fmt: skip
+        x,
+        y,
+        zero,
+        zero,
+        zero,
+        zero,
+        sigma,
+        sigma,
+        1.0,
+        no_common_modes(),
+        zero,
+        flags,
+        np.ones((6, 3), dtype=bool),
+        "d",
+        "f",
+        "nothing",
+    )
 
     def of_rows(weights: np.ndarray) -> np.ndarray:
         return np.einsum("kij,lij->kl", weights * sigma**2, weights)

@@ -62,11 +62,23 @@ def mirror(change_rad: float = 0.0, noise_rad: float = 0.0) -> SlopeMap:
     slope = np.tan(np.arctan(design) - change_rad + noise)
     zero, sigma = np.zeros(design.shape), np.full(design.shape, max(noise_rad, 1e-6))
     return SlopeMap(
-        x_m=x, y_m=y, slope_x=slope, slope_y=zero, design_slope_x=design, design_slope_y=zero,
-        sigma_random_x=sigma * (1 + design**2), sigma_random_y=sigma, noise_correlation=0.0, common=no_common_modes(),
-        height_m=np.full(design.shape, np.nan), flags=np.zeros(design.shape, dtype=np.uint32),
-        aperture=np.ones(design.shape, dtype=bool), design="parabola", frame="trough", removed="nothing",
-    )  # fmt: skip
+        x_m=x,
+        y_m=y,
+        slope_x=slope,
+        slope_y=zero,
+        design_slope_x=design,
+        design_slope_y=zero,
+        sigma_random_x=sigma * (1 + design**2),
+        sigma_random_y=sigma,
+        noise_correlation=0.0,
+        common=no_common_modes(),
+        height_m=np.full(design.shape, np.nan),
+        flags=np.zeros(design.shape, dtype=np.uint32),
+        aperture=np.ones(design.shape, dtype=bool),
+        design="parabola",
+        frame="trough",
+        removed="nothing",
+    )
 
 
 def result_at(folder: Path, degrees: float, *, with_map: bool = True) -> Path:

@@ -14,10 +14,19 @@ from observer.studies.overview import run
 
 def result_of(folder, kind="observer", doubts=(), **numbers):
     folder.mkdir()
-    write_summary(folder / "summary.json", Summary(
-        kind=kind, name=folder.name.upper(), numbers=numbers, texts={}, doubts=doubts, durations_s={},
-        input_sha256={}, not_determined={key: "unseen" for key, value in numbers.items() if value is None},
-    ))  # fmt: skip
+    write_summary(
+        folder / "summary.json",
+        Summary(
+            kind=kind,
+            name=folder.name.upper(),
+            numbers=numbers,
+            texts={},
+            doubts=doubts,
+            durations_s={},
+            input_sha256={},
+            not_determined={key: "unseen" for key, value in numbers.items() if value is None},
+        ),
+    )
     return folder
 
 

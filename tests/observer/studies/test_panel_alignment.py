@@ -69,11 +69,23 @@ def tilted(collector, angles_rad):
     design = x / (2 * collector.focal_length_m)
     zero, sigma = np.zeros(x.shape), np.full(x.shape, 1e-4)
     slope_map = SlopeMap(
-        x_m=x_axis, y_m=y_axis, slope_x=np.tan(np.arctan(design) - angle), slope_y=np.where(panel >= 0, 0.0, np.nan),
-        design_slope_x=design, design_slope_y=zero, sigma_random_x=sigma, sigma_random_y=sigma,
-        noise_correlation=1.0, common=no_common_modes(), height_m=np.full(x.shape, np.nan),
-        flags=np.zeros(x.shape, dtype=np.uint32), aperture=panel >= 0, design="d", frame="f", removed="nothing",
-    )  # fmt: skip
+        x_m=x_axis,
+        y_m=y_axis,
+        slope_x=np.tan(np.arctan(design) - angle),
+        slope_y=np.where(panel >= 0, 0.0, np.nan),
+        design_slope_x=design,
+        design_slope_y=zero,
+        sigma_random_x=sigma,
+        sigma_random_y=sigma,
+        noise_correlation=1.0,
+        common=no_common_modes(),
+        height_m=np.full(x.shape, np.nan),
+        flags=np.zeros(x.shape, dtype=np.uint32),
+        aperture=panel >= 0,
+        design="d",
+        frame="f",
+        removed="nothing",
+    )
     return slope_map, angle
 
 

@@ -111,7 +111,7 @@ def test_misfit_with_slopes_is_that_with_all_derivatives() -> None:
 def test_angle_beside_the_axis_and_half_the_width_are_the_misfits_of_both_edges() -> None:
     sights, slope_x, _ = random_sights()
     absorber = AbsorberPath.straight(3e-3, LS2.focal_length_m - 5e-3, 4.0)
-    angle, half, passing = beside_axis(sights, slope_x, absorber, RADIUS_M)
+    angle, half, passing, _, _ = beside_axis(sights, slope_x, absorber, RADIUS_M)
     for side in (1.0, -1.0):
         one = Sights(sights.points_m, sights.eyes_m, np.full(angle.size, side))
         found = misfit(one, (slope_x, np.zeros_like(slope_x)), absorber, RADIUS_M)
