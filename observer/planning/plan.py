@@ -193,8 +193,8 @@ def planned_network(
     keep = seen >= _LEAST_IN_PHOTO
     if keep.sum() < 2:
         raise EstimationError(
-            f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(planned.names)} targets, two are needed; fly "
-            "higher, look at the collector, or use a shorter focal length"
+            f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(planned.names)} targets, two are needed; "
+            "fly higher, look at the collector, or use a shorter focal length"
         )
     left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
     return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
