@@ -13,7 +13,7 @@ from photogrammetry.keys import DistanceSection, NetworkCameraSection, ScaleBarS
 
 
 class PlannedTargetsSection(Section):
-    """Table of the targets, as of ``kind = "observer"``, or how many along the rims; how well their images are found."""
+    """Table of the targets, as of ``kind = "observer"``, or how many along the rims; how well they are found."""
 
     file: Text | None = Field(None, description="Table of the targets, as for a measurement.")
     rim_count: Annotated[int, Field(strict=True, ge=4, le=500)] | None = Field(
