@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -149,13 +150,13 @@ def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Se
     # Poses only follow; the search moves the targets alone.
     bare = replace(scaled, rotations=scaled.rotations[:0], translations_m=scaled.translations_m[:0])
     near = _attitude_of_coordinates(bare, place, usable)
-    trials = [_fitted(bare, usable, indices, (one, held)) for one in (_attitudes() if near is None else [near])]
-    best = min(misfit for misfit, *_ in trials)
+    trials = [_fit_from(bare, usable, indices, one, held) for one in (_attitudes() if near is None else [near])]
+    best = min(trial.misfit for trial in trials)
     # Rounding must not choose between attitudes that fit alike; their misfits differ by what the iteration left over.
-    alike = [trial for trial in trials if trial[0] <= best * (1 + _ALIKE) + (1e-8 * _size(scaled)) ** 2]
+    alike = [trial for trial in trials if trial.misfit <= best * (1 + _ALIKE) + (1e-8 * _size(scaled)) ** 2]
     towards_photos = scaled.centers_m.mean(axis=0) - scaled.points_m.mean(axis=0)
-    _, rotation, shift, scale = max(alike, key=lambda trial: float(trial[1][2] @ towards_photos))
-    return transformed(scaled, RigidTransform(rotation, shift), scale)
+    chosen = max(alike, key=lambda trial: float(trial.world_from_old.rotation[2] @ towards_photos))
+    return transformed(scaled, chosen.world_from_old, chosen.scale)
 
 
 def _size(state: BundleState) -> float:
@@ -188,25 +189,33 @@ def _attitudes() -> list[FloatArray]:
     return [matrix for matrix in matrices if np.linalg.det(matrix) > 0]
 
 
-def _fitted(
+class _Trial(NamedTuple):
+    """A network moved onto its constraints: sum of squares left, movement and scale."""
+
+    misfit: float
+    world_from_old: RigidTransform
+    scale: float
+
+
+def _fit_from(
     state: BundleState,
     known: Sequence[Constraint],
     indices: Sequence[list[int]],
-    start: tuple[FloatArray, tuple[str, ...]],
-) -> tuple[float, FloatArray, FloatArray, float]:
-    """Fit up to seven parameters to the constraints from one attitude; return misfit, rotation, shift and scale."""
-    turned = transformed(state, RigidTransform(start[0], np.zeros(3)))
+    attitude: FloatArray,
+    held: tuple[str, ...],
+) -> _Trial:
+    """Fit up to seven parameters to the constraints from one attitude."""
+    turned = transformed(state, RigidTransform(attitude, np.zeros(3)))
     center = turned.points_m.mean(axis=0)
     size = _size(turned)
 
-    def movement(values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    def movement(values: FloatArray) -> tuple[RigidTransform, float]:
         # From an attitude that is wrong the stretch runs away: a factor of 1e9 either way is a misfit like any other.
         rotation, scale = rotation_from_vector(values[:3]), float(np.exp(np.clip(values[6], -20.0, 20.0)))
-        return rotation, center + values[3:6] * size - scale * rotation @ center, scale
+        return RigidTransform(rotation, center + values[3:6] * size - scale * rotation @ center), scale
 
     def evaluate(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rotation, shift, scale = movement(values)
-        here = transformed(turned, RigidTransform(rotation, shift), scale)
+        here = transformed(turned, *movement(values))
         arms = here.points_m - here.points_m.mean(axis=0)
         d_points = np.concatenate([-skew(arms), np.broadcast_to(size * np.eye(3), (len(arms), 3, 3))], axis=2)
         d_points = np.concatenate([d_points, arms[:, :, None]], axis=2)
@@ -217,10 +226,12 @@ def _fitted(
         full[:, :3] = full[:, :3] @ _left_jacobian(values[:3])
         return np.concatenate([residuals for residuals, _ in rows]), full
 
-    problem = Problem(_NAMES, evaluate, VECTOR, held=start[1])
+    problem = Problem(_NAMES, evaluate, VECTOR, held=held)
     solution = solve(problem, np.zeros(7), options=Options(max_iterations=60, tolerance=1e-3, initial_damping=1e-3))
-    rotation, shift, scale = movement(solution.parameters)
-    return float((solution.residuals**2).sum()), rotation @ start[0], shift, scale
+    moved, scale = movement(solution.parameters)
+    return _Trial(
+        float((solution.residuals**2).sum()), RigidTransform(moved.rotation @ attitude, moved.translation_m), scale
+    )
 
 
 def _in_metres(residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:

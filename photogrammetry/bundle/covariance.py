@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,14 @@ class CovarianceFactors:
 
     share: float
     prior: float
+
+
+class _Carried(NamedTuple):
+    """``Q G M^T`` of dense part and targets, and ``M G^T Q G M^T``."""
+
+    dense: FloatArray
+    targets: FloatArray
+    core: FloatArray
 
 
 class BundleCovariance:
@@ -65,12 +74,12 @@ class BundleCovariance:
         return self._elimination.factor.half(unit)
 
     @cached_property
-    def _carried(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _carried(self) -> "_Carried":
         """``Q G M^T``, dense part (g, d) and targets (e, 3, d), and ``M G^T Q G M^T``, (d, d); ``M = (G^T K)^-1``."""
         layout, system = self._layout, self._system
         count = system.movements.count
         if not count:
-            return np.zeros((layout.n_global, 0)), np.zeros((layout.eliminated.size, 3, 0)), np.zeros((0, 0))
+            return _Carried(np.zeros((layout.n_global, 0)), np.zeros((layout.eliminated.size, 3, 0)), np.zeros((0, 0)))
         inverse = np.linalg.inv(self._system.overlap)
         half = self._elimination.factor.half(self._datum_dense / system.dense_scale[:, None])
         half += self._halves @ self._datum_targets.reshape(3 * layout.eliminated.size, count)
@@ -79,13 +88,13 @@ class BundleCovariance:
         targets = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
         dense = self._elimination.factor.back(half) / system.dense_scale[:, None]
         core = half.T @ half + np.einsum("eid,eif->df", self._datum_targets, own)
-        return dense @ inverse.T, targets @ inverse.T, inverse @ core @ inverse.T
+        return _Carried(dense @ inverse.T, targets @ inverse.T, inverse @ core @ inverse.T)
 
     def _under_datum(self, raw: FloatArray, movements: FloatArray, carried: FloatArray) -> FloatArray:
         """Turn blocks Q, shape (b, k, k), of unknowns with movements K and carried columns, (b, k, d), to the datum."""
         if not movements.shape[2]:
             return np.asarray(0.5 * (raw + np.swapaxes(raw, 1, 2)))
-        core = self._carried[2]
+        core = self._carried.core
         mixed = movements @ np.swapaxes(carried, 1, 2)
         result = raw - mixed - np.swapaxes(mixed, 1, 2) + movements @ core @ np.swapaxes(movements, 1, 2)
         return np.asarray(0.5 * (result + np.swapaxes(result, 1, 2)))

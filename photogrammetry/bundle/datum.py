@@ -122,17 +122,20 @@ def moved_as_a_whole(state: BundleState, shares: FloatArray, center_m: FloatArra
     return BundleState(state.cameras, rotations, translations - rotations @ (center_m + shares[:3]), points)
 
 
-def free_movements(movements: Movements, known: Sequence[tuple[FloatArray, IntArray]], fixed: IntArray) -> Movements:
+def free_movements(
+    movements: Movements, jacobians: Sequence[FloatArray], targets: Sequence[IntArray], fixed: IntArray
+) -> Movements:
     """Return the movements that no constraint and no fixed target sees.
 
     movements: The seven of `similarity_movements`.
-    known (r, k, 3): Derivatives of each constraint and the targets they belong to.
+    jacobians (r, k, 3), targets (k,): Derivatives of each constraint, and the targets they belong to.
     fixed: Targets without error.
     """
-    seen = [np.einsum("rkc,kcd->rd", jacobian, movements.points[targets]) for jacobian, targets in known]
+    both = zip(jacobians, targets, strict=True)
+    seen = [np.einsum("rkc,kcd->rd", jacobian, movements.points[own]) for jacobian, own in both]
     seen.append(movements.points[fixed].reshape(3 * fixed.size, movements.count))
     # Each row against what it could see at most: a distance of sigma 1 um must not hide one of sigma 1 m.
-    sizes = [np.sqrt((jacobian**2).sum(axis=(1, 2))) for jacobian, _ in known] + [np.ones(3 * fixed.size)]
+    sizes = [np.sqrt((jacobian**2).sum(axis=(1, 2))) for jacobian in jacobians] + [np.ones(3 * fixed.size)]
     rows = np.concatenate(seen) / np.maximum(np.concatenate(sizes), 1e-300)[:, None]
     if not rows.size:
         return movements

@@ -66,7 +66,7 @@ class BundleRows:
 
     def weighted(self, root: FloatArray | None, scale_floor: FloatArray | None = None) -> SchurSystem:
         """Linearise here with other roots of weights, shape (m,)."""
-        return SchurSystem(self.model, self.state, (self.rows, self.extra), root=root, scale_floor=scale_floor)
+        return SchurSystem(self.model, self.state, self.rows, self.extra, root=root, scale_floor=scale_floor)
 
     def invisible(self) -> BoolArray:
         """Mark image points whose target cannot be seen from its photo, shape (m,), in the model's order."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -162,7 +163,7 @@ class BundleModel:
         """
         layout = self.layout
         center = state.points_m[self._fixed].mean(axis=0) if self._fixed.size else state.points_m.mean(axis=0)
-        movements = free_movements(similarity_movements(state, center), (), self._fixed)
+        movements = free_movements(similarity_movements(state, center), (), (), self._fixed)
         both = np.concatenate([layout.kept, layout.eliminated])
         first = layout.n_global - 3 * layout.kept.size
         columns = movements.points[both].reshape(3 * both.size, movements.count)
@@ -241,16 +242,20 @@ class BundleModel:
         )
 
 
-def _measured_image(
-    camera: Camera, pixels: FloatArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+class _ImageRows(NamedTuple):
+    """Residuals of image points [px] with derivatives by the point and the camera's parameters."""
+
+    residuals_px: FloatArray
+    d_point: FloatArray
+    d_parameters: FloatArray
+
+
+def _measured_image(camera: Camera, pixels: FloatArray, points: FloatArray) -> _ImageRows:
     projected, d_point, d_parameters = camera.project_with_jacobians(points)
-    return projected - pixels, d_point, d_parameters
+    return _ImageRows(projected - pixels, d_point, d_parameters)
 
 
-def _corrected_image(
-    camera: Camera, pixels: FloatArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _corrected_image(camera: Camera, pixels: FloatArray, points: FloatArray) -> _ImageRows:
     """Ideal minus corrected image point, both in an image without lens and with square pixels [px].
 
     Its focal length is that of the rows in both directions: with the columns' own, sigma0 of DBAT's published
@@ -271,7 +276,7 @@ def _corrected_image(
     d_parameters[:, :, :5] = focal * (d_measured @ inverse @ own)
     d_parameters[:, :, 1] += ideal - corrected
     d_parameters[:, :, 5:] = -focal * d_coefficients
-    return focal * (ideal - corrected), d_point, d_parameters
+    return _ImageRows(focal * (ideal - corrected), d_point, d_parameters)
 
 
 def _camera_or_same(camera: Camera, values: FloatArray) -> Camera:
@@ -299,9 +304,17 @@ def has_few_points(starts: IntArray) -> bool:
     return bool(0 < starts[-1] < _FEW_POINTS * (starts.size - 1))
 
 
-def runs(photos: IntArray, starts: IntArray) -> list[tuple[int, int, int]]:
-    """List photo, first and last row of each run of image points of one photo."""
-    return [(int(photos[first]), first, last) for first, last in pairwise(starts.tolist()) if last > first]
+class Run(NamedTuple):
+    """Image points of one photo: rows from the first up to the last, which is not among them."""
+
+    photo: int
+    first: int
+    last: int
+
+
+def runs(photos: IntArray, starts: IntArray) -> list[Run]:
+    """List the runs of image points of one photo each."""
+    return [Run(int(photos[first]), first, last) for first, last in pairwise(starts.tolist()) if last > first]
 
 
 def _rotated(rotations: FloatArray, points: FloatArray, photos: IntArray, starts: IntArray) -> FloatArray:

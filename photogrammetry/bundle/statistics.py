@@ -336,34 +336,3 @@ def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
             )
         )
     return tuple(tests)
-
-
-def largest_correlations(result: BundleResult, at_least: float = 0.95) -> tuple[tuple[str, str, float], ...]:
-    """List pairs of intrinsics, and of an intrinsic with a pose, that the observations hardly separate.
-
-    Parameters
-    ----------
-    result : BundleResult
-        An adjusted network.
-    at_least : float, optional
-        Smallest absolute correlation listed.
-
-    Returns
-    -------
-    tuple of (str, str, float)
-        Names and correlation, strongest first. Poses are given by their steps in the camera frame.
-    """
-    photos = result.problem.observations.photos
-    joint = result.covariance.joint(photos=np.arange(len(photos)), intrinsics=True)
-    sigmas = np.sqrt(np.diag(joint))
-    correlation = np.nan_to_num(joint / np.where(sigmas > 0, sigmas, np.nan)[:, None] / np.where(sigmas > 0, sigmas, 1))
-    axes = ("rotation x", "rotation y", "rotation z", "translation x", "translation y", "translation z")
-    names = [f"{axis} of {photo}" for photo in photos for axis in axes]
-    names += [f"{name} of {model.name}" for model in result.problem.cameras for name in model.free]
-    first = 6 * len(photos)
-    strong = np.abs(correlation) >= at_least
-    strong[:, :first] = False
-    # A pair of intrinsics appears twice.
-    strong[first:, first:] = np.triu(strong[first:, first:], 1)
-    pairs = [(names[j], names[i], float(correlation[i, j])) for i, j in np.argwhere(strong)]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))

@@ -180,7 +180,7 @@ class SchurSystem:
     """One linearised bundle adjustment; satisfies `heliogauge.adjust.gauss_newton.LinearSystem`.
 
     model: Layout and order of the image points.
-    evaluated: Residuals and derivatives there.
+    rows, extra: Residuals and derivatives there.
     root (m,): Roots of the weights of the image points; all 1 if not given.
     scale_floor (n,): Smallest column scale.
     """
@@ -189,17 +189,18 @@ class SchurSystem:
         self,
         model: BundleModel,
         state: BundleState,
-        evaluated: tuple[tuple[CameraRows, ...], ExtraRows],
+        rows: tuple[CameraRows, ...],
+        extra: ExtraRows,
         *,
         root: FloatArray | None = None,
         scale_floor: FloatArray | None = None,
     ) -> None:
         self.layout: Layout = model.layout
-        self.rows: tuple[CameraRows, ...] = evaluated[0]
+        self.rows: tuple[CameraRows, ...] = rows
         if root is not None:
             parts = model.camera_slices
             self.rows = tuple(one.scaled(root[part]) for one, part in zip(self.rows, parts, strict=True))
-        self.extra: ExtraRows = evaluated[1]
+        self.extra: ExtraRows = extra
         self.normal: NormalBlocks = normal_blocks(self.layout, self.rows, self.extra)
         diagonals = [self.normal.dense.diagonal, np.einsum("eii->ei", self.normal.targets).ravel()]
         norms = np.sqrt(np.concatenate(diagonals))
@@ -208,11 +209,10 @@ class SchurSystem:
         #: Largest scale over the column's own norm; above 1 where the norm was larger earlier in the descent.
         self.largest_scale_ratio = float((scale[norms > 0] / norms[norms > 0]).max(initial=1.0))
         self.rounding: float = EPSILON * float(np.linalg.norm(self.scale * model.values(state)))
-        known = list(zip(self.extra.jacobians, self.extra.targets, strict=True))
         fixed = model.problem.target_indices(model.problem.fixed)
         self._problem = model.problem
         #: Movements of the whole network that nothing sees.
-        self.movements: Movements = free_movements(similarity_movements(state), known, fixed)
+        self.movements: Movements = free_movements(similarity_movements(state), extra.jacobians, extra.targets, fixed)
 
     @property
     def dense_scale(self) -> FloatArray:

@@ -105,7 +105,8 @@ def fit_corners(
     order = usable[np.argsort(half[usable].max(axis=1), kind="stable")]
     for first in range(0, order.size, _BLOCK):
         chosen = order[first : first + _BLOCK]
-        _fit_block(image_dn, start.chosen(chosen), (share[chosen], half[chosen], clear, enough_px), chosen, found)
+        reach_of_block = int(half[chosen].max())
+        _fit_block(image_dn, start.chosen(chosen), share[chosen], reach_of_block, clear, enough_px, chosen, found)
     for array in (found.pixels_px, found.covariance_px2, found.blur_px, found.contrast_dn, found.residual_dn):
         freeze(array)
     return found
@@ -114,12 +115,14 @@ def fit_corners(
 def _fit_block(
     image_dn: FloatArray,
     start: CornerStart,
-    size: tuple[FloatArray, IntArray, float, float],
+    share: FloatArray,
+    half: int,
+    clear: float,
+    enough_px: float,
     chosen: IntArray,
     found: FittedCorners,
 ) -> None:
-    share, halves, clear, enough_px = size
-    half, middle = int(halves.max()), np.rint(start.pixels_px).astype(int)
+    middle = np.rint(start.pixels_px).astype(int)
     v, u = (grid.ravel().astype(np.float64) for grid in np.mgrid[-half : half + 1, -half : half + 1])
     rows = np.clip(middle[:, 1:] + v.astype(int), 0, image_dn.shape[0] - 1)
     columns = np.clip(middle[:, :1] + u.astype(int), 0, image_dn.shape[1] - 1)

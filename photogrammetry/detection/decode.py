@@ -7,6 +7,7 @@ white as the gap, with all borders where sectors have them. All rings of a photo
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -126,7 +127,7 @@ def read_rings(
     even = unevenness <= allowed.most_gap_unevenness
     at, ink, unevenness = at[even], ink[even], unevenness[even]
     profile = ink[:, radii.code].mean(axis=1)
-    phase, border_error, crossings = _borders(profile)
+    phase, border_error, crossings = _find_borders(profile)
     position = (np.arange(profile.shape[1]) / _ANGLES_PER_SECTOR - phase[:, None]) % dictionary.n_bits
     sector = np.minimum(position.astype(np.intp), dictionary.n_bits - 1)
     middle = np.abs(position - sector - 0.5) < 0.5 * _MIDDLE
@@ -192,8 +193,15 @@ def _ink(
     return (values - blank) / step.astype(np.float32)[:, None, None], np.nan_to_num(unevenness, nan=np.inf)
 
 
-def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Where profiles cross one half: phase and rms departure from even sectors [sectors], and number of crossings."""
+class _Borders(NamedTuple):
+    """Where profiles cross one half: phase and rms departure from even sectors [sectors], number of crossings."""
+
+    phase: FloatArray
+    error: FloatArray
+    crossings: IntArray
+
+
+def _find_borders(profile: Float32Array) -> _Borders:
     above = profile - np.float32(0.5)
     following = np.roll(above, -1, axis=1)
     crosses = (above > 0) != (following > 0)
@@ -203,7 +211,7 @@ def _borders(profile: Float32Array) -> tuple[FloatArray, FloatArray, IntArray]:
     phase = np.angle(turn) / (2 * np.pi)
     off = ((place - phase[:, None] + 0.5) % 1.0 - 0.5) * crosses
     count = np.count_nonzero(crosses, axis=1)
-    return phase, np.sqrt(np.sum(off**2, axis=1) / np.maximum(count, 1)), count
+    return _Borders(phase, np.sqrt(np.sum(off**2, axis=1) / np.maximum(count, 1)), count)
 
 
 def _sector_levels(profile: Float32Array, sector: IntArray, middle: BoolArray, n_bits: int) -> FloatArray:

@@ -7,6 +7,7 @@ follows judges spots by a few dozen grey values each, all spots at once.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -236,7 +237,15 @@ def _ellipses_of_lines(
     return shapes[kept], ((origin[solid] + middle + 0.5) * scale - 0.5)[kept]
 
 
-def _moments(points: FloatArray, starts: IntArray, lengths: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+class _Moments(NamedTuple):
+    """Areas, first and second moments of polygons."""
+
+    area: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+
+def _moments(points: FloatArray, starts: IntArray, lengths: IntArray) -> _Moments:
     """Areas, first and second moments of polygons one after the other, counter-clockwise on the screen positive."""
     following = np.arange(1, len(points) + 1)
     following[starts + lengths - 1] = starts
@@ -255,7 +264,7 @@ def _moments(points: FloatArray, starts: IntArray, lengths: IntArray) -> tuple[F
         axis=1,
     )
     sums = np.add.reduceat(parts, starts, axis=0)
-    return sums[:, 0], sums[:, 1:3], sums[:, 3:]
+    return _Moments(sums[:, 0], sums[:, 1:3], sums[:, 3:])
 
 
 def _semi_axes(shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -266,7 +275,7 @@ def _semi_axes(shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candidate]:
     """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
-    kept, inside, outside = _judged(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
+    kept, inside, outside = _judge(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
     spots = spots.chosen(kept)
     lines = outlines_along_rays(pyramid, spots.centers, spots.shapes, 0.5 * (inside + outside)[kept])
     spots = _Spots(lines.shapes_px2, lines.centers_px, spots.dark).chosen(lines.found)
@@ -281,7 +290,7 @@ def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candi
         & _inside(pyramid.size_px, spots.shapes, spots.centers)
     )
     spots, rms = spots.chosen(fits), rms[fits]
-    kept, inside, outside = _judged(pyramid, spots, asked, uneven=_MOST_UNEVEN)
+    kept, inside, outside = _judge(pyramid, spots, asked, uneven=_MOST_UNEVEN)
     polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
     return [
         Candidate(
@@ -301,10 +310,16 @@ def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -
     return np.asarray(((centers - half > 1) & (centers + half < np.array(size_px) - 2)).all(axis=1))
 
 
-def _judged(
-    pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: float
-) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Tell which ellipses are even inside and in a ring around, and differ from it; levels inside and outside."""
+class _Levels(NamedTuple):
+    """Which ellipses are even inside and in a ring around, and differ from it; levels inside and outside [DN]."""
+
+    kept: BoolArray
+    inside_dn: FloatArray
+    outside_dn: FloatArray
+
+
+def _judge(pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: float) -> _Levels:
+    """Compare ellipses with a ring around each."""
     radii = (*_INNER_RADII, *(1 + share * (asked.gap_radius - 1) for share in _OUTER_SHARES))
     values = _on_rings(pyramid, spots, radii)
     inner, outer = values[:, : 2 * _RING_POINTS], values[:, 2 * _RING_POINTS :]
@@ -323,7 +338,7 @@ def _judged(
         & (right_outside >= _RIGHT_SIDE_SHARE)
         & (unevenness < uneven)
     )
-    return kept, inside, outside
+    return _Levels(kept, inside, outside)
 
 
 def _on_rings(pyramid: Pyramid, spots: _Spots, radii: Sequence[float]) -> Float32Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,12 +66,20 @@ class Tracks:
     short: int
 
 
+class PairMatch(NamedTuple):
+    """Two photos, and the keypoints of theirs that show the same, (k, 2)."""
+
+    first: int
+    second: int
+    keypoints: IntArray
+
+
 def follow_tracks(
-    photos: Sequence[Keypoints], matches: Sequence[tuple[int, int, IntArray]], choice: TrackChoice | None = None
+    photos: Sequence[Keypoints], matches: Sequence[PairMatch], choice: TrackChoice | None = None
 ) -> Tracks:
     """Join matches of pairs of photos to tracks.
 
-    matches (k, 2): Two photos and the keypoints of theirs that show the same.
+    matches: Of all pairs of photos that were compared.
     EstimationError: No track is long enough.
 
     A track is a connected component of the graph of matches. One false match joins two points to one track, which
@@ -79,7 +88,7 @@ def follow_tracks(
     choice = choice or TrackChoice()
     first = np.concatenate([[0], np.cumsum([one.scale_px.size for one in photos])])
     photo = np.repeat(np.arange(len(photos)), np.diff(first))
-    label = _components(int(first[-1]), [first[[a, b]] + pairs for a, b, pairs in matches])
+    label = _components(int(first[-1]), [first[[one.first, one.second]] + one.keypoints for one in matches])
     count = np.bincount(label)
     pairs, doubled = np.unique(label * len(photos) + photo, return_counts=True)
     bad = np.zeros(count.size, dtype=np.bool_)

@@ -120,11 +120,11 @@ def find_markers(
         else:
             kept.append((number, square))
     kept.sort(key=lambda item: item[0])
-    every = [number for number, _ in kept]
+    every, squares = [number for number, _ in kept], [square for _, square in kept]
     return PhotoMarkers(
-        _detections(photo, kept),
+        _detections(photo, every, squares),
         tuple(every),
-        tuple(square for _, square in kept),
+        tuple(squares),
         tuple(rejected),
         tuple(sorted({number for number in every if every.count(number) > 1})),
     )
@@ -188,13 +188,13 @@ def _cell_levels(image_dn: npt.NDArray[np.generic], corners: FloatArray, cells: 
     return np.asarray(cv2.remap(window, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float64)
 
 
-def _detections(photo: str, kept: list[tuple[int, SquareCorners]]) -> Detections:
-    n = 4 * len(kept)
+def _detections(photo: str, numbers: list[int], squares: list[SquareCorners]) -> Detections:
+    n = 4 * len(numbers)
     return Detections(
         photo,
-        tuple(f"{number}.{corner}" for number, _ in kept for corner in range(4)),
-        np.array([square.corners_px for _, square in kept]).reshape(n, 2),
-        np.array([square.covariance_px2 for _, square in kept]).reshape(n, 2, 2),
+        tuple(f"{number}.{corner}" for number in numbers for corner in range(4)),
+        np.array([square.corners_px for square in squares]).reshape(n, 2),
+        np.array([square.covariance_px2 for square in squares]).reshape(n, 2, 2),
         np.full(n, np.nan),
         np.zeros(n, dtype=np.uint32),
     )

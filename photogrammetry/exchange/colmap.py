@@ -168,7 +168,7 @@ def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str
     known = np.isfinite(table.xyz_m).all(axis=1) & ((table.flags & np.uint32(SampleFlag.NOT_SEEN)) == 0)
     point_ids = _numbered([name for name, one in zip(table.ids, known, strict=True) if one])
     points = {point_ids[name]: xyz for name, xyz, one in zip(table.ids, table.xyz_m, known, strict=True) if one}
-    images = _images(result / "residuals.csv", {k: (numbers[one.camera], one) for k, one in poses.items()}, point_ids)
+    images = _images(result / "residuals.csv", poses, numbers, point_ids)
     with WholeFolder(out, _MODEL) as working:
         write_colmap(working, ColmapModel(lenses, images, points), binary=binary)
         write_table_csv(working / NAMES_FILE, {"id": list(point_ids.values()), "name": list(point_ids)})
@@ -209,7 +209,9 @@ def _numbered(names: Sequence[str]) -> dict[str, int]:
     return result
 
 
-def _images(file: Path, poses: dict[str, tuple[int, PhotoPose]], point_ids: dict[str, int]) -> tuple[ColmapImage, ...]:
+def _images(
+    file: Path, poses: dict[str, PhotoPose], camera_ids: dict[str, int], point_ids: dict[str, int]
+) -> tuple[ColmapImage, ...]:
     columns = read_table_csv(file, ("image", "target", "x_px", "y_px"))
     try:
         pixels = np.array([columns["x_px"], columns["y_px"]], dtype=np.float64).T.reshape(-1, 2)
@@ -225,12 +227,12 @@ def _images(file: Path, poses: dict[str, tuple[int, PhotoPose]], point_ids: dict
     return tuple(
         ColmapImage(
             name,
-            camera,
+            camera_ids[pose.camera],
             pose.cam_from_world,
             _chosen(pixels, rows[name]),
             np.array([point_ids[columns["target"][row]] for row in rows[name]], dtype=np.intp),
         )
-        for name, (camera, pose) in poses.items()
+        for name, pose in poses.items()
     )
 
 

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -275,6 +275,13 @@ def _read_binary(folder: Path) -> ColmapModel:
     return ColmapModel(cameras, tuple(images), points)
 
 
+class _Lens(NamedTuple):
+    """A camera as COLMAP has it: name of its model, and parameters."""
+
+    model: str
+    values: FloatArray
+
+
 def write_colmap(folder: Path, model: ColmapModel, *, binary: bool = False) -> None:
     """Write a COLMAP model into an existing folder; no covariance, the format has none.
 
@@ -283,7 +290,7 @@ def write_colmap(folder: Path, model: ColmapModel, *, binary: bool = False) -> N
         space in a text model, or a file that cannot be written.
     """
     tracks, errors = _tracks(model)
-    lenses = {number: to_colmap(camera) for number, camera in model.cameras.items()}
+    lenses = {number: _Lens(*to_colmap(camera)) for number, camera in model.cameras.items()}
     if binary:
         parts = {
             "cameras.bin": _camera_bytes(model, lenses),
@@ -327,7 +334,7 @@ def _words(values: Sequence[float] | FloatArray) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _camera_lines(model: ColmapModel, lenses: Mapping[int, tuple[str, FloatArray]]) -> str:
+def _camera_lines(model: ColmapModel, lenses: Mapping[int, _Lens]) -> str:
     lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for number, (name, values) in lenses.items():
         camera = model.cameras[number]
@@ -354,7 +361,7 @@ def _point_lines(model: ColmapModel, tracks: Mapping[int, list[tuple[int, int]]]
     return "\n".join(lines) + "\n"
 
 
-def _camera_bytes(model: ColmapModel, lenses: Mapping[int, tuple[str, FloatArray]]) -> bytes:
+def _camera_bytes(model: ColmapModel, lenses: Mapping[int, _Lens]) -> bytes:
     ids = {name: number for number, name in _MODEL_IDS.items()}
     parts = [struct.pack("<Q", len(lenses))]
     for number, (name, values) in lenses.items():

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from math import comb
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -128,7 +129,7 @@ def assign_targets(
     for dots in _dot_triples(scene.ideal):
         poses = _three_point_poses(scene, dots, triples)
         tried += len(poses[0])
-        solutions += _judged(scene, poses, tried)
+        solutions += _refine_best(scene, poses, tried)
         if any(one.accidents < _MOST_ACCIDENTS for one in solutions):
             break
     good = [one for one in solutions if one.accidents < _MOST_ACCIDENTS]
@@ -138,7 +139,7 @@ def assign_targets(
             f"assignment: no pose explains the dots: at most {most} of {len(listed)} listed targets agree with one of "
             f"{len(pixels)} dots; are the coordinates, their sigmas and the camera right?"
         )
-    best = _settled(good, listed, sense or Sense())
+    best = _select(good, listed, sense or Sense())
     return Assignment(best.target_of_dot, best.pose, best.misses, best.accidents)
 
 
@@ -190,7 +191,7 @@ def _three_point_poses(scene: _Scene, dots: IntArray, triples: IntArray) -> tupl
     return rotations, poses[:, 3:] - rotations @ middle
 
 
-def _judged(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> list[_Solution]:
+def _refine_best(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> list[_Solution]:
     """Refine the poses that most targets find a dot with."""
     rotations, shifts = poses
     if not len(rotations):
@@ -213,7 +214,7 @@ def _judged(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> 
     order = np.lexsort((costs, -counts))[:_REFINED]
     found: dict[bytes, _Solution] = {}
     for index in order[counts[order] >= _LEAST].tolist():
-        one = _refined(scene, RigidTransform(rotations[index], shifts[index]), tried)
+        one = _refine(scene, RigidTransform(rotations[index], shifts[index]), tried)
         if one is not None:
             key = one.target_of_dot.tobytes()
             if key not in found or one.score > found[key].score:
@@ -221,18 +222,18 @@ def _judged(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int) -> 
     return list(found.values())
 
 
-def _refined(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | None:
+def _refine(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | None:
     """Assign, adjust the pose, assign again, with a gate that narrows to the sigmas."""
     gate = chi_square_limit(_SIGNIFICANCE, 2)
     for widening in (4.0, 2.0, 1.0, 1.0, 1.0):
-        pairs, _, usable = _assigned(scene, pose, widening**2 * gate)
+        pairs, _, usable = _assign(scene, pose, widening**2 * gate)
         if len(pairs) < 4 or not usable:
             return None
-        moved = _moved(scene, pose, pairs)
+        moved = _adjust_pose(scene, pose, pairs)
         if moved is None:
             return None
         pose = moved
-    pairs, squares, _ = _assigned(scene, pose, gate)
+    pairs, squares, _ = _assign(scene, pose, gate)
     if len(pairs) < _LEAST:
         return None
     target_of_dot = np.full(len(scene.pixels), -1, dtype=np.intp)
@@ -244,7 +245,7 @@ def _refined(scene: _Scene, pose: RigidTransform, tried: int) -> _Solution | Non
 
 def _accidents(scene: _Scene, pose: RigidTransform, pairs: IntArray, tried: int) -> float:
     """Return the expected number of poses, of all tried, with so many targets near dots by accident."""
-    pixels, covariance, inside = _predicted(scene, pose)
+    pixels, covariance, inside = _predict_images(scene, pose)
     area = np.pi * chi_square_limit(_SIGNIFICANCE, 2) * np.sqrt(np.linalg.det(covariance[inside])).mean()
     chance = min(len(scene.pixels) * float(area) / (scene.camera.width_px * scene.camera.height_px), 1.0)
     # Three targets were put on their dots.
@@ -253,21 +254,35 @@ def _accidents(scene: _Scene, pose: RigidTransform, pairs: IntArray, tried: int)
     return float(tried * tail) if np.isfinite(pixels[inside]).all() else float("inf")
 
 
-def _predicted(scene: _Scene, pose: RigidTransform) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Images of the listed targets, their covariance from listed sigmas and a typical dot's, and which are inside."""
+class _Images(NamedTuple):
+    """Images of the listed targets [px], covariance from listed sigmas and a typical dot's, and which are inside."""
+
+    pixels_px: FloatArray
+    covariance_px2: FloatArray
+    inside: BoolArray
+
+
+def _predict_images(scene: _Scene, pose: RigidTransform) -> _Images:
     seen = scene.camera.project_posed(scene.listed.points_m, pose)
     spread = seen.d_pixel_d_point * scene.listed.sigma_m[:, None, :]
     covariance = spread @ np.swapaxes(spread, 1, 2) + np.median(scene.covariance, axis=0)
     size = np.array([scene.camera.width_px, scene.camera.height_px])
     inside = ((seen.pixels_px > -0.5) & (seen.pixels_px < size - 0.5)).all(axis=1)
-    return seen.pixels_px, covariance, np.asarray(inside)
+    return _Images(seen.pixels_px, covariance, np.asarray(inside))
 
 
-def _assigned(scene: _Scene, pose: RigidTransform, gate: float) -> tuple[IntArray, FloatArray, bool]:
-    """Pairs (target, dot), (k, 2), that are each other's nearest, their squared misses, and whether any is inside."""
-    pixels, covariance, inside = _predicted(scene, pose)
+class _Pairs(NamedTuple):
+    """Pairs (target, dot), (k, 2), that are each other's nearest, squared misses, whether any target is inside."""
+
+    pairs: IntArray
+    squares: FloatArray
+    usable: bool
+
+
+def _assign(scene: _Scene, pose: RigidTransform, gate: float) -> _Pairs:
+    pixels, covariance, inside = _predict_images(scene, pose)
     if not inside.any():
-        return np.zeros((0, 2), dtype=np.intp), np.zeros(0), False
+        return _Pairs(np.zeros((0, 2), dtype=np.intp), np.zeros(0), False)
     off = scene.pixels[None] - np.where(inside[:, None], pixels, 1e9)[:, None]
     covariance = np.where(inside[:, None, None], covariance, np.eye(2))
     squares = np.einsum("nmi,nij,nmj->nm", off, np.linalg.inv(covariance), off)
@@ -275,10 +290,10 @@ def _assigned(scene: _Scene, pose: RigidTransform, gate: float) -> tuple[IntArra
     mutual = np.argmin(squares, axis=0)[nearest] == np.arange(len(pixels))
     good = mutual & inside & (squares[np.arange(len(pixels)), nearest] < gate)
     own = np.nonzero(good)[0]
-    return np.stack([own, nearest[own]], axis=1), squares[own, nearest[own]], True
+    return _Pairs(np.stack([own, nearest[own]], axis=1), squares[own, nearest[own]], True)
 
 
-def _moved(scene: _Scene, pose: RigidTransform, pairs: IntArray) -> RigidTransform | None:
+def _adjust_pose(scene: _Scene, pose: RigidTransform, pairs: IntArray) -> RigidTransform | None:
     """Adjust a pose to pairs by three steps of Gauss and Newton; None where that fails."""
     points, pixels = scene.listed.points_m[pairs[:, 0]], scene.pixels[pairs[:, 1]]
     for _ in range(3):
@@ -300,7 +315,7 @@ def _moved(scene: _Scene, pose: RigidTransform, pairs: IntArray) -> RigidTransfo
     return pose
 
 
-def _settled(found: Sequence[_Solution], listed: ListedTargets, sense: Sense) -> _Solution:
+def _select(found: Sequence[_Solution], listed: ListedTargets, sense: Sense) -> _Solution:
     """Return the best solution; refuse where another one names the dots differently and fits as well."""
     middle = listed.points_m.mean(axis=0)
     if sense.front is not None:

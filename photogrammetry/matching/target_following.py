@@ -224,68 +224,77 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
     """
     if track.motion is not None and track.steady:
         ahead = track.motion @ track.pose
-        expected = ahead, camera.project(ahead.apply(known.points_m))
-        pose = _agreed(image, track, known, camera, expected, thorough=True)
+        pixels = camera.project(ahead.apply(known.points_m))
+        pose = _find_pose(image, track, known, camera, ahead, pixels, thorough=True)
         if pose is not None:
-            return _at(pose, track, known, camera)
+            return _move_track(pose, track, known, camera)
     # A flight that is steady no more is looked for as widely as at first.
     pixels = camera.project(track.pose.apply(known.points_m))
     has_pattern = np.array([name in track.patterns for name in known.names])
     seen_before = np.flatnonzero(has_pattern & _well_inside(pixels, camera, _PATTERN_RADII * track.radius_px))
     if seen_before.size < LEAST_TARGETS:
         return None
-    before = [(pixels[k], track.patterns[known.names[k]][0]) for k in seen_before]
+    patterns = [track.patterns[known.names[k]][0] for k in seen_before]
     for telling in _TELLING:
-        moved = _moved_in_common(image, before, telling, track.radius_px, pixels)
-        pose = _agreed(image, track, known, camera, (track.pose, moved), thorough=telling == _TELLING[-1])
+        chosen = np.unique(np.linspace(0, seen_before.size - 1, telling).round().astype(np.intp))
+        own = [patterns[k] for k in chosen]
+        moved = _move_in_common(image, pixels[seen_before[chosen]], own, track.radius_px, pixels)
+        pose = _find_pose(image, track, known, camera, track.pose, moved, thorough=telling == _TELLING[-1])
         if pose is not None:
-            return _at(pose, track, known, camera)
+            return _move_track(pose, track, known, camera)
     return None
 
 
-def _agreed(
+def _find_pose(
     image: Image,
     track: Track,
     known: KnownTargets,
     camera: Camera,
-    expected: tuple[RigidTransform, FloatArray],
+    start: RigidTransform,
+    pixels: FloatArray,
     *,
     thorough: bool,
 ) -> RigidTransform | None:
     """Find the pose near where targets are expected: from a few close by, or thoroughly from all a little farther away.
 
-    Expected are a pose to start with, and places.
+    start: Pose to start with.
+    pixels (n, 2): Where the listed targets are expected [px].
     """
-    pixels = expected[1]
     has_pattern = np.array([name in track.patterns for name in known.names])
     margin = _PATTERN_RADII * track.radius_px + 2
     shown = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin))
     whole = np.flatnonzero(has_pattern & _well_inside(pixels, camera, margin + _NEAR_PX))
     few = whole[np.linspace(0, whole.size - 1, _ENOUGH).round().astype(np.intp)] if whole.size >= _ENOUGH else whole
     for chosen, reach, share in ((few, _NEAR_PX, 1.0), (shown, _SEARCH_PX, _LEAST_SHARE))[: 1 + thorough]:
-        pose = _found_near(image, track, known, camera, expected, (chosen, reach, share))
+        pose = _fit_near(image, track, known, camera, start, pixels[chosen], chosen, reach, share)
         if pose is not None:
             return pose
     return None
 
 
-def _found_near(
+def _fit_near(
     image: Image,
     track: Track,
     known: KnownTargets,
     camera: Camera,
-    expected: tuple[RigidTransform, FloatArray],
-    targets: tuple[IntArray, int, float],
+    pose: RigidTransform,
+    pixels: FloatArray,
+    chosen: IntArray,
+    reach_px: int,
+    share: float,
 ) -> RigidTransform | None:
     """Find the pose from some targets near where they are expected; None where less than a share is found and agrees.
 
-    Expected are a pose to start with, and places; of the targets: which, how far away, and the share.
+    pose: To start with.
+    pixels (k, 2): Where the chosen targets are expected [px].
     """
-    (pose, pixels), (chosen, reach, share) = expected, targets
     if chosen.size < LEAST_TARGETS:
         return None
     matched = np.array(
-        [_match(image, pixels[k], track.patterns[known.names[k]][1], track.radius_px, reach) for k in chosen]
+        [
+            _match(image, pixel, track.patterns[known.names[k]][1], track.radius_px, reach_px)
+            for pixel, k in zip(pixels, chosen, strict=True)
+        ]
     )
     points, usable = known.points_m[chosen], np.isfinite(matched[:, 0])
     for _ in range(3):
@@ -300,7 +309,7 @@ def _found_near(
     return None
 
 
-def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
+def _move_track(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
     """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
     pixels = camera.project(pose.apply(known.points_m))
     shown = np.flatnonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))
@@ -314,18 +323,19 @@ def _at(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera)
     return Track(pose, track.patterns, ellipses, track.radius_px, pose @ track.pose.inverse(), steady)
 
 
-def _moved_in_common(
-    image: Image, targets: list[tuple[FloatArray, Pattern]], telling: int, radius_px: float, pixels: FloatArray
+def _move_in_common(
+    image: Image, places: FloatArray, patterns: list[Pattern], radius_px: float, pixels: FloatArray
 ) -> FloatArray:
-    """Move places as some targets, spread over the list, have moved; NaN where those do not agree.
+    """Move pixels as some targets have moved; NaN where those do not agree.
 
+    places (k, 2): Where these targets were [px].
     The movement is a shift, a turn and a change of scale: in complex numbers ``a + b z``.
     """
-    chosen = [targets[k] for k in np.unique(np.linspace(0, len(targets) - 1, telling).round().astype(np.intp))]
-    found = np.array([_match(image, pixel, pattern, radius_px, _WIDE_PX) for pixel, pattern in chosen])
+    both = zip(places, patterns, strict=True)
+    found = np.array([_match(image, place, pattern, radius_px, _WIDE_PX) for place, pattern in both])
     seen = np.isfinite(found[:, 0])
-    before, after = (values[:, 0] + 1j * values[:, 1] for values in (np.array([pixel for pixel, _ in chosen]), found))
-    while np.count_nonzero(seen) > len(chosen) / 2:
+    before, after = (values[:, 0] + 1j * values[:, 1] for values in (places, found))
+    while np.count_nonzero(seen) > len(places) / 2:
         design = np.stack([np.ones(before.size, dtype=complex), before], axis=1)
         movement = np.linalg.lstsq(design[seen], after[seen], rcond=None)[0]
         off = np.where(seen, np.abs(design @ movement - after), 0.0)

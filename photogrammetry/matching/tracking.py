@@ -1,6 +1,7 @@
 """Targets without a code followed from photo to photo, from marks that somebody set by hand in one of them."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -93,19 +94,20 @@ class _Found:
 def start_track(
     image_dn: npt.NDArray[np.generic],
     photo: str,
-    marks: tuple[tuple[str, ...], FloatArray],
+    names: tuple[str, ...],
+    places_px: FloatArray,
     search: TargetSearch,
     limits: TrackLimits | None = None,
 ) -> tuple[Track, TrackedPhoto]:
     """Start from marks set by hand.
 
     Shapes: image_dn (h, w).
-    marks (n, 2): Names and places of the marks, each within its target [px].
+    places_px (n, 2): Where the marks of these names are, each within its target [px].
     search: Sizes, contrast, estimator of the centres.
     limits: How far targets may move between photos.
     InputError: A name twice, or a mark outside the photo or on no target.
     """
-    names, places = marks[0], float_array("marks", marks[1], (len(marks[0]), 2))
+    places = float_array("marks", places_px, (len(names), 2))
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"marks in {photo}: {twice} is marked twice")
@@ -155,7 +157,7 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
             f"{photo}: has {image_dn.shape[1]} x {image_dn.shape[0]} px, but the photo before "
             f"{track.image_dn.shape[1]} x {track.image_dn.shape[0]}; targets are followed through photos of one size"
         )
-    predicted, scores, slack = _predicted(track, image_dn)
+    predicted, scores, slack = _predict(track, image_dn)
     spots = find_candidates(image_dn, track.search.limits)
     found = _Found()
     claims: dict[int, list[tuple[float, int]]] = {}
@@ -176,14 +178,15 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
             else:
                 other = track.names[own[0][1] if place else own[1][1]]
                 found.reasons[k] = f"it and {other} lead to the same target"
-    predicted = _second_look(track, image_dn, (spots, set(claims)), predicted, found)
+    predicted = _look_again(track, image_dn, spots, set(claims), predicted, found)
     return _after(track, image_dn, predicted, found), _tracked(track, photo, found)
 
 
-def _second_look(
+def _look_again(
     track: Track,
     image_dn: npt.NDArray[np.generic],
-    spots: tuple[tuple[Candidate, ...], set[int]],
+    spots: tuple[Candidate, ...],
+    taken: set[int],
     predicted: FloatArray,
     found: _Found,
 ) -> FloatArray:
@@ -198,7 +201,7 @@ def _second_look(
     common, _ = _common_motion(track.places_px, moved, good)
     slack = 3 * float(np.sqrt(np.mean((moved - common)[own] ** 2))) + 2
     better = np.where(good[:, None], predicted, common)
-    free = tuple(spot for k, spot in enumerate(spots[0]) if k not in spots[1])
+    free = tuple(spot for k, spot in enumerate(spots) if k not in taken)
     for k in lost:
         spot, _ = _fitting(track, k, free, better[k], slack)
         if not isinstance(spot, str):
@@ -248,8 +251,15 @@ def _fitting(
     return near[0][1], near[0][0]
 
 
-def _predicted(track: Track, image_dn: npt.NDArray[np.generic]) -> tuple[FloatArray, FloatArray, float]:
-    """Return where targets should be, (n, 2), correlations, (n,), and how far off the places may be [px]."""
+class _Prediction(NamedTuple):
+    """Where targets should be, (n, 2), correlations, (n,), and how far off the places may be [px]."""
+
+    places_px: FloatArray
+    scores: FloatArray
+    slack_px: float
+
+
+def _predict(track: Track, image_dn: npt.NDArray[np.generic]) -> _Prediction:
     shrink = max(track.limits.search_radius_px / _COARSE_RADIUS_PX, 1.0)
     before, now = _coarse(track.image_dn, shrink), _coarse(image_dn, shrink)
     places = (track.places_px + 0.5) / shrink - 0.5
@@ -265,7 +275,7 @@ def _predicted(track: Track, image_dn: npt.NDArray[np.generic]) -> tuple[FloatAr
         moved = np.where(agree[:, None], moved, common)
         # A target behind something for a moment keeps going with the others.
         scores = np.where(agree, scores, np.maximum(scores, track.limits.least_correlation))
-    return (moved + 0.5) * shrink - 0.5, scores, slack
+    return _Prediction((moved + 0.5) * shrink - 0.5, scores, slack)
 
 
 def _coarse(image_dn: npt.NDArray[np.generic], shrink: float) -> Float32Array:

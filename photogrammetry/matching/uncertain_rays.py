@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -124,6 +125,22 @@ class PointFit:
     misses: FloatArray
 
 
+class Linearised(NamedTuple):
+    """Images (h, 2 n), derivatives by the point (h, 2 n, 3) and by poses of the photos and intrinsics."""
+
+    pixels: FloatArray
+    d_point: FloatArray
+    d_views: FloatArray
+
+
+class Lines(NamedTuple):
+    """Origins (n, 3), directions (n, 3) in the world, and angular sigma (n,) of dots, that of the pose included."""
+
+    origins: FloatArray
+    directions: FloatArray
+    sigma_rad: FloatArray
+
+
 class UncertainRays:
     """Rays of dots through views that are known with a joint covariance.
 
@@ -132,7 +149,7 @@ class UncertainRays:
 
     def __init__(self, dots: Dots, views: KnownViews) -> None:
         self.dots, self.views = dots, views
-        self.lines = _rays(dots, views)
+        self.lines = _cast_lines(dots, views)
 
     def crossing(self, pairs: IntArray) -> FloatArray:
         """Points half way between the rays of pairs, (h, 3)."""
@@ -174,8 +191,8 @@ class UncertainRays:
         variance = np.einsum("hr,hrs,hs->h", null, self.noise(rows), null)
         return null[:, 2:], variance + np.einsum("hc,cd,hd->h", along, joint, along)
 
-    def linear(self, photos: Sequence[int], points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Images (h, 2 n), derivatives by the point (h, 2 n, 3) and by poses of these photos and intrinsics."""
+    def linear(self, photos: Sequence[int], points: FloatArray) -> Linearised:
+        """Project points into photos, with derivatives."""
         n, k = len(photos), len(self.views.covariance) - 6 * len(self.views.poses)
         pixels, a = np.empty((len(points), 2 * n)), np.empty((len(points), 2 * n, 3))
         b = np.zeros((len(points), 2 * n, 6 * n + k))
@@ -195,7 +212,7 @@ class UncertainRays:
                 b[:, rows, 6 * photo : 6 * photo + 3] = d_turn[:, place]
                 b[:, rows, 6 * photo + 3 : 6 * photo + 6] = d_point[:, place]
                 b[:, rows, 6 * n :] = d_lens[:, place]
-        return pixels, a, b
+        return Linearised(pixels, a, b)
 
     def noise(self, rows: IntArray) -> FloatArray:
         """Covariance of the dots alone, (h, 2 n, 2 n)."""
@@ -236,8 +253,7 @@ class UncertainRays:
         return PointFit(points, np.asarray(np.linalg.inv(normal), dtype=np.float64), left, misses)
 
 
-def _rays(dots: Dots, views: KnownViews) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Origins, directions in the world, and angular sigma of each dot, its pose's own uncertainty included."""
+def _cast_lines(dots: Dots, views: KnownViews) -> Lines:
     count = len(dots)
     origins, directions, sigma = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
     for photo, pose in enumerate(views.poses):
@@ -250,4 +266,4 @@ def _rays(dots: Dots, views: KnownViews) -> tuple[FloatArray, FloatArray, FloatA
         distance = float(np.linalg.norm(back.translation_m - views.middle_m))
         angular = np.trace(block[:3, :3]) + np.trace(block[3:, 3:]) / distance**2
         sigma[own] = np.sqrt(variance + angular)
-    return origins, directions, sigma
+    return Lines(origins, directions, sigma)

@@ -191,7 +191,7 @@ class _Search:
         for photo in range(len(self.rows)):
             if photo in (first, second):
                 continue
-            self._look_into(photo, (rows, points), helpers, chances)
+            self._look_into(photo, rows, points, helpers, chances)
         found = []
         for k, own in enumerate(helpers):
             if own:
@@ -203,12 +203,12 @@ class _Search:
     def _look_into(
         self,
         photo: int,
-        start: tuple[IntArray, FloatArray],
+        rows: IntArray,
+        points: FloatArray,
         helpers: list[list[int]],
         chances: list[list[float]],
     ) -> None:
         """Look for points in one photo: nearest dot within the gate, and its probability by chance."""
-        rows, points = start
         camera = self.views.camera(photo)
         predicted, covariance = self.rays.predicted(photo, rows, points)
         size = np.array([camera.width_px, camera.height_px])

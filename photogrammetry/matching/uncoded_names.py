@@ -127,7 +127,7 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
             "frame; give control points, or list three coded targets too"
         )
     reach = 4 * float(np.sqrt((listed.sigma_m**2).sum(axis=1).mean()))
-    return _best(points_m, listed, reach)
+    return _find_frame(points_m, listed, reach)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,20 +144,21 @@ class _Frame:
         return int((self.point_of >= 0).sum())
 
 
-def _bases(listed: ListedTargets, reach: float) -> Iterator[tuple[int, int, int]]:
+def _bases(listed: ListedTargets, reach: float) -> Iterator[IntArray]:
     """Yield triples of listed targets, not nearly on a line, in a fixed random order: any of them may be missing."""
     rng = np.random.default_rng(0)
     for _ in range(_BASES):
-        a, b, c = rng.choice(len(listed), 3, replace=False).tolist()
+        base = rng.choice(len(listed), 3, replace=False)
+        a, b, c = base.tolist()
         one, two = listed.points_m[b] - listed.points_m[a], listed.points_m[c] - listed.points_m[a]
         longest = float(np.linalg.norm(one))
         if longest > 5 * reach and float(np.linalg.norm(np.cross(one, two))) > 5 * reach * longest:
-            yield a, b, c
+            yield base
 
 
-def _trials(points_m: FloatArray, listed: ListedTargets, base: tuple[int, int, int], reach: float) -> list[_Frame]:
+def _try_frames(points_m: FloatArray, listed: ListedTargets, base: IntArray, reach: float) -> list[_Frame]:
     """Return frames from triples of points whose three distances are those of listed targets."""
-    a, b, c = base
+    a, b, c = base.tolist()
     sides = np.linalg.norm(points_m[:, None] - points_m[None], axis=2)
     ab, ac, bc = (float(np.linalg.norm(listed.points_m[p] - listed.points_m[q])) for p, q in ((a, b), (a, c), (b, c)))
     found = []
@@ -165,14 +166,14 @@ def _trials(points_m: FloatArray, listed: ListedTargets, base: tuple[int, int, i
         third = np.nonzero((np.abs(sides[i] - ac) < reach) & (np.abs(sides[j] - bc) < reach))[0]
         for k in third.tolist():
             try:
-                start = align_points(points_m[[i, j, k]], listed.points_m[[a, b, c]]).b_from_a
-                found.append(_settled(start, points_m, listed, reach))
+                start = align_points(points_m[[i, j, k]], listed.points_m[base]).b_from_a
+                found.append(_settle(start, points_m, listed, reach))
             except EstimationError:
                 continue
     return found
 
 
-def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame:
+def _settle(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame:
     """Fit a frame to all targets that find a point; fewer than three, or on a line, are refused."""
     sigma = np.sqrt((listed.sigma_m**2).mean(axis=1))
     # A triple carries its errors outwards: twice the reach at first.
@@ -185,11 +186,11 @@ def _settled(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets,
     return _Frame(frame, np.where(good, nearest, -1), float(((own / sigma)[good] ** 2).sum()))
 
 
-def _best(points_m: FloatArray, listed: ListedTargets, reach: float) -> RigidTransform:
+def _find_frame(points_m: FloatArray, listed: ListedTargets, reach: float) -> RigidTransform:
     found: list[_Frame] = []
     clear = 0
     for base in _bases(listed, reach):
-        found += _trials(points_m, listed, base, reach)
+        found += _try_frames(points_m, listed, base, reach)
         # A few more after the first good one: a rival of a symmetric layout comes from the same triple.
         clear += bool(found) and max(one.count for one in found) >= max(0.6 * len(listed), 4)
         if clear > 3:

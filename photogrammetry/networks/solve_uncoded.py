@@ -104,13 +104,13 @@ def add_dots(
     """
     solved, before, now = first, None, None
     for _ in range(_ROUNDS):
-        now = _matched(solved, loose, knowledge, _coded_radii(solved.bundle, points, ellipses_px2))
+        now = _match_and_name(solved, loose, knowledge, _coded_radii(solved.bundle, points, ellipses_px2))
         if before is not None and np.array_equal(before.matched.point_of_dot, now.matched.point_of_dot):
             break
         if not now.names:
             return Extended(first, points, ellipses_px2, (), now.left, now.doubts)
         table, shapes = _with_dots(points, ellipses_px2, loose, now)
-        network = _network(solved, first, table, now)
+        network = _start_network(solved, first, table, now)
         solved = solve_from(network, table, shapes, NetworkCameras.of(first.bundle), knowledge, options)
         solved = _with_earlier(solved, first)
         before = now
@@ -121,7 +121,7 @@ def add_dots(
     return Extended(solved, table, shapes, last.names, last.left, last.doubts)
 
 
-def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict[str, float]) -> _Round:
+def _match_and_name(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict[str, float]) -> _Round:
     """Match the dots of the photos in the network, and name their points."""
     bundle = solved.bundle
     photos = bundle.problem.observations.photos
@@ -136,7 +136,7 @@ def _matched(solved: Solved, loose: LooseDots, knowledge: Knowledge, coded: dict
     raw = match_dots(dots, known_views(bundle))
     single, split = _without_split(raw, dots, bundle)
     found, unread = _without_coded(single, bundle, coded)
-    named = _named(found, bundle, loose.listed, knowledge, set(coded))
+    named = _name_by_list(found, bundle, loose.listed, knowledge, set(coded))
     names = named.names
     numbers = (f"u{k}" for k in range(1, len(names) + len(coded) + 1) if f"u{k}" not in coded)
     final = tuple(name or next(numbers) for name in names)
@@ -239,7 +239,7 @@ def _with_photo(text: str, photos: tuple[str, ...]) -> str:
     return f"{head} {photos[int(place)]}"
 
 
-def _named(
+def _name_by_list(
     found: MatchedDots, bundle: BundleResult, listed: ListedTargets | None, knowledge: Knowledge, coded: set[str]
 ) -> _Named:
     """Name points by the list."""
@@ -282,7 +282,7 @@ def _with_dots(
     return table, np.concatenate([ellipses_px2, loose.dots.ellipses_px2[rows]])
 
 
-def _network(solved: Solved, first: Solved, table: ImagePoints, now: _Round) -> Network:
+def _start_network(solved: Solved, first: Solved, table: ImagePoints, now: _Round) -> Network:
     """Return start values: the adjusted network and the points of the dots."""
     old, state = solved.bundle.problem.observations, solved.bundle.state
     count = table.n - int(np.count_nonzero(now.matched.point_of_dot >= 0))

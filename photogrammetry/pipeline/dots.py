@@ -20,7 +20,8 @@ from photogrammetry.matching.tracking import Track, TrackedPhoto, TrackLimits, f
 from photogrammetry.matching.uncoded_names import ListedTargets
 from photogrammetry.pipeline.cameras import build_cameras
 from photogrammetry.pipeline.inputs import build_search, listed_targets
-from photogrammetry.pipeline.photos import MeasuredPhotos, OnePhoto, Refused, collect_photos, measure_each
+from photogrammetry.pipeline.photos import MeasuredPhotos, OnePhoto, collect_photos, measure_each
+from photogrammetry.start_values.network import LeftOut
 
 _COLUMNS = ("image", "target", "x_px", "y_px")
 _Marks = dict[str, tuple[tuple[str, ...], FloatArray]]
@@ -41,20 +42,18 @@ def measure_targets_of(
     search = build_search(section, measurement.folder)
     found = measure_each(files, section, search, jobs=jobs, progress=progress)
     if section.tracked_from is not None:
-        tracked = _tracked(files, section, measurement.folder / section.tracked_from, progress)
-        found = [_joined(one, *own) for one, own in zip(found, tracked, strict=True)]
+        tracked = _follow_marks(files, section, measurement.folder / section.tracked_from, progress)
+        found = [_join(one, own) for one, own in zip(found, tracked, strict=True)]
     listed = listed_targets(section, measurement.folder)
     if section.dictionary is None and section.tracked_from is None and listed is not None:
-        found = _told_by_list(measurement, section, found, listed)
+        found = _name_by_list(measurement, section, found, listed)
     return collect_photos(found)
 
 
 # --- marks followed from photo to photo -----------------------------------------------------------------------------
 
 
-def _tracked(
-    files: Sequence[Path], section: TargetsSection, path: Path, progress: Progress
-) -> list[tuple[Detections, FloatArray, tuple[Refused, ...]]]:
+def _follow_marks(files: Sequence[Path], section: TargetsSection, path: Path, progress: Progress) -> list[TrackedPhoto]:
     """Follow marks forwards from the first photo that has some, and backwards from there."""
     marks = _read_marks(path, [file.name for file in files])
     no_codes = section.model_copy(update={"dictionary": None})
@@ -69,15 +68,12 @@ def _tracked(
             for k in order:
                 image, name = read_image(files[k]), files[k].name
                 if track is None:
-                    track, seen[k] = start_track(image, name, marks[name], search, limits)
+                    track, seen[k] = start_track(image, name, *marks[name], search, limits)
                     start = track
                 else:
                     track, seen[k] = follow(track, image, name)
                 stage.advance()
-    return [
-        (seen[k].detections, seen[k].ellipses_px2, tuple(Refused(one.name, one.reason) for one in seen[k].lost))
-        for k in range(len(files))
-    ]
+    return [seen[k] for k in range(len(files))]
 
 
 def _read_marks(path: Path, photos: Sequence[str]) -> _Marks:
@@ -103,15 +99,16 @@ def _read_marks(path: Path, photos: Sequence[str]) -> _Marks:
     return {image: (tuple(names), np.array(places)) for image, (names, places) in marks.items()}
 
 
-def _joined(one: OnePhoto, tracked: Detections, ellipses_px2: FloatArray, refused: tuple[Refused, ...]) -> OnePhoto:
+def _join(one: OnePhoto, followed: TrackedPhoto) -> OnePhoto:
     """Add followed targets to those told by codes; their dots are no others."""
+    tracked = followed.detections
     good = np.nonzero(tracked.usable)[0]
     free = _away(one.dots.pixels_px, tracked.pixels_px[good], tracked.radius_px[good])
     return replace(
         one,
         detections=_together(one.detections, tracked.chosen(good)),
-        ellipses_px2=np.concatenate([one.ellipses_px2, ellipses_px2[good]]),
-        refused=(*one.refused, *refused),
+        ellipses_px2=np.concatenate([one.ellipses_px2, followed.ellipses_px2[good]]),
+        refused=(*one.refused, *followed.lost),
         dots=one.dots.chosen(free),
         dot_ellipses_px2=one.dot_ellipses_px2[free],
     )
@@ -137,7 +134,7 @@ def _together(one: Detections, other: Detections) -> Detections:
 # --- a list of rough places alone -----------------------------------------------------------------------------------
 
 
-def _told_by_list(
+def _name_by_list(
     measurement: PhotogrammetryMeasurement,
     section: TargetsSection,
     found: Sequence[OnePhoto],
@@ -157,16 +154,16 @@ def _told_by_list(
     for one in found:
         camera = cameras.cameras[cameras.camera_of[one.detections.photo]]
         try:
-            told.append(_named(one, camera, listed, sense))
+            told.append(_name_dots(one, camera, listed, sense))
         except EstimationError as error:
             reasons.append(str(error))
-            told.append(replace(one, refused=(*one.refused, Refused(one.detections.photo, str(error)))))
+            told.append(replace(one, refused=(*one.refused, LeftOut(one.detections.photo, str(error)))))
     if len(reasons) == len(found):
         raise EstimationError(f"images.photos: in none of {len(found)} photos the list tells the dots; {reasons[0]}")
     return told
 
 
-def _named(one: OnePhoto, camera: Camera, listed: ListedTargets, sense: Sense) -> OnePhoto:
+def _name_dots(one: OnePhoto, camera: Camera, listed: ListedTargets, sense: Sense) -> OnePhoto:
     place = assign_targets(camera, one.dots.pixels_px, one.dots.covariance_px2, listed, sense=sense).target_of_dot
     own = np.nonzero(place >= 0)[0]
     chosen = one.dots.chosen(own)

@@ -31,7 +31,7 @@ from photogrammetry.pipeline.inputs import (
     stated_diameter_mm,
 )
 from photogrammetry.pipeline.natural import add_features
-from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
+from photogrammetry.pipeline.photos import MeasuredPhotos
 from photogrammetry.pipeline.result import Result
 from photogrammetry.pipeline.surface import measure_surface
 from photogrammetry.start_values.network import StartValues
@@ -201,7 +201,7 @@ def match_uncoded(
         return replace(measured, doubts=(*measured.doubts, missing)), solved
     loose = replace(measured.loose, listed=listed)
     found = add_dots(solved, measured.points, measured.ellipses_px2, loose, cameras, knowledge, options)
-    refused = tuple(Refused(one.name, one.reason) for one in found.left)
+    refused = found.left
     extended = replace(
         measured,
         points=found.points,

@@ -10,14 +10,15 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
 from heliogauge.running.progress import Progress
-from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.detection.feature_tracks import TrackChoice, Tracks, follow_tracks
+from heliogauge.validate import FloatArray
+from photogrammetry.detection.feature_tracks import PairMatch, TrackChoice, Tracks, follow_tracks
 from photogrammetry.detection.natural import Features, all_pairs, find_features, match_features, require_pycolmap
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.pipeline.cameras import build_cameras
-from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
+from photogrammetry.pipeline.photos import MeasuredPhotos
+from photogrammetry.start_values.network import LeftOut
 
 #: Kinds of features by size; each must have enough redundancy for a sigma of its own.
 _SIZE_CLASSES = 4
@@ -64,17 +65,17 @@ def add_features(
 
 def _matches(
     measurement: PhotogrammetryMeasurement, found: list[Features], jobs: int | None, progress: Progress
-) -> list[tuple[int, int, IntArray]]:
+) -> list[PairMatch]:
     sizes = {one.keypoints.photo: one.keypoints.size_px for one in found}
     cameras = build_cameras(measurement, tuple(sizes), sizes)
     owners = cameras.index(tuple(sizes)).tolist()
     known = not any(model.free for model in cameras.models)
     pairs = all_pairs(len(found))
 
-    def match(pair: tuple[int, int]) -> tuple[int, int, IntArray]:
+    def match(pair: tuple[int, int]) -> PairMatch:
         a, b = pair
         both = (cameras.cameras[owners[a]], cameras.cameras[owners[b]])
-        return a, b, match_features(found[a], found[b], both, known=known)
+        return PairMatch(a, b, match_features(found[a], found[b], both, known=known))
 
     matches = []
     with progress.stage("match features", len(pairs)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -86,7 +87,7 @@ def _matches(
 
 def _joined(tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple[int, int]]) -> MeasuredPhotos:
     """Put features beside coded targets; kind 0 are the targets where there are any."""
-    left = Refused(
+    left = LeftOut(
         "natural features",
         f"{tracks.short} seen in too few photos, {tracks.ambiguous} that show two places of one photo",
     )

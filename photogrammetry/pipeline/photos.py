@@ -22,24 +22,11 @@ from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.solve_uncoded import LooseDots
+from photogrammetry.start_values.network import LeftOut
 from photogrammetry.targets.ring_codes import Sense
 
 #: Share of overexposed targets from which the user is told.
 _MANY_CLIPPED = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """Something in the photos that was not used.
-
-    name: Marker, target or photo, and where it is.
-    reason: Why.
-    is_outlier: Whether it is an image point that contradicts the others.
-    """
-
-    name: str
-    reason: str
-    is_outlier: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +45,7 @@ class MeasuredPhotos:
     points: ImagePoints
     ellipses_px2: FloatArray
     sizes_px: dict[str, tuple[int, int]] | None
-    refused: tuple[Refused, ...]
+    refused: tuple[LeftOut, ...]
     doubts: tuple[Doubt, ...]
     sigma_assumed: bool
     loose: LooseDots | None = None
@@ -77,7 +64,7 @@ class OnePhoto:
         Shape of each target's ellipse; NaN for corners [px^2].
     size_px : (int, int)
         Width and height [px].
-    refused : tuple of Refused
+    refused : tuple of LeftOut
         What was not used.
     dots : Detections
         Dots without a code.
@@ -90,7 +77,7 @@ class OnePhoto:
     detections: Detections
     ellipses_px2: FloatArray
     size_px: tuple[int, int]
-    refused: tuple[Refused, ...]
+    refused: tuple[LeftOut, ...]
     dots: Detections
     dot_ellipses_px2: FloatArray
     unread: "UnreadRings | None" = None
@@ -170,10 +157,10 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
     if found is not None:
         return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
     mirrored = [
-        Refused(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in rings.mirrored
+        LeftOut(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in rings.mirrored
     ]
     # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
-    mirrored += [Refused(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
+    mirrored += [LeftOut(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
     coded = rings.detections.chosen(np.arange(count))
     size = (int(image.shape[1]), int(image.shape[0]))
     counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
@@ -185,7 +172,7 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
 def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
     markers = find_markers(image, photo, section.dictionary or "")
     refused = [
-        Refused(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
+        LeftOut(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
         for bad in markers.rejected
     ]
     detections = markers.detections
@@ -261,11 +248,11 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
         twice |= {name for name in one.detections.names if name.split(".")[0] in {t.split(".")[0] for t in twice}}
         doubled.update({name.split(".")[0] for name in twice})
         photo = one.detections.photo
-        refused += [Refused(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
+        refused += [LeftOut(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
         keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
         if not keep:
             empty.append(photo)
-            refused.append(Refused(photo, "shows no target that can be used"))
+            refused.append(LeftOut(photo, "shows no target that can be used"))
         photos += [photo] * len(keep)
         names += [one.detections.names[k] for k in keep]
         parts.append(one.detections.chosen(np.array(keep, dtype=np.intp)))

@@ -23,7 +23,7 @@ from photogrammetry.networks.length_error import LengthStatement
 from photogrammetry.networks.quality import network_numbers, quality_texts
 from photogrammetry.networks.solve_network import Solved
 from photogrammetry.pipeline.headline import headline_text
-from photogrammetry.pipeline.photos import MeasuredPhotos, Refused
+from photogrammetry.pipeline.photos import MeasuredPhotos
 from photogrammetry.pipeline.surface import SurfaceResult
 from photogrammetry.pipeline.surface_files import surface_numbers, write_surface
 from photogrammetry.pipeline.tables import (
@@ -34,6 +34,7 @@ from photogrammetry.pipeline.tables import (
     millimetre_columns,
     residual_columns,
 )
+from photogrammetry.start_values.network import LeftOut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,16 +108,15 @@ class Result(InstrumentResult):
         }
 
     @property
-    def refused(self) -> tuple[Refused, ...]:
+    def refused(self) -> tuple[LeftOut, ...]:
         """Everything that was not used, by name with the reason."""
         solved = self.solved
         outliers = [
-            Refused(one.label, f"{one.reason}, residual {one.residual_px:.2f} px", one.is_outlier)
+            LeftOut(one.label, f"{one.reason}, residual {one.residual_px:.2f} px", is_outlier=one.is_outlier)
             for one in solved.rejected
         ]
         left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
-        others = [Refused(one.name, one.reason, one.is_outlier) for one in (*left, *solved.unused)]
-        return (*self.measured.refused, *others, *outliers)
+        return (*self.measured.refused, *left, *solved.unused, *outliers)
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""

@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from re import fullmatch
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,8 +95,8 @@ def _against_surface(
     if section.mesh is not None:
         mesh = reference = read_mesh(folder / section.mesh, 1e-3 if section.mesh_unit == "mm" else 1.0)
     else:
-        own, parts, reference = _designs(section, own)
-    fit, how, still_open = _fitted(section, own, reference, viewer_m)
+        own, parts, reference = _build_surface(section, own)
+    fit, how, still_open = _fit(section, own, reference, viewer_m)
     facets = [_facet_points(part, fit, section) for part in parts]
     slopes, no_map = _slopes(section, fit, facets)
     return replace(
@@ -192,12 +193,19 @@ class _Part:
     members: BoolArray
 
 
-def _designs(section: SurfaceSection, points: SurfacePoints) -> tuple[SurfacePoints, list[_Part], Reference]:
-    """Return the points that belong to the surface, its facets, and the surface."""
+class _Surface(NamedTuple):
+    """The points that belong to a surface, its facets, and what they are fitted to."""
+
+    points: SurfacePoints
+    parts: list[_Part]
+    reference: Reference
+
+
+def _build_surface(section: SurfaceSection, points: SurfacePoints) -> _Surface:
     whole = _design(section) if section.design else None
     if not section.facet:
         everything = np.ones(len(points.ids), dtype=np.bool_)
-        return points, [_Part(None, "surface", whole, everything)], _needed(whole)
+        return _Surface(points, [_Part(None, "surface", whole, everything)], _needed(whole))
     owner = np.full(len(points.ids), -1)
     for place, facet in enumerate(section.facet):
         names = set(_expanded(facet.targets, points.ids, f'facet "{facet.name}"'))
@@ -214,8 +222,8 @@ def _designs(section: SurfaceSection, points: SurfacePoints) -> tuple[SurfacePoi
         for place, one in enumerate(section.facet)
     ]
     if all(one.section is not None and one.section.design is None for one in parts):
-        return points, parts, _needed(whole)
-    return points, parts, CompositeDesign(tuple(_needed(one.design) for one in parts), owner)
+        return _Surface(points, parts, _needed(whole))
+    return _Surface(points, parts, CompositeDesign(tuple(_needed(one.design) for one in parts), owner))
 
 
 def _needed(design: DesignSurface | None) -> DesignSurface:
@@ -237,23 +245,31 @@ def _place(section: SurfaceFacetSection) -> RigidTransform:
     return RigidTransform.from_rotation_vector(section.rotation_vector_rad, section.position_m)
 
 
-def _fitted(
-    section: SurfaceSection, points: SurfacePoints, reference: Reference, viewer_m: FloatArray
-) -> tuple[SurfaceFit, str, Doubt | None]:
-    """Fit, or place, the surface; return also how it started and what stays open."""
+class _Fitted(NamedTuple):
+    """The surface fitted or placed, how it started, and what stays open."""
+
+    fit: SurfaceFit
+    how: str
+    still_open: Doubt | None = None
+
+
+def _fit(section: SurfaceSection, points: SurfacePoints, reference: Reference, viewer_m: FloatArray) -> _Fitted:
+    """Fit, or place, the surface."""
     choices = FitChoices(section.fit != "none", section.fit == "focal-length", section.robust)
     if section.reference:
         placed = _aligned(section, points)
         how = f"{len(section.reference)} targets of known place on the design"
         if choices.pose:
-            return fit_surface(points, reference, placed.design_from_world, choices), how, None
+            return _Fitted(fit_surface(points, reference, placed.design_from_world, choices), how)
         held = fit_surface(placed.points, reference, RigidTransform.identity(), choices)
-        return replace(held, design_from_world=placed.design_from_world), how + "; nothing is fitted beside them", None
+        return _Fitted(
+            replace(held, design_from_world=placed.design_from_world), how + "; nothing is fitted beside them"
+        )
     if not choices.pose:
-        return fit_surface(points, reference, RigidTransform.identity(), choices), "the frame of the network", None
+        return _Fitted(fit_surface(points, reference, RigidTransform.identity(), choices), "the frame of the network")
     if isinstance(reference, MeshSurface):
         start, how = mesh_start(points.points_m, reference, viewer_m)
-        return fit_surface(points, reference, start, choices), how, None
+        return _Fitted(fit_surface(points, reference, start, choices), how)
     if isinstance(reference, CompositeDesign):
         trial = quick_fit(points.points_m, reference, RigidTransform.identity())
         if not trial.rms_m < _NEAR * float(np.ptp(points.points_m, axis=0).max()):
@@ -261,10 +277,10 @@ def _fitted(
                 f"surface: in the frame of the network the points are {trial.rms_m:.3g} m from their facets, which "
                 "have designs of their own; name three or more [[surface.reference]] targets with their places"
             )
-        return fit_surface(points, reference, trial.pose, choices), "the frame of the network", None
+        return _Fitted(fit_surface(points, reference, trial.pose, choices), "the frame of the network")
     found = find_start(points.points_m, reference, viewer_m)
     still_open = Doubt("surface_start_ambiguous", found.open_words) if found.open_words else None
-    return fit_surface(points, reference, found.design_from_world, choices), found.how, still_open
+    return _Fitted(fit_surface(points, reference, found.design_from_world, choices), found.how, still_open)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

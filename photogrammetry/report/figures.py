@@ -1,6 +1,6 @@
 """Figures of a network's report, from the files of its results."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -332,10 +332,18 @@ def correlation_figure(results: NetworkResults) -> "Figure | None":
     return figure
 
 
-def _residuals(results: NetworkResults) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return places and residuals of all image points [px]."""
-    x, y, dx, dy = (results.column("residuals", n) for n in ("x_px", "y_px", "residual_x_px", "residual_y_px"))
-    return x, y, dx, dy
+class _Residuals(NamedTuple):
+    """Image points and their residuals [px]."""
+
+    x: FloatArray
+    y: FloatArray
+    dx: FloatArray
+    dy: FloatArray
+
+
+def _residuals(results: NetworkResults) -> _Residuals:
+    """Read the residuals of all image points."""
+    return _Residuals(*(results.column("residuals", n) for n in ("x_px", "y_px", "residual_x_px", "residual_y_px")))
 
 
 def _image_axes(axes: "Axes", results: NetworkResults) -> None:

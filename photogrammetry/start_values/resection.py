@@ -84,9 +84,9 @@ def resect(
         raise EstimationError(f"resection: {len(points)} targets with known coordinates, {LEAST_TARGETS} are needed")
     roots = np.linalg.inv(np.linalg.cholesky(covariance))
     turns, shifts = _three_point_poses(camera, points, pixels)
-    costs = (np.minimum(_misses(camera, turns, shifts, (points, pixels, roots)), tolerance) ** 2).sum(axis=1)
+    costs = (np.minimum(_misses(camera, turns, shifts, points, pixels, roots), tolerance) ** 2).sum(axis=1)
     refined = [
-        _refined(camera, RigidTransform(turns[i], shifts[i]), (points, pixels, covariance), tolerance)
+        _refine(camera, RigidTransform(turns[i], shifts[i]), points, pixels, covariance, tolerance)
         for i in _promising(turns, costs, 2 * len(points))
     ]
     found = [one for one in refined if one is not None]
@@ -94,7 +94,7 @@ def resect(
         raise EstimationError(f"resection: no pose explains {LEAST_TARGETS} of the {len(points)} image points")
     judged = []
     for pose, matrix in found:
-        miss = _misses(camera, pose.rotation[None], pose.translation_m[None], (points, pixels, roots))[0]
+        miss = _misses(camera, pose.rotation[None], pose.translation_m[None], points, pixels, roots)[0]
         judged.append((float((np.minimum(miss, tolerance) ** 2).sum()), pose, matrix, miss))
     judged.sort(key=lambda one: one[0])
     cost, pose, matrix, miss = judged[0]
@@ -145,10 +145,9 @@ def _triples(points: FloatArray, usable: IntArray) -> list[FloatArray]:
 
 
 def _misses(
-    camera: Camera, turns: FloatArray, shifts: FloatArray, measured: tuple[FloatArray, FloatArray, FloatArray]
+    camera: Camera, turns: FloatArray, shifts: FloatArray, points: FloatArray, pixels: FloatArray, roots: FloatArray
 ) -> FloatArray:
     """Length of each residual for each pose, shape (k, n), in sigma; infinite where the target cannot be seen."""
-    points, pixels, roots = measured
     seen = np.einsum("kij,nj->kni", turns, points) + shifts[:, None]
     difference = camera.project(seen) - pixels
     misses = np.linalg.norm(np.einsum("nij,knj->kni", roots, difference), axis=2)
@@ -174,11 +173,15 @@ def _promising(turns: FloatArray, costs: FloatArray, freedom: int) -> list[int]:
     return kept
 
 
-def _refined(
-    camera: Camera, start: RigidTransform, measured: tuple[FloatArray, FloatArray, FloatArray], tolerance: float
+def _refine(
+    camera: Camera,
+    start: RigidTransform,
+    points: FloatArray,
+    pixels: FloatArray,
+    covariance: FloatArray,
+    tolerance: float,
 ) -> tuple[RigidTransform, FloatArray] | None:
     """Refine with the image points that the pose can see; None if that fails."""
-    points, pixels, covariance = measured
     seen = np.isfinite(camera.project(start.apply(points))).all(axis=1)
     if seen.sum() < 3:
         return None

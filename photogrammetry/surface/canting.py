@@ -1,6 +1,7 @@
 """Canting and focal length of each facet from the points on it, with the covariance of all points."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def facet_canting(fit: SurfaceFit, facet: FacetPoints) -> FacetCanting:
     # Turned by w the normal moves by w x n; angles count against e_x and e_y.
     to_angle = -tangents(*(-normal[:2] / normal[2])) @ np.cross(axes, normal).T
     rest = feet.distance_m - jacobian @ step
-    length = _length(facet.design, step, total) if with_length else (float("nan"), float("nan"), "")
+    length = _length(facet.design, step, total) if with_length else _Length()
     return FacetCanting(
         facet.facet.name,
         count,
@@ -123,7 +124,15 @@ def _refuse_line(name: str, columns: FloatArray, count: int) -> None:
         )
 
 
-def _length(design: DesignSurface, step: FloatArray, total: FloatArray) -> tuple[float, float, str]:
+class _Length(NamedTuple):
+    """Focal length or radius with sigma [m], and which of them it is."""
+
+    length_m: float = float("nan")
+    sigma_m: float = float("nan")
+    name: str = ""
+
+
+def _length(design: DesignSurface, step: FloatArray, total: FloatArray) -> _Length:
     curvature = float(design.curvatures_per_m[0] + step[3])
     length = 1 / curvature if curvature else float("inf")
-    return length, float(np.sqrt(total[3, 3])) * length**2, design.curvature_names[0]
+    return _Length(length, float(np.sqrt(total[3, 3])) * length**2, design.curvature_names[0])

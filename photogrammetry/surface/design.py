@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -113,7 +113,7 @@ class DesignSurface:
         upper block ``s = (x - l b) / (1 + l a)``, and F(s(l)) = 0 is one equation for l, solved by Newton's method.
         """
         quadric = self.quadric
-        distance, normals, feet, half = _feet(quadric.matrix, points_m)
+        distance, normals, feet, half = _find_feet(quadric.matrix, points_m)
         lifted = np.column_stack([feet, np.ones(len(feet))])
         columns = [
             0.5 * np.einsum("ni,ij,nj->n", lifted, change, lifted) / half for change in self._d_matrix_d_curvature()
@@ -165,7 +165,7 @@ class CompositeDesign:
         distance, normals = np.empty(len(points_m)), np.empty((len(points_m), 3))
         for place, design in enumerate(self.designs):
             own = self.which == place
-            distance[own], normals[own] = _feet(design.quadric.matrix, points_m[own])[:2]
+            distance[own], normals[own] = _find_feet(design.quadric.matrix, points_m[own])[:2]
         return Feet(distance, normals, np.zeros((len(points_m), 0)))
 
     def symmetries(self) -> FloatArray:
@@ -244,8 +244,16 @@ def _direction(vector: FloatArray) -> str:
     return f"({unit[0]:.3f}, {unit[1]:.3f}, {unit[2]:.3f})"
 
 
-def _feet(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return distance, unit normal, foot and length of the half gradient there for each point."""
+class _QuadricFeet(NamedTuple):
+    """Distance, unit normal, foot and length of the half gradient there of each point."""
+
+    distance: FloatArray
+    normals: FloatArray
+    feet: FloatArray
+    half_gradient: FloatArray
+
+
+def _find_feet(matrix: FloatArray, points: FloatArray) -> _QuadricFeet:
     values, vectors = np.linalg.eigh(matrix[:3, :3])
     x, b = points @ vectors, matrix[:3, 3] @ vectors
     step, constant = np.zeros(len(points)), matrix[3, 3]
@@ -268,7 +276,7 @@ def _feet(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArra
         # Beyond a centre of curvature the foot is on the other sheet.
         distance = np.where((stretch > 0).all(axis=1) & np.isfinite(distance), distance, np.nan)
         normals = half @ vectors.T / length[:, None]
-    return distance, normals, foot @ vectors.T, length
+    return _QuadricFeet(distance, normals, foot @ vectors.T, length)
 
 
 def require_feet(ids: Sequence[str], feet: Feet) -> Feet:

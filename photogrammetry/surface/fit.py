@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
@@ -280,7 +281,7 @@ def _fitted(points: SurfacePoints, start: _State, used: BoolArray, choices: FitC
     """Fit the used points with full weights; the roughness is estimated between the steps."""
     state, chosen = start, points.chosen(used)
     for _ in range(2):
-        basis, whole, _, _ = _weighed(chosen, state, choices)
+        basis, whole, _, _ = _weigh(chosen, state, choices)
         if not basis.shape[1]:
             break
         block = whole[None]
@@ -296,7 +297,7 @@ def _fitted(points: SurfacePoints, start: _State, used: BoolArray, choices: FitC
         if not found.converged:
             raise EstimationError(f"surface: the fit of {state.reference.describe()} did not converge: {found.reason}")
         state = found.state
-    basis, whole, rough, factor = _weighed(chosen, state, choices)
+    basis, whole, rough, factor = _weigh(chosen, state, choices)
     reduced = _rows(chosen.points_m, state, choices)[1] @ basis
     weighted = np.linalg.solve(whole, reduced)
     estimator = np.zeros((basis.shape[0], len(points.ids)))
@@ -305,8 +306,16 @@ def _fitted(points: SurfacePoints, start: _State, used: BoolArray, choices: FitC
     return state, _Linear(estimator, rough, factor, int(used.sum()) - basis.shape[1])
 
 
-def _weighed(points: SurfacePoints, state: _State, choices: FitChoices) -> tuple[FloatArray, FloatArray, float, float]:
-    """Return the free basis, the covariance that weighs the distances, roughness [m] and variance factor."""
+class _Weights(NamedTuple):
+    """The free basis, the covariance that weighs the distances, roughness [m] and variance factor."""
+
+    basis: FloatArray
+    covariance_m2: FloatArray
+    roughness_m: float
+    variance_factor: float
+
+
+def _weigh(points: SurfacePoints, state: _State, choices: FitChoices) -> _Weights:
     basis, _ = _free_basis(state, choices)
     feet, jacobian = _rows(points.points_m, state, choices)
     require_feet(points.ids, feet)
@@ -321,7 +330,7 @@ def _weighed(points: SurfacePoints, state: _State, choices: FitChoices) -> tuple
     span = np.linalg.qr(reduced)[0]
     whole += mean * span @ span.T
     whole += 1e-8 * mean * np.eye(len(whole))
-    return basis, whole, rough, factor
+    return _Weights(basis, whole, rough, factor)
 
 
 def _refuse_undetermined(reduced: FloatArray, basis: FloatArray, ids: tuple[str, ...]) -> None:

@@ -1,6 +1,7 @@
 """Points of a surface with their joint covariance, and what a fit of a surface to them gave."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -143,6 +144,14 @@ class SurfaceFit:
         return float(np.sqrt(spread) / (2 * np.sqrt(size * used.sum()))) if size > 0 else 0.0
 
 
+class FittedLength(NamedTuple):
+    """A length with its sigma, and the share of errors of measurement in that [m]."""
+
+    length_m: float
+    sigma_m: float
+    measurement_sigma_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FitParameters:
     """Pose step and curvatures with their covariances; steps of `RigidTransform.moved` of ``design_from_world``.
@@ -160,13 +169,13 @@ class FitParameters:
     curvature_names: tuple[str, ...]
     curvatures_per_m: FloatArray
 
-    def lengths(self) -> dict[str, tuple[float, float, float]]:
-        """Return each length with its sigma and the share of measurement alone [m]; infinite where flat."""
+    def lengths(self) -> dict[str, FittedLength]:
+        """Return each length; infinite where flat."""
         found = {}
         for k, name in enumerate(self.curvature_names):
             curvature = float(self.curvatures_per_m[k])
             length = 1 / curvature if curvature else float("inf")
             both = (self.covariance[6 + k, 6 + k], self.covariance_measurement[6 + k, 6 + k])
             whole, measured = (float(np.sqrt(max(variance, 0.0))) * length**2 for variance in both)
-            found[name] = (length, whole, measured)
+            found[name] = FittedLength(length, whole, measured)
         return found

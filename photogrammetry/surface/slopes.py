@@ -106,7 +106,7 @@ def surface_slopes(fit: SurfaceFit, patches: Sequence[Patch], step_m: float | No
     covariance = fit.covariance_deviation_z_m2 + scatter**2 * np.eye(len(xy))
     order = np.concatenate([np.flatnonzero(owner == place) for place in range(len(patches))])
     at = np.column_stack([grid_x.ravel()[order], grid_y.ravel()[order]])
-    common, correlation = _uncertainty(fields, (order, at), pieces, covariance)
+    common, correlation = _uncertainty(fields, order, at, pieces, covariance)
     bend = _bending(pieces, covariance)
     for field, extra in zip((fields.sigma_x, fields.sigma_y), bend, strict=True):
         field[...] = np.hypot(field, extra)
@@ -271,10 +271,9 @@ def _smoother(places: FloatArray, points: FloatArray, spacing: float, neighbours
 
 
 def _uncertainty(
-    fields: _Fields, nodes: tuple[IntArray, FloatArray], pieces: Sequence[_Piece], covariance: FloatArray
+    fields: _Fields, order: IntArray, at: FloatArray, pieces: Sequence[_Piece], covariance: FloatArray
 ) -> tuple[CommonModes, float]:
     """Fill the sigmas; return the smooth modes and how many nodes share one independent value."""
-    order, at = nodes
     measured = np.concatenate([piece.fine.measured for piece in pieces])
     if not measured.any():
         raise EstimationError("slope map: no node is near enough to points; give another outline_m or grid_step_mm")

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,6 +23,15 @@ _RULER_MM = 100.0
 _FOOT_MM = 12.0
 _HEAD_MM = 8.0
 _LABEL_MM = 5.0
+
+
+class Frame(NamedTuple):
+    """A rectangle on paper [mm]."""
+
+    left: float
+    top: float
+    width: float
+    height: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +57,11 @@ class Paper:
         return (height, width) if self.landscape else (width, height)
 
     @property
-    def frame_mm(self) -> tuple[float, float, float, float]:
-        """Left, top, width and height of what may be printed on between title and rulers [mm]."""
+    def frame_mm(self) -> Frame:
+        """What may be printed on between title and rulers."""
         width, height = self.size_mm
         left, top = _MARGIN_MM + _FOOT_MM, _MARGIN_MM + _HEAD_MM
-        return left, top, width - left - _MARGIN_MM, height - top - _MARGIN_MM - _FOOT_MM
+        return Frame(left, top, width - left - _MARGIN_MM, height - top - _MARGIN_MM - _FOOT_MM)
 
     def page(self, title: str, areas: Sequence[Area], labels: Sequence[Label]) -> Page:
         """Return a page with title and rulers around its content."""

@@ -71,12 +71,9 @@ def test_movements_are_the_derivatives_of_that_similarity():
 )
 def test_what_constraints_leave_free(known, fixed, left, text):
     truth = small()
-    rows = [
-        (one.rows(truth.points_m[index])[1], index)
-        for one in known
-        for index in [np.array([int(name) for name in one.targets])]
-    ]
-    free = free_movements(similarity_movements(truth), rows, np.array(fixed, dtype=np.intp))
+    targets = [np.array([int(name) for name in one.targets]) for one in known]
+    rows = [one.rows(truth.points_m[own])[1] for one, own in zip(known, targets, strict=True)]
+    free = free_movements(similarity_movements(truth), rows, targets, np.array(fixed, dtype=np.intp))
     assert free.count == left
     assert free.describe() == text
 
@@ -139,7 +136,7 @@ def test_thousands_of_control_points_need_little_memory():
     truth, _ = network(np.random.default_rng(2), 5, 2000)
     movements = similarity_movements(truth)
     tracemalloc.start()
-    free = free_movements(movements, [], np.arange(2000))
+    free = free_movements(movements, [], [], np.arange(2000))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert free.count == 0

@@ -43,7 +43,7 @@ def started(photos, limits: TrackLimits | None = None):
     scene, images = photos
     first = dots(scene, 0)
     rough = np.array(list(first.values())) + np.random.default_rng(1).uniform(-2, 2, (len(first), 2))
-    return start_track(images[0], "walk_0", (tuple(first), rough), SEARCH, limits)
+    return start_track(images[0], "walk_0", tuple(first), rough, SEARCH, limits)
 
 
 def test_all_dots_are_followed(photos) -> None:
@@ -98,14 +98,14 @@ def test_mistakes(photos) -> None:
     first = dots(scene, 0)
     place = first["dot1"]
     with pytest.raises(InputError, match="no round target under a at"):
-        start_track(images[0], "walk_0", (("a",), place[None] + 60), SEARCH)
+        start_track(images[0], "walk_0", ("a",), place[None] + 60, SEARCH)
     with pytest.raises(InputError, match="a is marked twice"):
-        start_track(images[0], "walk_0", (("a", "a"), np.stack([place, place])), SEARCH)
+        start_track(images[0], "walk_0", ("a", "a"), np.stack([place, place]), SEARCH)
     with pytest.raises(InputError, match="a and b are on one target"):
-        start_track(images[0], "walk_0", (("a", "b"), np.stack([place, place + 1])), SEARCH)
+        start_track(images[0], "walk_0", ("a", "b"), np.stack([place, place + 1]), SEARCH)
     with pytest.raises(InputError, match="is outside of 1600 x 1200"):
-        start_track(images[0], "walk_0", (("a",), np.array([[2000.0, 3.0]])), SEARCH)
-    track, _ = start_track(images[0], "walk_0", (("a",), place[None]), SEARCH)
+        start_track(images[0], "walk_0", ("a",), np.array([[2000.0, 3.0]]), SEARCH)
+    track, _ = start_track(images[0], "walk_0", ("a",), place[None], SEARCH)
     with pytest.raises(InputError, match="photos of one size"):
         follow(track, images[0][:-1], "walk_1")
     with pytest.raises(InputError, match="search_radius_px >= 4"):

@@ -20,7 +20,7 @@ from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.bundle.datum import Datum, similarity_movements
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.detection import natural
-from photogrammetry.detection.feature_tracks import Keypoints, TrackChoice, follow_tracks
+from photogrammetry.detection.feature_tracks import Keypoints, PairMatch, TrackChoice, follow_tracks
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.matching.uncertain_rays import Dots
@@ -49,9 +49,9 @@ def test_tracks_are_what_matches_join() -> None:
     photos = photos_of([4, 4, 4])
     # 0-1-2 a track of three; (1, 1, 1) too; keypoint 2 of photo 0 reaches two places of photo 2; 3 is seen twice only.
     matches = [
-        (0, 1, pairs((0, 0), (1, 1), (2, 2), (3, 3))),
-        (1, 2, pairs((0, 0), (2, 2))),
-        (0, 2, pairs((1, 1), (2, 3))),
+        PairMatch(0, 1, pairs((0, 0), (1, 1), (2, 2), (3, 3))),
+        PairMatch(1, 2, pairs((0, 0), (2, 2))),
+        PairMatch(0, 2, pairs((1, 1), (2, 3))),
     ]
     tracks = follow_tracks(photos, matches)
     assert (len(tracks.points.targets), tracks.ambiguous, tracks.short) == (2, 1, 1)
@@ -73,7 +73,7 @@ def test_few_points_are_the_longest_and_spread() -> None:
         Keypoints(one.photo, one.size_px, np.where(np.arange(60)[:, None] < 20, 3.0, one.pixels_px), one.scale_px)
         for one in photos
     ]
-    matches = [(0, 1, every), (1, 2, every), (2, 3, every[:20])]
+    matches = [PairMatch(0, 1, every), PairMatch(1, 2, every), PairMatch(2, 3, every[:20])]
     tracks = follow_tracks(crowded, matches, TrackChoice(max_points=30))
     assert len(tracks.points.targets) == 30
     in_corner = int((tracks.points.n_rays == 4).sum())
@@ -83,7 +83,7 @@ def test_few_points_are_the_longest_and_spread() -> None:
 
 def test_no_track_is_said() -> None:
     with pytest.raises(EstimationError, match="no feature was followed through 3 photos \\(1 through fewer"):
-        follow_tracks(photos_of([4, 4, 4]), [(0, 1, pairs((0, 0)))])
+        follow_tracks(photos_of([4, 4, 4]), [PairMatch(0, 1, pairs((0, 0)))])
 
 
 def test_kinds_get_their_own_sigmas() -> None:
