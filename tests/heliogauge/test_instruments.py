@@ -9,6 +9,7 @@ import pytest
 
 from heliogauge.errors import InputError
 from heliogauge.instruments import Kind, every_kind, instrument_named, instruments, read_resource, resolve
+from heliogauge.measurement.templates import write_template
 
 KINDS = every_kind()
 
@@ -34,6 +35,13 @@ def test_what_an_instrument_names_exists() -> None:
 def test_unknown_instrument_suggests_the_near_one() -> None:
     with pytest.raises(InputError, match=r"'observr' is not known; did you mean observer\?"):
         instrument_named("observr")
+
+
+def test_an_incomplete_installation_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without its entry points (a copy of the sources that was never installed) nothing can be measured."""
+    monkeypatch.setattr("heliogauge.instruments.instruments", lambda: ())
+    with pytest.raises(InputError, match=r"'observer' is not known; .*not installed whole"):
+        write_template("observer", tmp_path)
 
 
 def run_python(program: str, folder: Path) -> subprocess.CompletedProcess[str]:

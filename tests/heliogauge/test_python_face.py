@@ -122,6 +122,14 @@ def test_synthetic_measurements_load(tmp_path: Path) -> None:
     assert hg.load(folder).model.kind == "heliostat"
 
 
+def test_a_measurement_that_fills_its_folder_itself(tmp_path: Path) -> None:
+    folder = hg.synth("heliostat", tmp_path / "m")
+    result = hg.measure(folder, thorough=False, jobs=1, only="H01,H02")
+    assert result.kind == "heliostat-field"
+    assert sorted(result.tables["field"]["heliostat"]) == ["H01", "H02"]
+    assert result.doubts == hg.open(result.folder).doubts
+
+
 @pytest.mark.parametrize("one", [one for one in instruments() if one.synth], ids=lambda one: one.name)
 def test_all_synthetic_measurements_are_asked_for_alike(one: Instrument) -> None:
     given = signature(resolve(one.synth)).parameters

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.heliostat.keys import load_heliostat
 from heliogauge.errors import InputError
-from heliogauge.measurement.load import parse_measurement
+from heliogauge.measurement.load import load, parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import dump_toml
 
@@ -80,6 +80,12 @@ class TestPaintFolder:
             assert measurement.model.paint is not None
             assert measurement.model.name == folder.name
             assert measurement.input_files == ()
+
+    def test_is_recognised_among_all_kinds(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="there is no such file; write one with `heliogauge init KIND"):
+            load(tmp_path)
+        (tmp_path / "AA39_properties.json").touch()
+        assert load(str(tmp_path)).has_file is False
 
     def test_calibrations_alone_are_none(self, tmp_path: Path) -> None:
         (tmp_path / "1_calibration_properties.json").touch()
