@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.validate import FloatArray, positive
+from heliogauge.validate import FloatArray
 
 
 def reflect(directions: npt.ArrayLike, normals: npt.ArrayLike) -> FloatArray:
@@ -35,43 +35,6 @@ def reflect(directions: npt.ArrayLike, normals: npt.ArrayLike) -> FloatArray:
     normal = np.asarray(normals, dtype=np.float64)
     along = _dot(ray, normal) / _dot(normal, normal)
     return np.asarray(ray - 2 * along[..., None] * normal)
-
-
-def refract(directions: npt.ArrayLike, normals: npt.ArrayLike, index_from: float, index_to: float) -> FloatArray:
-    """Refract directions at an interface (Snell's law in vector form).
-
-    Parameters
-    ----------
-    directions : array_like, shape (..., 3)
-        Directions of travel, of any length.
-    normals : array_like, shape (..., 3)
-        Interface normals, of any length and either side; broadcast against the directions.
-    index_from, index_to : float
-        Refractive index on the side the ray comes from, and on the other.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Unit directions behind the interface; NaN where the reflection is total.
-
-    Raises
-    ------
-    InputError
-        An index is not positive.
-
-    Notes
-    -----
-    The part of the direction along the interface is scaled by index_from / index_to and the part across it follows
-    from unit length; no angle is ever computed, so nothing is lost near normal incidence.
-    """
-    ratio = positive("index_from", index_from, "") / positive("index_to", index_to, "")
-    ray = _unit(np.asarray(directions, dtype=np.float64))
-    normal = _unit(np.asarray(normals, dtype=np.float64))
-    across = _dot(ray, normal)[..., None]
-    along = ratio * (ray - across * normal)
-    with np.errstate(invalid="ignore"):
-        remaining = np.sqrt(1 - _dot(along, along)[..., None])
-    return np.asarray(along + np.copysign(remaining, across) * normal)
 
 
 def intersect_plane(

@@ -29,6 +29,7 @@ from heliogauge.errors import InputError
 from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting.style import STYLE
 from heliogauge.results.folder import Summary, read_summary
+from heliogauge.running.environment import environment
 
 REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
@@ -170,16 +171,8 @@ def _private_jupyter() -> Iterator[None]:
         changes = {"IPYTHONDIR": scratch, "JUPYTER_RUNTIME_DIR": scratch, "JUPYTER_PREFER_ENV_PATH": "1"}
         if source not in (sysconfig.get_path("purelib"), sysconfig.get_path("platlib")):
             changes["PYTHONPATH"] = os.pathsep.join(filter(None, (source, os.environ.get("PYTHONPATH"))))
-        earlier = {name: os.environ.get(name) for name in changes}
-        os.environ.update(changes)
-        try:
+        with environment(changes):
             yield
-        finally:
-            for name, value in earlier.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
 
 
 def _body(notebook: Any) -> str:

@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import FloatArray
 
 INK = "#1f2a36"
 FAINT = "#66717d"
@@ -325,12 +325,3 @@ def thinned_map(slope_map: SlopeMap) -> SlopeMap:
     kept: dict[str, Any] = {name: thinned(getattr(slope_map, name)) for name in fields}
     axes: dict[str, Any] = {"x_m": thinned(slope_map.x_m[None, :])[0], "y_m": thinned(slope_map.y_m[:, None])[:, 0]}
     return replace(slope_map, **axes, **kept)
-
-
-def values_within(field: FloatArray, within: BoolArray) -> FloatArray:
-    """Return the finite values of a field at chosen nodes, as a flat array.
-
-    Shapes: field (ny, nx), within (ny, nx), result (n,).
-    """
-    chosen = field[within]
-    return chosen[np.isfinite(chosen)]

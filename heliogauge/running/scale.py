@@ -19,6 +19,7 @@ from typing import Any, Generic, TypeVar
 
 from heliogauge import __version__
 from heliogauge.errors import InputError, MetrologyError
+from heliogauge.running.environment import environment
 
 _ContextT = TypeVar("_ContextT")
 _TaskT = TypeVar("_TaskT")
@@ -27,7 +28,7 @@ _ResultT = TypeVar("_ResultT")
 #: Tasks under way for each worker: enough that none waits for the next one, few enough that memory stays flat.
 _AHEAD = 4
 #: Threads of a worker's own linear algebra would fight over the cores that other workers have.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _CONNECT_S = 10
 
 
@@ -131,20 +132,6 @@ def _work(task: Any) -> Any:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    earlier = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in earlier.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
 def _main_unseen() -> Iterator[None]:
     """Start processes that do not run the caller's script again: what they work on is in modules."""
     main = sys.modules["__main__"]
@@ -177,7 +164,7 @@ def _in_processes(
     function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, tasks: Iterable[_TaskT], processes: int
 ) -> Iterator[Done[_TaskT, _ResultT]]:
     waiting = iter(tasks)
-    with _one_thread_each():
+    with environment(_ONE_THREAD):
         while True:
             running: dict[Future[Any], Any] = {}
             try:

@@ -131,11 +131,6 @@ class SpotImage:
         return np.asarray(np.sqrt(self.flux_per_m2 / (self.rays * area)))
 
     @property
-    def peak_flux_per_m2(self) -> float:
-        """Largest flux density of a pixel [1/m^2]."""
-        return float(self.flux_per_m2.max())
-
-    @property
     def _pixel_m2(self) -> float:
         # The flux of all pixels sums to the share in the window.
         total = float(self.flux_per_m2.sum())

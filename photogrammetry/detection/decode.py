@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.ellipse import Ellipse
-from photogrammetry.centers.pyramid import Pyramid, make_pyramid
+from photogrammetry.centers.pyramid import Pyramid
 from photogrammetry.targets.coded_targets import RingDictionary
 from photogrammetry.targets.ring_codes import VENDOR_RADII, RingCode, RingRadii
 
@@ -83,24 +82,6 @@ class RingReading:
             and self.radial_error <= limits.most_radial_error
             and self.misfit <= limits.most_misfit
         )
-
-
-def read_ring(
-    image_dn: npt.NDArray[np.generic],
-    dot: Ellipse,
-    dictionary: RingDictionary,
-    limits: RingLimits | None = None,
-) -> RingReading | None:
-    """Read the code ring round a dot.
-
-    image_dn (h, w): The photo's grey values [DN].
-    dot: The dot's outline in the photo's pixels.
-    dictionary: The codes that may occur.
-    limits: How good a ring must be.
-    Returns: None if there is no ring, or not all of it in the photo; a reading without a code if there is a ring
-        whose word no dictionary holds.
-    """
-    return read_rings(make_pyramid(image_dn), [dot], dictionary, limits)[0]
 
 
 def read_rings(

@@ -10,7 +10,7 @@ from data_synth.troughs.mirror import Rays, TroughMirror
 from data_synth.troughs.receiver import Receiver, ReceiverTable, TubeAxis
 from data_synth.troughs.scene import world_of
 from data_synth.troughs.trace import Finish, Tracer
-from heliogauge.geometry.rays import reflect, refract
+from heliogauge.geometry.rays import reflect
 from heliogauge.validate import FloatArray
 from observer.trough import Collector, ls2
 
@@ -18,6 +18,13 @@ BARE = replace(ls2(), glass=None)
 FOCAL = 1.49
 #: Far below everything else in these scenes.
 BLACK = Finish(absorber=0.0)
+
+
+def refract(ray: FloatArray, normal: FloatArray, before: float, behind: float) -> FloatArray:
+    """Refract a unit direction at an interface by Snell's law in vector form."""
+    across = ray @ normal
+    along = before / behind * (ray - across * normal)
+    return along + np.copysign(np.sqrt(1 - along @ along), across) * normal
 
 
 def rays_between(cameras: FloatArray, points: FloatArray) -> Rays:
@@ -142,7 +149,7 @@ def through_glass_in_space(start: FloatArray, direction: FloatArray, design: Col
         c = point[0] ** 2 + point[2] ** 2 - radius**2
         point = point + (-b - np.sqrt(b * b - a * c)) / a * ray
         normal = np.array([point[0], 0.0, point[2]]) / radius
-        ray = refract(ray[None], normal[None], before, behind)[0]
+        ray = refract(ray, normal, before, behind)
         before = behind
     return np.array([*point, *ray])
 
