@@ -91,7 +91,7 @@ class BundleCovariance:
         return _Carried(dense @ inverse.T, targets @ inverse.T, inverse @ core @ inverse.T)
 
     def _under_datum(self, raw: FloatArray, movements: FloatArray, carried: FloatArray) -> FloatArray:
-        """Turn blocks Q, shape (b, k, k), of unknowns with movements K and carried columns, (b, k, d), to the datum."""
+        """Turn blocks Q, (b, k, k), of unknowns with movements K and columns ``Q G M^T``, (b, k, d), to the datum."""
         if not movements.shape[2]:
             return np.asarray(0.5 * (raw + np.swapaxes(raw, 1, 2)))
         core = self._carried.core

@@ -31,7 +31,7 @@ class Datum:
     kind: Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against
         the start are zero, which gives them the smallest mean variance. Minimal constraints hold coordinates of
         three targets, as many as needed. PHOTOS holds position and rotation of one photo and, where there is no
-        scale, one coordinate of another. CONTROL says that constraints and fixed targets must define all.
+        scale, one coordinate of another. CONTROL: constraints and fixed targets must define all.
     targets: The chosen targets; for inner constraints all by default, for minimal ones three.
     photos: The photos that are held, one or two.
     InputError: Minimal constraints without exactly three targets, or photos held without one or two.

@@ -15,7 +15,7 @@ from heliogauge.validate import FloatArray, IntArray
 
 #: Eigenvalues of the scaled normal matrix below this count as zero: 1e-6 in the Jacobian's singular values.
 EIGENVALUE_TOLERANCE = 1e-12
-#: The factor by blocks is left to the whole matrix, which tells lost directions, well before that.
+#: The factor by blocks is left to the whole matrix, which shows lost directions, well before that.
 _LEAST_EIGENVALUE = 1e-10
 #: Of the unknowns at most this share may be the rank of what ties the blocks together, or the whole matrix is cheaper.
 _LARGEST_RANK_SHARE = 0.25

@@ -12,7 +12,7 @@ from photogrammetry.bundle.problem import BundleProblem
 from photogrammetry.bundle.rows import BundleModel, CameraRows, runs
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 
-# Below this share nothing of an error shows in the residual, and its test says nothing.
+# Below this share nothing of an error shows in the residual, and its test has no meaning.
 _UNCONTROLLED = 1e-6
 
 

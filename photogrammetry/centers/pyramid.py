@@ -34,7 +34,7 @@ class Pyramid:
         return width, height
 
     def level_for(self, shapes_px2: FloatArray) -> IntArray:
-        """Tell on which level ellipses are looked at: with 12 to 24 px from centre to edge, or as fine as the photo.
+        """Return on which level ellipses are looked at: with 12 to 24 px from centre to edge, or as fine as the photo.
 
         Shapes: shapes_px2 (n, 2, 2), result (n,).
         """

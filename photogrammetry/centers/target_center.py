@@ -14,7 +14,7 @@ REACH = 1.65
 
 
 class UnmeasuredTargetError(EstimationError):
-    """A target has no centre; the flag tells why in one word.
+    """A target has no centre; the flag names the reason.
 
     flag: The reason.
     message: The reason, with numbers.

@@ -303,7 +303,7 @@ class _Fitted:
             )
         if not self.start.is_seen[k]:
             return UnmeasuredTargetError(
-                SampleFlag.TOO_SMALL, "the target covers too few pixels to tell its level from the ground's"
+                SampleFlag.TOO_SMALL, "the target covers too few pixels to separate its level from the ground's"
             )
         if not self.start.has_contrast[k]:
             return EstimationError("the target has no contrast against its ground")

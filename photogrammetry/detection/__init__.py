@@ -1,6 +1,6 @@
 """Targets and markers found in photos and identified; false codes refused with a reason.
 
-`measure_targets` finds, reads and centres all circular targets of a photo as a `TargetSearch` says, `measure_at` those
+`measure_targets` finds, reads and centres all circular targets of a photo by a `TargetSearch`, `measure_at` those
 whose places are known, `find_markers` square markers, all as `Detections`; `board_corners` the corners of boards.
 """
 

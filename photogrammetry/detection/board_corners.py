@@ -83,7 +83,7 @@ def fit_grid(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *,
         raise EstimationError(
             f"{photo}: only {np.count_nonzero(result.found)} of {usable.size} corners are sharp enough to be measured"
         )
-    # Now that corners are known to a hundredth of a pixel they tell how the edges are bent.
+    # Now that corners are known to a hundredth of a pixel they show how the edges are bent.
     fine = np.full_like(flat, np.nan)
     fine[usable] = result.pixels_px
     bent = edge_curvatures(fine.reshape(grid_px.shape)).reshape(-1, 2)[usable]

@@ -70,7 +70,7 @@ class RingReading:
     misfit: float
 
     def within(self, limits: RingLimits) -> bool:
-        """Tell whether this is a ring.
+        """Return whether this is a ring.
 
         limits: How good it must be.
         Returns: All measures keep their limits.

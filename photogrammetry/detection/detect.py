@@ -231,7 +231,7 @@ def _ellipses_of_lines(
     whole = area[:, 0] + 0.5 * np.pi * np.trace(frames, axis1=1, axis2=2) + 0.8
     filled = whole * scale**2 > _LEAST_FILLED * np.pi * np.sqrt(np.maximum(np.linalg.det(shapes), 0.0))
     larger, smaller = _semi_axes(shapes)
-    # Boxes of a few pixels tell the axes to half a pixel each.
+    # Boxes of a few pixels give the axes to half a pixel each.
     slack = 0.6 * scale
     kept = filled & (smaller + slack > np.cos(asked.most_tilt_rad) * (larger - slack))
     return shapes[kept], ((origin[solid] + middle + 0.5) * scale - 0.5)[kept]
@@ -305,7 +305,7 @@ def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candi
 
 
 def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -> BoolArray:
-    """Tell which ellipses lie wholly within the photo."""
+    """Return which ellipses lie wholly within the photo."""
     half = np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
     return np.asarray(((centers - half > 1) & (centers + half < np.array(size_px) - 2)).all(axis=1))
 

@@ -10,7 +10,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.image_points import ImagePoints
 
-#: Before residuals tell, a feature is placed to this share of its size, and never better than the floor [px].
+#: Before there are residuals, a feature is placed to this share of its size, and never better than the floor [px].
 START_SIGMA_SHARE, START_SIGMA_PX = 0.12, 0.1
 #: Cells along the longer side of a photo over which kept tracks are spread.
 _CELLS = 12

@@ -1,7 +1,7 @@
 """Square markers (ArUco, AprilTag) in a photo: found by OpenCV, checked bit by bit, corners from their sides.
 
 OpenCV's detector corrects bits and accepts what its contours give, so that a carpet reads as a marker now and then, and
-its corners are whole pixels. Here every bit must be what the dictionary says, with contrast, and every side a straight
+its corners are whole pixels. Here every bit must be that of the dictionary, with contrast, and every side a straight
 edge; what fails is named with the reason.
 """
 

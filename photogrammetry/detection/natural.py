@@ -25,7 +25,7 @@ _FARTHEST_RAD, _RATIO = 0.7, 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """Features of one photo with what tells them from others.
+    """Features of one photo with their descriptors.
 
     descriptors (n, 128): Descriptors of unit length.
     """

@@ -208,7 +208,7 @@ def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
 def _uncoded(
     image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], coded: Sequence[Ellipse], search: TargetSearch
 ) -> tuple[list[TargetCenter], list[UnusedTarget]]:
-    """Measure the dots without a code that lie in no coded target, and tell which may be a coded one cut off."""
+    """Measure the dots without a code that lie in no coded target, and name those that may be a coded one cut off."""
     radii = VENDOR_RADII if search.dictionary is None else search.dictionary.radii
     rings = [ring_outline(dot, radii) for dot in coded]
     middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,11 +19,11 @@ _MOST_BAND_PX, _BAND_CELLS = 4.0, 0.85
 _PASSES = 3
 _STEPS = 8
 _N_PARAMETERS = 7
-#: Width of an edge before it is measured: small markers do not tell it apart from a shift of the side.
+#: Width of an edge before it is measured: small markers do not separate it from a shift of the side.
 _USUAL_WIDTH_PX, _WIDTH_SIGMA_PX = 0.6, 0.3
 #: Below this many pixels for a cell, the border's inner edge is seen together with its outer one.
 _LEAST_CELL_PX = 1.5
-#: Sections of a side whose own offsets tell how straight it is.
+#: Sections of a side whose own offsets show how straight it is.
 _SECTIONS = 6
 #: Variance of a pixel's own width [px^2].
 _PIXEL_VARIANCE = 1 / 12
@@ -112,7 +113,7 @@ def with_correlated_errors(squares: Sequence[SquareCorners]) -> tuple[SquareCorn
 
     `square_corners` takes the errors of pixels for independent. Demosaicing, sharpening and JPEG make neighbours err
     alike, and print and paper are not straight: sections of the sides scatter 1.5 times as much as independent pixels
-    would make them. The median of that excess over the photo's squares (one square tells it to a third only)
+    would make them. The median of that excess over the photo's squares (one square gives it to a third only)
     multiplies the covariance. What bends or shifts a side as a whole does not show as scatter of its sections; it is
     taken to be twice their excess, and alike for all corners. On the 54 photos of ``scene_reconstruction`` residuals
     of the network over these sigmas are 1.0 for small, large, near and tilted markers alike; with independent pixels
@@ -142,7 +143,7 @@ def _fit_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.ND
     outward = np.array([along[1], -along[0]])
     if (corners.mean(axis=0) - first) @ outward > 0:
         outward = -outward
-    # Inside, the band ends within the black border; a tilted square's border is narrower than its side tells.
+    # Inside, the band ends within the black border; a tilted square's border is narrower than its side suggests.
     ends = [abs((c - first) @ outward) / cells for c in (corners[(k + 3) % 4], corners[(k + 2) % 4])]
     border = min(length / cells, *ends)
     band = min(_MOST_BAND_PX, max(_BAND_CELLS * border, 1.0)), min(_MOST_BAND_PX, max(border, 2.0))
@@ -185,16 +186,24 @@ def _fit_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.ND
     return _Side(p[:2], covariance[:2, :2], offsets, float(p[5] + 0.5 * p[6]), float(p[2]), excess)
 
 
+class _Band(NamedTuple):
+    """Pixels along a side: position along it (0 to 1), distance outwards [px], grey value [DN]."""
+
+    along: FloatArray
+    outwards_px: FloatArray
+    values_dn: FloatArray
+
+
 def _near_side(
     window_dn: FloatArray, first: FloatArray, along_per_px: FloatArray, outward: FloatArray, band: tuple[float, float]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the pixels within a band: position along the side (0 to 1), distance outwards, grey value."""
+) -> _Band:
+    """Return the pixels within a band."""
     x = np.arange(window_dn.shape[1]) - first[0]
     y = (np.arange(window_dn.shape[0]) - first[1])[:, None]
     t = along_per_px[0] * x + along_per_px[1] * y
     d = outward[0] * x + outward[1] * y
     near = (t > _FROM) & (t < _TO) & (d > -band[0]) & (d < band[1])
-    return t[near], d[near], np.asarray(window_dn[near], dtype=np.float64)
+    return _Band(t[near], d[near], np.asarray(window_dn[near], dtype=np.float64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -75,7 +75,7 @@ def read_image_points_csv(
         text = (
             f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; "
             f"{sigmas[np.argmax(missing), 0]:g} px was taken. Only ratios of the sigmas are known then, so the "
-            'residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"'
+            'residuals scale the covariance unless measurement.toml has [adjustment] sigmas = "stated"'
         )
         numbers = {"missing_count": int(missing.sum()), "image_points_count": len(photos)}
         doubts = (Doubt("image_points_without_sigma", text, numbers),)

@@ -1,4 +1,4 @@
-"""What measurement.toml of ``kind = "photogrammetry"`` may say of a camera."""
+"""Keys of a camera in measurement.toml."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -135,12 +135,12 @@ class NetworkCameraSection(Section):
 
     @property
     def is_known(self) -> bool:
-        """Whether the file tells the lens, and not only what to start from."""
+        """Whether the file states the lens, and not only what to start from."""
         return self.file is not None or self.focal_px is not None or self.millimetres is not None
 
     @property
     def has_size(self) -> bool:
-        """Whether the file tells the size of the image."""
+        """Whether the file states the size of the image."""
         return self.file is not None or self.width_px is not None
 
     @property

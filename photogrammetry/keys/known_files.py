@@ -25,7 +25,7 @@ _Kind = TypeVar("_Kind", bound=Section)
 
 
 def with_known_files(model: PhotogrammetryModel, folder: Path) -> PhotogrammetryModel:
-    """Add what the tables of ``[files]`` say to what measurement.toml says.
+    """Add the tables of ``[files]`` to the model.
 
     Returns: The same with the tables' rows appended: ``control_points`` with the columns target, x_m, y_m, z_m and,
         if they are not exact, sigma_x_mm, sigma_y_mm, sigma_z_mm; ``scale_bars`` with a, b, length_m, sigma_mm and,

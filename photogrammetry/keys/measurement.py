@@ -1,4 +1,4 @@
-"""What measurement.toml of ``kind = "photogrammetry"`` may say."""
+"""Keys of measurement.toml of ``kind = "photogrammetry"``."""
 
 from typing import Annotated, Literal, Self
 

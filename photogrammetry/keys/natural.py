@@ -1,4 +1,4 @@
-"""What measurement.toml says of natural features: photos without targets, or with few."""
+"""Keys of natural features: photos without targets, or with few."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""What measurement.toml says of the targets in photos."""
+"""Keys of the targets in photos."""
 
 from typing import Annotated, Literal, Self
 
@@ -37,8 +37,8 @@ class TargetsSection(Section):
     radii of the dot, say how the codes are printed where that is not as the dictionary has it.
 
     Dots without a code are matched through the poses that coded targets give; ``uncoded`` or ``uncoded_file`` names
-    them. Without a dictionary they are told by that list alone, with a known camera, or followed from marks set by hand
-    (``tracked_from``).
+    them. Without a dictionary they are named by that list alone, with a known camera, or followed from marks set by
+    hand (``tracked_from``).
     """
 
     dictionary: Text | None = Field(

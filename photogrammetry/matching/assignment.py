@@ -28,7 +28,7 @@ _REFINED = 10
 #: Probability of refusing a dot that is right.
 _SIGNIFICANCE = 1e-3
 _MOST_ACCIDENTS = 0.01
-#: Two rivals whose stated up direction differs by less are not told apart by it.
+#: Two rivals whose stated up direction differs by less are not distinguished by it.
 _LEAST_TURN_RAD = np.deg2rad(30.0)
 
 
@@ -207,7 +207,7 @@ def _refine_best(scene: _Scene, poses: tuple[FloatArray, FloatArray], tried: int
         places = seen[..., :2] / depth[..., None]
         off = np.linalg.norm(places[:, :, None] - scene.ideal[None, None], axis=3)
         nearest = np.where(np.isfinite(off), off, np.inf).min(axis=2)
-        # Three noisy points carry their errors outwards: twice the three sigma of one.
+        # Errors of three noisy points grow outwards: twice the three sigma of one.
         reach = 6 * np.hypot(noise, spread / np.nan_to_num(depth, nan=np.inf))
         counts[own] = (nearest < reach).sum(axis=1)
         costs[own] = np.minimum(nearest / np.maximum(reach, 1e-300), 1.0).sum(axis=1)
@@ -337,7 +337,7 @@ def _select(found: Sequence[_Solution], listed: ListedTargets, sense: Sense) -> 
     tilts = [_tilt_rad(one.pose, sense.up) for one in rivals]
     order = np.argsort(tilts)
     if tilts[order[1]] - tilts[order[0]] < _LEAST_TURN_RAD:
-        raise EstimationError(f"{text}, and the stated up direction does not tell them apart; state the front, too")
+        raise EstimationError(f"{text}, and the stated up direction does not distinguish them; state the front, too")
     return rivals[int(order[0])]
 
 

@@ -1,6 +1,6 @@
 """Listed targets followed from photo to photo: where each must be, so that only there it is measured.
 
-Following gives no measurement. It says to half a pixel or so where targets are and with what pose the photo was taken;
+Following gives no measurement. It finds to half a pixel or so where targets are, and the pose of the photo;
 `photogrammetry.detection.photo_targets` then measures them.
 """
 
@@ -25,11 +25,11 @@ Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 #: targets are looked for that far, the others near to where the shift of those has them; 1 degree of a turn about the
 #: line of sight moves a target at the border of a photo of 2 megapixels by 17 px.
 _WIDE_PX, _SEARCH_PX = 128, 32
-#: That many targets, each within that distance of where others have it, tell the pose [px].
+#: That many targets, each within that distance of where others have it, determine the pose [px].
 _ENOUGH, _NEAR_PX = 6, 12
-#: A flight is steady while its movement tells the next photo this well [px].
+#: A flight is steady while its movement predicts the next photo this well [px].
 _STEADY_PX = 8.0
-#: How many targets tell how the picture has moved, turned and grown, at first and if they were wrong; and how far they
+#: How many targets show how the picture has moved, turned and grown, at first and if they were wrong; and how far they
 #: may be from that [px].
 _TELLING, _AGREEING_PX = (2, 4), 16.0
 #: Radius in pixels that a dot has in the reduced pictures in which it is looked for: far away, and near by.
@@ -100,7 +100,7 @@ class Track:
     motion : RigidTransform, optional
         This pose from that of the photo before.
     steady : bool, optional
-        Whether the movement before told this photo's.
+        Whether the movement before predicted that of this photo.
     """
 
     pose: RigidTransform
@@ -148,7 +148,7 @@ def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pos
     Parameters
     ----------
     found : Detections
-        A photo's targets, told by their codes.
+        A photo's targets, named by their codes.
     known : KnownTargets
         The list.
     camera : Camera
@@ -397,7 +397,7 @@ def _top(values: Float32Array, index: int) -> float:
 
 
 def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: RigidTransform) -> RigidTransform:
-    """Refine a pose by a few Gauss-Newton steps; it only tells windows, so 0.05 px are enough.
+    """Refine a pose by a few Gauss-Newton steps; it only places windows, so 0.05 px are enough.
 
     Steps are those of a camera without lens errors, which change them by some percent; residuals are exact.
     """

@@ -21,7 +21,7 @@ from photogrammetry.start_values.network import LeftOut
 _COARSE_RADIUS_PX = 12.0
 #: Half size of a coarse template, at least: it must hold surroundings, because targets look alike [px].
 _COARSE_HALF_PX = 9
-#: Least number of targets that tell a common motion.
+#: Least number of targets that determine a common motion.
 _LEAST_COMMON = 4
 
 
@@ -73,7 +73,7 @@ class Track:
 class TrackedPhoto:
     """The targets in one photo.
 
-    detections: Centres; lost targets carry the flag NOT_SEEN and no place.
+    detections: Centres; lost targets have the flag NOT_SEEN and no place.
     ellipses_px2 (n, 2, 2): Their ellipses; NaN where lost [px^2].
     lost: Targets that were lost, and why.
     """

@@ -230,7 +230,7 @@ class UncertainRays:
         observed = self.dots.pixels_px[rows].reshape(len(rows), -1)
         alone = self.noise(rows)
         points = points.copy()
-        # From where two rays pass each other one step leaves nothing; the second one tells the residuals.
+        # From where two rays pass each other one step leaves nothing; the second one gives the residuals.
         for turn in range(2):
             pixels, a, b = self.linear(photos, points)
             whole = alone + b @ joint @ np.swapaxes(b, 1, 2)

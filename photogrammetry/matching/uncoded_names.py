@@ -123,7 +123,7 @@ def list_frame(points_m: FloatArray, known_m: Mapping[str, FloatArray], listed: 
         return align_points(own, listed.points_m[common], names=[listed.names[k] for k in common]).b_from_a
     if len(listed) < 3 or len(points_m) < 3:
         raise EstimationError(
-            f"listed targets: {len(listed)} of them and {len(points_m)} points without a code cannot tell the list's "
+            f"listed targets: {len(listed)} of them and {len(points_m)} points without a code leave open the list's "
             "frame; give control points, or list three coded targets too"
         )
     reach = 4 * float(np.sqrt((listed.sigma_m**2).sum(axis=1).mean()))
@@ -176,7 +176,7 @@ def _try_frames(points_m: FloatArray, listed: ListedTargets, base: IntArray, rea
 def _settle(frame: RigidTransform, points_m: FloatArray, listed: ListedTargets, reach: float) -> _Frame:
     """Fit a frame to all targets that find a point; fewer than three, or on a line, are refused."""
     sigma = np.sqrt((listed.sigma_m**2).mean(axis=1))
-    # A triple carries its errors outwards: twice the reach at first.
+    # Errors of a triple grow outwards: twice the reach at first.
     for limit in (2 * reach, reach, reach):
         far = np.linalg.norm(frame.apply(points_m)[None] - listed.points_m[:, None], axis=2)
         nearest = np.argmin(far, axis=1)

@@ -1,4 +1,4 @@
-"""Length measurement error: what a network says of known lengths, in the form of VDI/VDE 2634 part 1."""
+"""Length measurement error: known lengths as a network has them, in the form of VDI/VDE 2634 part 1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

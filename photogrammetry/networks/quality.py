@@ -32,7 +32,7 @@ _MANY_REJECTED = 0.08
 
 @dataclass(frozen=True, slots=True)
 class CheckedDistance:
-    """A known distance, and what the network says of it.
+    """A known distance beside the one in the network.
 
     name: The two targets.
     used: Whether the adjustment knew it.
@@ -261,7 +261,7 @@ def _unturned(bundle: BundleResult) -> Iterator[Doubt]:
 def _kept_outliers(bundle: BundleResult) -> Iterator[Doubt]:
     """Count image points that were used and contradict the rest: nothing is rejected on request, or rounds ran out."""
     tests = examine_image_points(bundle)
-    # Sigmas that are too small as a whole are said elsewhere; here one point against the others.
+    # Sigmas that are too small as a whole are reported elsewhere; here one point against the others.
     scale = max(1.0, bundle.variance_factor) if np.isfinite(bundle.variance_factor) else 1.0
     squared = tests.length_squared / scale
     limit = -2 * np.log(_FAMILY / max(squared.size, 1))

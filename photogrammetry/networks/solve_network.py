@@ -32,7 +32,7 @@ class Knowledge:
 
     constraints: Scale bars, distances, coordinates, planes, weighted control points.
     fixed_m (3,): Control points without error [m].
-    start: Poses and targets to start from; where nothing else says it, position, rotation and scale are theirs.
+    start: Poses and targets to start from; where nothing else defines them, position, rotation and scale are theirs.
     one_target_size: Whether all targets are equally large, whatever their size: helps the correction of
         eccentricity.
     """

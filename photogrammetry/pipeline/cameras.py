@@ -1,4 +1,4 @@
-"""From what measurement.toml says of cameras to cameras, what of them is free, and which photo is whose."""
+"""Cameras of a network from measurement.toml: start values, what is free, and which photo each took."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -132,12 +132,12 @@ def _from_file(path: Path, name: str) -> Camera:
     try:
         return read_camera_json(path)
     except InputError:
-        # A file with several cameras: the section's name says which.
+        # A file with several cameras: the section's name selects one.
         return read_camera_json(path, name)
 
 
 def _film_focal_length(measurement: PhotogrammetryMeasurement, camera: str, names: Sequence[str]) -> float | None:
-    """Return what EXIF says of the focal length on a film of 36 mm x 24 mm, if the photos agree."""
+    """Return the focal length in EXIF for a film of 36 mm x 24 mm, if the photos agree."""
     files = {file.name: file for file in measurement.photo_files}
     found = {name: focal_length_35mm(_beginning(files[name])) for name in names if name in files}
     said = {name: value for name, value in found.items() if value is not None}

@@ -1,4 +1,4 @@
-"""Targets of photos by whatever tells them: codes, marks followed from photo to photo, a list of rough places."""
+"""Targets of photos by whatever names them: codes, marks followed from photo to photo, a list of rough places."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,11 +32,11 @@ def measure_targets_of(
 ) -> MeasuredPhotos:
     """Measure the targets of all photos.
 
-    section: What targets the photos show, and what tells them.
+    section: What targets the photos show, and what names them.
     jobs: Photos measured side by side.
     Returns: Image points with covariances, dots without a name, and what was refused.
     InputError: Photos, dictionary, marks or list that cannot be used; a list alone without a known camera.
-    EstimationError: No photo shows a target that can be told.
+    EstimationError: No photo shows a target that can be named.
     """
     files = measurement.photo_files
     search = build_search(section, measurement.folder)
@@ -100,7 +100,7 @@ def _read_marks(path: Path, photos: Sequence[str]) -> _Marks:
 
 
 def _join(one: OnePhoto, followed: TrackedPhoto) -> OnePhoto:
-    """Add followed targets to those told by codes; their dots are no others."""
+    """Add followed targets to those named by codes; their dots are no others."""
     tracked = followed.detections
     good = np.nonzero(tracked.usable)[0]
     free = _away(one.dots.pixels_px, tracked.pixels_px[good], tracked.radius_px[good])
@@ -144,23 +144,23 @@ def _name_by_list(
     for stated in measurement.model.camera:
         if not stated.is_known:
             raise InputError(
-                f"camera {stated.name}: targets without a code are told by their list only with a known camera; give "
+                f"camera {stated.name}: targets without a code are named by their list only with a known camera; give "
                 "file or focal_px, or use coded targets or tracked_from"
             )
     photos = [one.detections.photo for one in found]
     cameras = build_cameras(measurement, photos, {one.detections.photo: one.size_px for one in found})
     sense = Sense(*(None if value is None else np.array(value) for value in (section.up, section.front)))
-    told, reasons = [], []
+    named, reasons = [], []
     for one in found:
         camera = cameras.cameras[cameras.camera_of[one.detections.photo]]
         try:
-            told.append(_name_dots(one, camera, listed, sense))
+            named.append(_name_dots(one, camera, listed, sense))
         except EstimationError as error:
             reasons.append(str(error))
-            told.append(replace(one, refused=(*one.refused, LeftOut(one.detections.photo, str(error)))))
+            named.append(replace(one, refused=(*one.refused, LeftOut(one.detections.photo, str(error)))))
     if len(reasons) == len(found):
-        raise EstimationError(f"images.photos: in none of {len(found)} photos the list tells the dots; {reasons[0]}")
-    return told
+        raise EstimationError(f"images.photos: in none of {len(found)} photos the list names the dots; {reasons[0]}")
+    return named
 
 
 def _name_dots(one: OnePhoto, camera: Camera, listed: ListedTargets, sense: Sense) -> OnePhoto:

@@ -1,4 +1,4 @@
-"""What the command line says of a network."""
+"""The lines of a result on the terminal."""
 
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary

@@ -1,4 +1,4 @@
-"""From what measurement.toml says to constraints, start values, a datum and a search."""
+"""Constraints, start values, datum and search from measurement.toml."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -98,7 +98,7 @@ def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:
 
 
 def _of_collector(section: CollectorSection | None) -> list[Constraint]:
-    """Return what the shape of a trough says of targets on its rim (spec of the collector: z = w^2 / (16 f))."""
+    """Return what the shape of a trough implies for targets on its rim (spec of the collector: z = w^2 / (16 f))."""
     if section is None:
         return []
     sigma_m, half_m = 1e-3 * section.sigma_mm, 0.5 * section.width_m
@@ -162,7 +162,7 @@ def build_knowledge(
     """Collect what is known of a network besides image points.
 
     start: Poses and targets to start from instead of those that measurement.toml names.
-    listed: Targets without a code. Where the list alone tells the targets, its frame and scale become the network's.
+    listed: Targets without a code. Where the list alone names the targets, its frame and scale become the network's.
     InputError: Start values that cannot be read, or an impossible datum.
     """
     model = measurement.model

@@ -25,7 +25,7 @@ from photogrammetry.networks.solve_uncoded import LooseDots
 from photogrammetry.start_values.network import LeftOut
 from photogrammetry.targets.ring_codes import Sense
 
-#: Share of overexposed targets from which the user is told.
+#: Share of overexposed targets from which there is a doubt.
 _MANY_CLIPPED = 0.2
 
 

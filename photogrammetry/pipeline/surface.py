@@ -335,7 +335,7 @@ def _facet_points(part: _Part, fit: SurfaceFit, section: SurfaceSection) -> Face
 
 
 def _carried(xy: FloatArray, design: DesignSurface, place: RigidTransform) -> FloatArray:
-    """Carry places x, y of a facet's frame onto its surface and into the frame of the fit."""
+    """Move places x, y of a facet's frame onto its surface and into the frame of the fit."""
     height = design.transformed(place.inverse()).quadric.height(*xy.T)
     return np.asarray(place.apply(np.column_stack([xy, height]))[:, :2])
 

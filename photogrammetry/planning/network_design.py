@@ -111,7 +111,7 @@ def plan_network(
 
     task: Object, camera, goal.
     layouts: Rings that are tried together: angles from the object's normal [rad].
-    tell: Told of each number of photos before it is tried.
+    tell: Receives each number of photos before it is tried.
     Returns: The network; `reached` is False where even the most photos are not enough.
     EstimationError: No layout sees enough to determine anything.
     """
@@ -239,5 +239,5 @@ def _about_the_camera(prediction: Prediction, task: Task) -> Iterator[Doubt]:
         if one.name in own and one.rival not in ("p1", "p2") and abs(one.correlation) > _WEAK_CORRELATION
     ]
     if tied:
-        text = "the camera's parameters can hardly be told apart: " + ", ".join(tied)
+        text = "the camera's parameters can hardly be separated: " + ", ".join(tied)
         yield Doubt("plan_intrinsics_correlated", text, {"pairs_count": len(tied)})

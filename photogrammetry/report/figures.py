@@ -328,7 +328,7 @@ def correlation_figure(results: NetworkResults) -> "Figure | None":
             )
     bar_axes = axes_in_inches(figure, 3.95, 0.95, 0.13, 2.75)
     figure.colorbar(image, cax=bar_axes)
-    add_title(figure, "Correlations of the camera's parameters", "near 1 or -1: the photos cannot tell the two apart")
+    add_title(figure, "Correlations of the camera's parameters", "near 1 or -1: the photos do not separate the two")
     return figure
 
 

@@ -141,7 +141,7 @@ def headline_table(summary: Summary, labels: dict[str, str] = LABELS) -> Html:
 
 
 def text_table(summary: Summary) -> Html:
-    """Return what must be said beside the numbers: datum, camera, meaning of sigma, quality in lengths."""
+    """Return what belongs beside the numbers: datum, camera, meaning of sigma, quality in lengths."""
     return table(("", ""), [(name.replace("_", " "), text) for name, text in summary.texts.items()])
 
 

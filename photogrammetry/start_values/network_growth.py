@@ -41,7 +41,7 @@ class Growth:
     poses: ``cam_from_world`` of the oriented photos.
     points (n, 3): Targets, NaN where not known.
     failures: Why photos are not in the network yet.
-    tried: Guessed cameras whose focal length a photo of known targets has told.
+    tried: Guessed cameras whose focal length was estimated from a photo of known targets.
     misses (m,): Residual of each image point in sigma, infinite where it took no part.
     """
 
@@ -170,13 +170,13 @@ def _known_rows(grown: Growth, photo: int) -> IntArray:
 def _resected(grown: Growth, photo: int) -> Resection:
     rows = _known_rows(grown, photo)
     if rows.size > _RESECTED:
-        # Of a thousand targets some tell the pose as well, in a fifth of the time; the next adjustment takes all.
+        # Of a thousand targets some determine the pose as well, in a fifth of the time; the next adjustment takes all.
         rows = np.sort(np.random.default_rng(photo).choice(rows, _RESECTED, replace=False))
     camera = int(grown.camera_of_photo[photo])
     seen_before = any(grown.camera_of_photo[other] == camera for other in grown.poses)
     if seen_before or camera in grown.tried or "focal_px" not in grown.models[camera].free:
         return _resection(grown, grown.cameras[camera], rows)
-    # The first photo of a guessed camera among targets that are known: they tell its focal length too.
+    # The first photo of a guessed camera among targets that are known: they determine its focal length too.
     trials = []
     for factor in _FOCAL_FACTORS:
         values = intrinsics_of(grown.cameras[camera])

@@ -130,7 +130,7 @@ def displacements(
 
     before, now: Targets of each date in its own frame; those of both dates count.
     stable: Targets known to be at rest; found by the test itself if not given.
-    family_significance: Probability that any target at rest is said to have moved.
+    family_significance: Probability that any target at rest is reported as moved.
     Returns: Vectors, covariances and tests.
     EstimationError: Too few targets in common, or fewer than half of them agree on a common motion.
 

@@ -214,7 +214,7 @@ def _chart(basis: FloatArray) -> Chart[_State]:
         reference = state.reference
         if full.size > 6:
             reference = reference.with_curvatures(reference.curvatures_per_m + full[6:])
-        # The origin of the points is carried along by the turn about the pivot.
+        # The origin of the points moves with the turn about the pivot.
         arm = state.pose.translation_m - state.pivot_m
         turned = rotation_from_vector(full[:3]) @ arm - arm
         pose = state.pose.moved(np.append(full[:3], turned + full[3:6]))
@@ -270,7 +270,7 @@ def _with_floor(residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray
 
 
 def _distance_covariance(points: SurfacePoints, pose: RigidTransform, normals: FloatArray) -> FloatArray:
-    """Return N C N^T with the normals carried back to the frame of the points, shape (n, n)."""
+    """Return N C N^T with the normals turned back to the frame of the points, shape (n, n)."""
     own = normals @ pose.rotation
     count = len(own)
     cube = points.covariance_m2.reshape(count, 3, count, 3)
@@ -382,7 +382,7 @@ def roughness(distance: FloatArray, reduced: FloatArray, covariance: FloatArray)
 def _assembled(
     points: SurfacePoints, state: _State, linear: _Linear, used: BoolArray, choices: FitChoices
 ) -> SurfaceFit:
-    """Carry the covariance of the points into deviations, pose and points in the surface's frame."""
+    """Propagate the covariance of the points into deviations, pose and points in the surface's frame."""
     feet, jacobian = _rows(points.points_m, state, choices)
     covariance = _distance_covariance(points, state.pose, feet.normals)
     remaining = np.eye(used.size) - jacobian @ linear.estimator

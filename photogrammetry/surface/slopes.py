@@ -1,6 +1,6 @@
 """Deviations at scattered points to a SlopeMap: local quadratics, with the sigma of points, gaps and their own scatter.
 
-The design carries the curvature; what is smoothed is the deviation from it. At every node a quadratic is fitted to
+The design has the curvature; what is smoothed is the deviation from it. At every node a quadratic is fitted to
 the deviations of the nearest points, weighted by distance: a linear estimator, so the covariance of the points goes
 through it exactly.
 """
@@ -217,7 +217,7 @@ def _axes(patches: Sequence[Patch], step: float) -> tuple[FloatArray, FloatArray
     x_m, y_m = (step * np.arange(low[k], high[k] + 1) for k in range(2))
     if x_m.size * y_m.size > 250_000:
         raise EstimationError(
-            f"slope map: {x_m.size} x {y_m.size} nodes are asked for; points tell nothing at that scale, give a larger "
+            f"slope map: {x_m.size} x {y_m.size} nodes are asked for; points show nothing at that scale, give a larger "
             "grid_step_mm"
         )
     return x_m, y_m

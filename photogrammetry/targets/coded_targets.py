@@ -28,7 +28,7 @@ class CodeReading:
 
     code: The code if the target is seen as printed.
     mirrored: The code if the image (or the print) is mirrored. Both are there for most words: the vendors' rules do
-        not tell a code from its mirror image, so whether a whole photo is mirrored is decided by all its targets
+        not distinguish a code from its mirror image, so whether a whole photo is mirrored is decided by all its targets
         together.
     turn_sectors: How many sectors clockwise the print's first sector lies from the first sector read, if seen as
         printed.
@@ -68,7 +68,7 @@ class RingDictionary:
     With 12 bit, Schneider's rule (patent DE 197 33 466 A1; AICON, Scanreference) admits 147 codes, with 14 bit 516. The
     vendor numbers them 1, 2, 3... by increasing word, the highest bit first and clockwise, ink being 1. Metashape's
     (161, 561, 2001 and 26,013 with 12, 14, 16 and 20 bit) are numbered likewise. Of the 12-bit codes 146 are common,
-    and only one of them has the same number in both: the dictionary must be told. Programs that count the *lowest* bit
+    and only one of them has the same number in both: the dictionary must be given. Programs that count the *lowest* bit
     first, clockwise, name a target by the word of its mirror image: `Sense.COUNTERCLOCKWISE` here.
     """
 

@@ -126,7 +126,7 @@ class RingCode:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the target is its own mirror image: its print cannot tell on which side it is seen."""
+        """Whether the target is its own mirror image: its print does not show from which side it is seen."""
         return mirrored_word(self.word, self.n_bits) == self.word
 
     def arcs_rad(self) -> tuple[tuple[float, float], ...]:
@@ -147,7 +147,7 @@ class RingCode:
 
 
 def ink_at(code: RingCode, x: npt.ArrayLike, y: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Tell where a target is inked.
+    """Return where a target is inked.
 
     x, y (...): Points of the target's plane as seen from the front, x right and y up, in units of the dot's radius.
     Returns (...): True in the dot and in the inked sectors.

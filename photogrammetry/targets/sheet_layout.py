@@ -94,7 +94,7 @@ def ring_pages(
             if dark:
                 areas.append(Area((rectangle(left, top, side, side),)))
             areas.append(Area(ring_paths(code, center, dot_mm / 2), 1.0 if dark else 0.0))
-            # The number names the target; the word tells dictionaries with other numbers apart.
+            # The number names the target; the word distinguishes dictionaries with other numbers.
             labels.append(Label(left + 0.5, top + side + 3.4, f"{code.name}  (word {code.word})", 3.0))
         text = f"{title}, {polarity}, dot {dot_mm:g} mm, page {number}"
         pages.append(paper.page(text, areas, labels))

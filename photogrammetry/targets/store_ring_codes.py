@@ -12,14 +12,14 @@ from heliogauge.errors import InputError
 from photogrammetry.targets.coded_targets import RingDictionary, ring_dictionary
 from photogrammetry.targets.ring_codes import RingRadii, Sense
 
-#: What the file says of the print, in CSV as comment lines before the table: ``# bits = 12``.
+#: Keys of the print, in CSV as comment lines before the table: ``# bits = 12``.
 _KEYS = ("name", "bits", "sense", "inner_radius", "outer_radius")
 _SUFFIXES = (".csv", ".toml")
 
 
 @dataclass(frozen=True, slots=True)
 class CodePrint:
-    """What is known of the print beside the dictionary; nothing given leaves what the dictionary says.
+    """What is known of the print beside the dictionary; what is not given stays as in the dictionary.
 
     sense: Sense in which the bits follow each other, highest bit first.
     inner_radius, outer_radius: Where the code ring begins and ends, in radii of the dot.

@@ -35,7 +35,7 @@ def write_sheets(
 
 
 def code_table(codes: Sequence[RingCode]) -> Mapping[str, Sequence[Any]]:
-    """Return the table that tells names, words and bits.
+    """Return the table of names, words and bits.
 
     Returns: Columns; the bits stand clockwise from 3 o'clock, 1 is ink.
     """

@@ -107,14 +107,14 @@ def test_a_list_of_rough_places_tells_the_dots(folder: Path) -> None:
 
 
 def test_list_needs_a_known_camera(folder: Path) -> None:
-    with pytest.raises(InputError, match="told by their list only with a known camera"):
+    with pytest.raises(InputError, match="named by their list only with a known camera"):
         evaluated(folder, {"uncoded_file": "rim.csv"}, {})
 
 
 def test_list_of_something_else(folder: Path) -> None:
     rows = [f"x{k},{k},{k * k},{0.1 * k**3},1.0" for k in range(5)]
     (folder / "other.csv").write_text("\n".join(["id,x_m,y_m,z_m,sigma_mm", *rows]) + "\n")
-    with pytest.raises(EstimationError, match="in none of 6 photos the list tells the dots; assignment: no pose"):
+    with pytest.raises(EstimationError, match="in none of 6 photos the list names the dots; assignment: no pose"):
         evaluated(folder, {"uncoded_file": "other.csv"})
 
 
