@@ -14,10 +14,5 @@ if TYPE_CHECKING:
     from calibration import screen as screen
 
 __getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "camera": "calibration.camera",
-        "heliostat": "calibration.heliostat",
-        "screen": "calibration.screen",
-    },
+    __name__, {"camera": "calibration.camera", "heliostat": "calibration.heliostat", "screen": "calibration.screen"}
 )

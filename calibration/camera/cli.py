@@ -22,8 +22,7 @@ def camera_command(
         typer.Option(metavar="PATTERN", help="Photos to check with, such as 'check_*': only their pose is fitted."),
     ] = None,
     leave_one_out: Annotated[
-        bool,
-        typer.Option("--leave-one-out/--no-leave-one-out", help="Also calibrate without each photo, as a check."),
+        bool, typer.Option("--leave-one-out/--no-leave-one-out", help="Also calibrate without each photo, as a check.")
     ] = True,
     jobs: Jobs = None,
     force: Force = False,

@@ -19,17 +19,7 @@ class CalibratedCameraSection(Section):
     width_px: Count | None = Field(None, description="Width of the photos, as a check [px].")
     height_px: Count | None = Field(None, description="Height of the photos, as a check [px].")
     free: Annotated[tuple[Intrinsic, ...], Field(min_length=1)] = Field(
-        (
-            "focal_px",
-            "aspect",
-            "center_x_px",
-            "center_y_px",
-            "k1",
-            "k2",
-            "p1",
-            "p2",
-            "k3",
-        ),
+        ("focal_px", "aspect", "center_x_px", "center_y_px", "k1", "k2", "p1", "p2", "k3"),
         description="Intrinsics that are estimated; the others are held at 0 or the middle.",
     )
 

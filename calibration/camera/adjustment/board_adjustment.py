@@ -13,14 +13,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry import ImagePoints
-from photogrammetry.bundle import (
-    BundleProblem,
-    BundleResult,
-    CameraModel,
-    adjust,
-    constraints,
-    statistics,
-)
+from photogrammetry.bundle import BundleProblem, BundleResult, CameraModel, adjust, constraints, statistics
 
 #: A board is taken to be as drawn to 2 % of its pitch in its plane and 10 % across it, until its departure is seen.
 _FIRST_PRIOR = np.array([0.02, 0.02, 0.1])

@@ -47,10 +47,7 @@ class Orientations:
 
 
 def find_orientations(
-    board: Chessboard | CircleGrid,
-    photos: Sequence[BoardPoints],
-    poses: Sequence[RigidTransform],
-    camera: Camera,
+    board: Chessboard | CircleGrid, photos: Sequence[BoardPoints], poses: Sequence[RigidTransform], camera: Camera
 ) -> Orientations:
     """Choose the numbering of each photo so that one shape of the board explains all of them best.
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements as BeamMeasurements
     from calibration.heliostat.beam_photos.pipeline.beams import measure_beams as measure_beams
     from calibration.heliostat.beam_photos.pipeline.beams import write_beams as write_beams
+    from calibration.heliostat.beam_photos.pipeline.figures import BeamPainter as BeamPainter
     from calibration.heliostat.beam_photos.pipeline.target_frames import ArucoMarkers as ArucoMarkers
     from calibration.heliostat.beam_photos.pipeline.target_frames import CornerPixels as CornerPixels
     from calibration.heliostat.beam_photos.pipeline.target_frames import DarkMarks as DarkMarks
@@ -24,6 +25,7 @@ __getattr__, __dir__, __all__ = lazy_face(
     {
         "ArucoMarkers": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "BeamMeasurements": "calibration.heliostat.beam_photos.pipeline.beams",
+        "BeamPainter": "calibration.heliostat.beam_photos.pipeline.figures",
         "CornerPixels": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "DarkMarks": "calibration.heliostat.beam_photos.pipeline.target_frames",
         "MarkerTemplates": "calibration.heliostat.beam_photos.pipeline.target_frames",

@@ -72,11 +72,7 @@ class Looked:
 
 
 def residual_findings(
-    fit: HeliostatFit,
-    targets: Mapping[str, PlaneTarget],
-    site: Site | None,
-    significance: float,
-    excluded: BoolArray,
+    fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None, significance: float, excluded: BoolArray
 ) -> Looked:
     """Look for terms in the residuals of a fit.
 

@@ -269,12 +269,7 @@ def _hits(fit: HeliostatFit, target: PlaneTarget, readings: FloatArray) -> Float
 
 
 def _row_finding(
-    fit: HeliostatFit,
-    rows: BoolArray,
-    kind: str,
-    severity: Severity,
-    text: str,
-    images: Sequence[str] = (),
+    fit: HeliostatFit, rows: BoolArray, kind: str, severity: Severity, text: str, images: Sequence[str] = ()
 ) -> Finding:
     seen = fit.observations
     numbers = {"rows_count": float(rows.sum()), "rows_share": float(rows.mean())}

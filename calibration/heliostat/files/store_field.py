@@ -122,9 +122,7 @@ def field_summary(
     ]
     doubts += [
         Doubt(
-            "heliostat_faulty",
-            f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}",
-            severity=Severity.SERIOUS,
+            "heliostat_faulty", f"{row['heliostat']} ({row['diagnosis']}): {row['reason']}", severity=Severity.SERIOUS
         )
         for row in rows
         if row["status"] == "faulty"

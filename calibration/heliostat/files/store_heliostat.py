@@ -1,6 +1,6 @@
 """Results of heliostats on disk: ``heliostat.json``, ``residuals.csv``, ``summary.json``, ``field.csv``."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from calibration.heliostat.fitting.splits import AngleSummary, HeldOut
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.store_design import design_content
 from heliogauge.doubts import doubt_content
+from heliogauge.errors import InputError
+from heliogauge.geometry.sun import Site
 from heliogauge.results.folder import Summary, write_json, write_table_csv
 from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
@@ -299,3 +301,26 @@ def heliostat_summary(
 def read_heliostat(folder: Path) -> dict[str, Any]:
     """Read ``heliostat.json`` of a folder of results."""
     return read_json(folder / HELIOSTAT_FILE)
+
+
+def read_results(folder: Path) -> Iterator[dict[str, Any]]:
+    """Read ``heliostat.json`` of each calibrated heliostat in a folder of results.
+
+    InputError: No results there, or results of another version.
+    """
+    files = (
+        [folder / HELIOSTAT_FILE] if (folder / HELIOSTAT_FILE).is_file() else sorted(folder.glob(f"*/{HELIOSTAT_FILE}"))
+    )
+    if not files:
+        raise InputError(f"{folder}: no {HELIOSTAT_FILE} here or one folder below; give the results of a calibration")
+    for file in files:
+        content = read_heliostat(file.parent)
+        missing = [key for key in ("design", "parameters", "targets", "site") if key not in content]
+        if missing:
+            raise InputError(f"{file}: {', '.join(missing)} are missing; calibrate again with this version")
+        yield content
+
+
+def stored_site(content: Mapping[str, Any]) -> Site:
+    """Return the site from the content of ``heliostat.json``."""
+    return Site(**{"temperature_c": 12.0, **content["site"]})

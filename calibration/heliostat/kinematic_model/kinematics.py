@@ -259,11 +259,7 @@ def _add_constant(into: tuple[FloatArray, FloatArray], link: _Link, start: _Fram
 
 
 def _add_driven(
-    into: tuple[FloatArray, FloatArray],
-    link: _Link,
-    start: _Frame,
-    gains: Mapping[int, FloatArray],
-    centre: FloatArray,
+    into: tuple[FloatArray, FloatArray], link: _Link, start: _Frame, gains: Mapping[int, FloatArray], centre: FloatArray
 ) -> None:
     """Add what the parameters of the drive at a link's end do."""
     if not gains or link.driven is None:

@@ -297,12 +297,7 @@ _LINEAR_FREE_SETS = {
 
 
 def with_drive_terms(
-    design: HeliostatDesign,
-    drive: int,
-    terms: Sequence[str],
-    *,
-    worm_ratio: float = 0.0,
-    sag_zero_rad: float = 0.0,
+    design: HeliostatDesign, drive: int, terms: Sequence[str], *, worm_ratio: float = 0.0, sag_zero_rad: float = 0.0
 ) -> HeliostatDesign:
     """Return the same heliostat whose drive may have more errors; each is 0 (the scale 1) and held.
 

@@ -157,12 +157,7 @@ def parse_rows(header: Sequence[str], lines: Mapping[int, str]) -> Rows:
     columns = dict(zip(header, zip(*cells, strict=True), strict=True)) if cells else dict.fromkeys(header, ())
     texts = {name: tuple(cell.strip() for cell in columns[name]) for name in TEXT_COLUMNS if name in columns}
     blank = Rows(
-        tuple(f"line {line}" for line in lines),
-        {},
-        texts,
-        np.full(len(cells), NO_TIME),
-        tuple(flags),
-        tuple(reasons),
+        tuple(f"line {line}" for line in lines), {}, texts, np.full(len(cells), NO_TIME), tuple(flags), tuple(reasons)
     )
     verdicts = Verdicts(blank)
     numbers = {name: _numbers(name, columns[name], verdicts) for name in header if name not in TEXT_COLUMNS}

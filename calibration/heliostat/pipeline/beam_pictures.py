@@ -5,15 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.light.beam_image import BeamSettings
-from calibration.heliostat.beam_photos.pipeline.beams import write_beams
-from calibration.heliostat.beam_photos.pipeline.figures import beam_image_figure
-from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
+from calibration.heliostat.beam_photos import BeamPainter, write_beams
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import residual_columns
 from calibration.heliostat.pipeline.photo_beams import beam_frames
-from heliogauge.errors import EstimationError, InputError
-from heliogauge.reporting.canvas import png_of
 from heliogauge.validate import BoolArray, FloatArray
 
 BEAMS_FILE = "beams.csv"
@@ -38,14 +33,12 @@ def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, p
     photos = [shared.folder / name for name in columns["image"]]
     seen = np.array([photo in measured for photo in photos], dtype=np.bool_)
     residual = np.asarray(columns["residual_beam_mrad"], dtype=np.float64)
-    frames = beam_frames(shared.folder, shared.plant, shared.model)
-    finders: dict[str, TargetFinder] = {}
+    painter = BeamPainter(beam_frames(shared.folder, shared.plant, shared.model))
     for number, (row, why) in enumerate(informative_rows(residual, list(columns["flag"]), seen), start=1):
-        photo, name = photos[row], str(columns["target"][row])
-        if name not in finders:
-            finders[name] = TargetFinder(frames[name])
+        photo, target = photos[row], str(columns["target"][row])
         predicted = np.array([columns["predicted_x_m"][row], columns["predicted_y_m"][row]])
-        content = _picture(finders[name], photo, predicted, f"{photo.name}: {why}")
+        # Of a photo without the target there is nothing to draw; its row has the reason.
+        content = painter.png(photo, target, predicted, title=f"{photo.name}: {why}")
         if content is not None:
             (folder / f"beam_{number:02d}.png").write_bytes(content)
 
@@ -67,13 +60,3 @@ def informative_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: Bool
     worst = [row for row in used if row not in typical][:MOST_WORST]
     chosen += [(int(row), f"among the worst, {residual_mrad[row]:.2f} mrad") for row in worst]
     return chosen + [(int(row), f"typical, {residual_mrad[row]:.2f} mrad") for row in typical]
-
-
-def _picture(finder: TargetFinder, photo: Path, predicted_m: FloatArray, words: str) -> bytes | None:
-    try:
-        image = finder.image(photo)
-    except (EstimationError, InputError):
-        return None  # Its row has the reason: there is no target to be drawn.
-    beam, _ = finder.measure(photo, BeamSettings())
-    place = predicted_m if np.isfinite(predicted_m).all() else None
-    return png_of(beam_image_figure(image, beam, aim_m=place, aim_name="predicted place", title=words, methods=False))

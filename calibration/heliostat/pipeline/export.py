@@ -1,14 +1,14 @@
 """What a calibration is for: parameters for controllers, tables of corrections, files for other programs."""
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.files.store_heliostat import HELIOSTAT_FILE, read_heliostat
+from calibration.heliostat.files.store_heliostat import read_results, stored_site
 from calibration.heliostat.files.store_paint import exported_properties
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import Driven, HeliostatDesign, LinearActuator, RotaryDrive, Turn
@@ -65,7 +65,7 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
         raise InputError(f"--step-minutes {options.step_minutes:g}: between 0.1 and 240 minutes are needed")
     with WholeFolder(out, EXPORT, force=options.force) as folder:
         controllers: list[dict[str, Any]] = []
-        for content in results_of(result):
+        for content in read_results(result):
             design = design_from(content["design"], content["parameters"], key="value")
             if isinstance(design.drives[0], LinearActuator):
                 write_json(folder / f"{design.name}_properties.json", exported_properties(content, design))
@@ -79,24 +79,6 @@ def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[s
             write_table_csv(folder / CONTROLLER_FILE, table)
         (folder / "README.txt").write_text(_README, encoding="utf-8")
         return sorted(file.name for file in folder.iterdir())
-
-
-def results_of(folder: Path) -> Iterator[dict[str, Any]]:
-    """Read ``heliostat.json`` of each calibrated heliostat in a folder of results.
-
-    InputError: No results there, or results of another version.
-    """
-    files = (
-        [folder / HELIOSTAT_FILE] if (folder / HELIOSTAT_FILE).is_file() else sorted(folder.glob(f"*/{HELIOSTAT_FILE}"))
-    )
-    if not files:
-        raise InputError(f"{folder}: no {HELIOSTAT_FILE} here or one folder below; give the results of a calibration")
-    for file in files:
-        content = read_heliostat(file.parent)
-        missing = [key for key in ("design", "parameters", "targets", "site") if key not in content]
-        if missing:
-            raise InputError(f"{file}: {', '.join(missing)} are missing; calibrate again with this version")
-        yield content
 
 
 def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
@@ -148,15 +130,7 @@ def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> di
         raise InputError(f"--target {name}: no such target; there are {', '.join(targets)}")
     if options.date is None:
         raise InputError("--date: a day is needed for the table of corrections")
-    place = content["site"]
-    site = Site(
-        place["latitude_deg"],
-        place["longitude_deg"],
-        place["altitude_m"],
-        place.get("pressure_hpa"),
-        place.get("temperature_c", 12.0),
-    )
-    times, suns = _day(options, site)
+    times, suns = _day(options, stored_site(content))
     readings = []
     for key in ("nominal", "value"):
         design = design_from(content["design"], content["parameters"], key=key)

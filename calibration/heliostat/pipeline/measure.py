@@ -61,12 +61,7 @@ class Options:
     def choose(self, measurement: HeliostatMeasurement) -> Campaign:
         """Return the heliostats of a measurement that are to be calibrated, and what they share."""
         return choose(
-            measurement,
-            split=self.split,
-            model=self.model,
-            label=self.label,
-            only=self.only,
-            thorough=self.thorough,
+            measurement, split=self.split, model=self.model, label=self.label, only=self.only, thorough=self.thorough
         )
 
     @property

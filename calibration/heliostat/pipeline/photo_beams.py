@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements, measure_beams
-from calibration.heliostat.beam_photos.pipeline.target_frames import (
+from calibration.heliostat.beam_photos import (
     ArucoMarkers,
+    BeamMeasurements,
     CornerPixels,
     DarkMarks,
     MarkerTemplates,
-    Source,
     TargetFrame,
     WholeImage,
+    measure_beams,
 )
 from calibration.heliostat.keys import BeamImagesSection, HeliostatModel
 from calibration.heliostat.observations.plant import Plant
@@ -99,7 +99,9 @@ def beam_frames(folder: Path, plant: Plant, model: HeliostatModel) -> dict[str, 
     return frames
 
 
-def _source(section: BeamImagesSection, folder: Path) -> Source:
+def _source(
+    section: BeamImagesSection, folder: Path
+) -> ArucoMarkers | CornerPixels | DarkMarks | MarkerTemplates | WholeImage:
     if section.corners_px is not None:
         return CornerPixels(np.array(section.corners_px), section.corners_sigma_px)
     if section.markers is not None:

@@ -165,12 +165,7 @@ def beam_candidates(
 
 
 def drone_candidates(
-    knowledge: Knowledge,
-    target: Place,
-    ranges_m: npt.ArrayLike,
-    *,
-    sigma_m: npt.ArrayLike,
-    directions: int = 60,
+    knowledge: Knowledge, target: Place, ranges_m: npt.ArrayLike, *, sigma_m: npt.ArrayLike, directions: int = 60
 ) -> Observations:
     """Return places from which a drone could see a target in the mirror.
 

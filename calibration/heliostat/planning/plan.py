@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from calibration.heliostat.files.store_field import FIELD_FILE
+from calibration.heliostat.files.store_heliostat import read_results, stored_site
 from calibration.heliostat.fitting.prediction import sun_positions_of_year
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.store_design import design_from
 from calibration.heliostat.observations.observations import Observations
-from calibration.heliostat.pipeline.export import results_of
 from calibration.heliostat.planning.measurement_plan import (
     Knowledge,
     MeasurementPlan,
@@ -102,8 +102,8 @@ def run(result: Path, out: Path, options: NextOptions | None = None) -> list[str
     InputError: No results there, the folder cannot be used, or no such target.
     """
     options = options or NextOptions()
-    contents = list(results_of(result))
-    site = _site(contents[0])
+    contents = list(read_results(result))
+    site = stored_site(contents[0])
     targets = {name: _target(name, one) for name, one in contents[0]["targets"].items()}
     aim_point = _aim_point(targets, options.target)
     suns = sun_positions_of_year(site, int(str(options.dates[0])[:4]), per_day=_PER_DAY_OF_YEAR)[0]
@@ -175,17 +175,6 @@ def _failed(result: Path) -> Iterator[tuple[str, str]]:
         for name, status, reason in zip(table["heliostat"], table["status"], table["reason"], strict=True):
             if status == "failed":
                 yield name, reason
-
-
-def _site(content: Mapping[str, Any]) -> Site:
-    place = content["site"]
-    return Site(
-        place["latitude_deg"],
-        place["longitude_deg"],
-        place["altitude_m"],
-        place.get("pressure_hpa"),
-        place.get("temperature_c", 12.0),
-    )
 
 
 def _target(name: str, one: Mapping[str, Any]) -> PlaneTarget:

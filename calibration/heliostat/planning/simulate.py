@@ -188,11 +188,7 @@ class Flight:
 
 
 def drawn_flight(
-    truth: HeliostatDesign,
-    target_m: npt.ArrayLike,
-    radius_m: tuple[float, float],
-    count: int,
-    rng: np.random.Generator,
+    truth: HeliostatDesign, target_m: npt.ArrayLike, radius_m: tuple[float, float], count: int, rng: np.random.Generator
 ) -> Flight:
     """Draw places of a drone on a dome about a heliostat.
 
