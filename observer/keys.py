@@ -83,18 +83,14 @@ class ModuleSection(Section):
 
 
 class PassSection(Section):
-    """Photos of one or several passes, or a video; a text with ``*`` stands for all files that match.
-
-    ``encoding`` says whether their numbers are proportional to light (linear) or drawn apart for the eye (srgb); by
-    default the edges of the reflection tell.
-    """
+    """Photos of one or several passes, or a video."""
 
     photos: ImageFiles | None = Field(
         None, description="Photos of the passes: a text with * (natural order) or a list."
     )
     video: Text | None = Field(None, description="A video of the pass, instead of photos.")
     encoding: Literal["auto", "linear", "srgb"] = Field(
-        "auto", description="Numbers proportional to light (linear) or stretched (srgb); auto: from the photos."
+        "auto", description="Numbers proportional to light, or stretched for the eye (srgb); auto: from the photos."
     )
     every_nth: Annotated[int, Field(strict=True, ge=1)] = Field(
         1, description="Which of the video's frames are used: every n-th."
@@ -210,7 +206,7 @@ class ObserverModel(MeasurementModel):
         if (twice := repeated(one.name.lower() for one in self.module)) is not None:
             raise ValueError(f"module: the name {twice} occurs twice; each module gets a folder of its name")
         if self.module and (self.targets.dictionary is None or self.targets.tracked_from is not None):
-            raise ValueError("module: several modules are told apart by coded targets; give targets a dictionary")
+            raise ValueError("module: several modules are distinguished by coded targets; give targets a dictionary")
         if self.module and (self.absorber.file is not None or self.absorber.photos is not None):
             raise ValueError("module: the absorbers of several modules are found in the common photos, or as designed")
         return self

@@ -58,7 +58,7 @@ class PlannedMirrorSection(Section):
 
 
 class PlannedAbsorberSection(Section):
-    """Whether the photos will tell the absorber's place, or its design is believed."""
+    """Whether the photos will measure the absorber's place, or the design's is taken."""
 
     source: Literal["photos", "design"] = Field(
         "photos", description="Whether photos measure its place, or the design is taken."
@@ -112,7 +112,9 @@ class ObserverPlanModel(MeasurementModel):
     @model_validator(mode="after")
     def _planned_camera(self) -> Self:
         if not self.camera.is_known or not self.camera.has_size:
-            raise ValueError("camera: give a file, or width_px, height_px and focal_px; a plan has no photos to tell")
+            raise ValueError(
+                "camera: give a file, or width_px, height_px and focal_px; a plan has no photos to take them from"
+            )
         return self
 
 
@@ -129,7 +131,7 @@ class ObserverPlanMeasurement:
 
     @property
     def earlier(self) -> Path | None:
-        """Folder of the earlier result that tells mirror and absorber; None where a typical mirror stands for it."""
+        """Folder of the earlier result with mirror and absorber; None where a typical mirror stands for it."""
         like = self.model.mirror.like
         return None if like is None else self.folder / like
 

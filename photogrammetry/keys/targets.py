@@ -33,12 +33,9 @@ class CharucoTargetSection(Section):
 class TargetsSection(Section):
     """Targets in the photos: ring codes (``aicon-12``, ``metashape-14``), square markers (``DICT_4X4_100``), dots.
 
-    A dictionary that ends in .csv or .toml is a file with ring codes of one's own. ``sense`` and the ring's radii, in
-    radii of the dot, say how the codes are printed where that is not as the dictionary has it.
-
-    Dots without a code are matched through the poses that coded targets give; ``uncoded`` or ``uncoded_file`` names
-    them. Without a dictionary they are named by that list alone, with a known camera, or followed from marks set by
-    hand (``tracked_from``).
+    A dictionary that ends in .csv or .toml is a file with ring codes of one's own. Dots without a code are matched
+    through the poses that coded targets give; ``uncoded`` or ``uncoded_file`` names them. Without a dictionary they are
+    identified by that list alone, with a known camera, or followed from marks set by hand (``tracked_from``).
     """
 
     dictionary: Text | None = Field(

@@ -144,7 +144,7 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
     folder = planned(tmp_path / "plan")
     text = (folder / "measurement.toml").read_text()
     (folder / "measurement.toml").write_text(text.replace("focal_px = 1030.0\n", ""))
-    with pytest.raises(InputError, match="a plan has no photos to tell"):
+    with pytest.raises(InputError, match="a plan has no photos to take them from"):
         load_observer_plan(folder)
     (folder / "measurement.toml").write_text(text.replace("focal_px = 1030.0", "focal_px = 9000.0"))
     with pytest.raises(EstimationError, match="photos see 4 of 12 targets"):
