@@ -5,15 +5,11 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from deflectometry.frames.light_checks import FaultKind as FaultKind
-    from deflectometry.frames.light_checks import FrameFault as FrameFault
     from deflectometry.frames.sequence_checks import check_frames as check_frames
 
 __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
-        "FaultKind": "deflectometry.frames.light_checks",
-        "FrameFault": "deflectometry.frames.light_checks",
         "check_frames": "deflectometry.frames.sequence_checks",
     },
 )

@@ -40,18 +40,10 @@ class FaultKind(StrEnum):
 class FrameFault:
     """One fault found in the frames.
 
-    Parameters
-    ----------
-    kind : FaultKind
-        What it is.
-    frames : tuple of int
-        Frames concerned, from 0; empty where it concerns all.
-    message : str
-        What was seen, in numbers, and what to do.
-    severity : {"error", "doubt"}
-        An error makes the result wrong; a doubt makes it worse.
-    numbers : mapping of str to float
-        What was seen, by name with unit.
+    frames: Frames concerned, from 0; empty where it concerns all.
+    message: What was seen, in numbers, and what to do.
+    severity: An error makes the result wrong; a doubt makes it worse.
+    numbers: What was seen, by name with unit.
     """
 
     kind: FaultKind

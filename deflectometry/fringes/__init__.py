@@ -6,7 +6,6 @@ from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
     from deflectometry.fringes.observation import Observation as Observation
-    from deflectometry.fringes.screen_map import ScreenMap as ScreenMap
     from deflectometry.fringes.screen_map import ScreenMapLimits as ScreenMapLimits
     from deflectometry.fringes.screen_map import measure_screen_map as measure_screen_map
     from deflectometry.fringes.screen_map import modulation_image as modulation_image
@@ -15,7 +14,6 @@ __getattr__, __dir__, __all__ = lazy_face(
     __name__,
     {
         "Observation": "deflectometry.fringes.observation",
-        "ScreenMap": "deflectometry.fringes.screen_map",
         "ScreenMapLimits": "deflectometry.fringes.screen_map",
         "measure_screen_map": "deflectometry.fringes.screen_map",
         "modulation_image": "deflectometry.fringes.screen_map",

@@ -69,20 +69,13 @@ class ScreenMapLimits:
 class ScreenMap:
     """The display point each pixel sees.
 
-    Parameters
-    ----------
-    u, v : ndarray of float32, shape (h, w)
-        Fractions of the displayed image from its left and from its top edge; NaN where flagged.
-    sigma_u, sigma_v : ndarray of float32, shape (h, w)
-        Standard deviations from pixel noise and the systematic phase; NaN where flagged.
-    modulation_dn : ndarray of float32, shape (h, w)
-        Mean amplitude of all sets [DN, or the response's unit].
-    flags : ndarray of uint32, shape (h, w)
-        Bits of `heliogauge.flags.SampleFlag`.
-    noise : NoiseModel
-        Noise of the readings that the sigmas rest on.
-    systematic_phase_rad : ndarray, shape (2,)
-        Phase error beyond noise of every x set and every y set, from how well the periods agree; mostly 0 [rad].
+    u, v (h, w): Fractions of the displayed image from its left and from its top edge; NaN where flagged.
+    sigma_u, sigma_v (h, w): Standard deviations from pixel noise and the systematic phase; NaN where flagged.
+    modulation_dn (h, w): Mean amplitude of all sets [DN, or the response's unit].
+    flags (h, w): Bits of `heliogauge.flags.SampleFlag`.
+    noise: Noise of the readings that the sigmas rest on.
+    systematic_phase_rad (2,): Phase error beyond noise of every x set and every y set, from how well the periods
+        agree; mostly 0 [rad].
     """
 
     u: Float32Array

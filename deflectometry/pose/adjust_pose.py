@@ -113,7 +113,7 @@ class MirrorPose:
         return self.observations.pose_with(setup, self.cam_from_mirror)
 
 
-def locate_mirror(
+def pose_from_outline(
     image_dn: npt.ArrayLike, camera: Camera, facets: Sequence[Facet], knowledge: Knowledge | None = None
 ) -> MirrorPose:
     """Find the pose of a mirror in the camera frame, from an image in which the mirror is bright.

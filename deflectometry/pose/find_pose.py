@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from deflectometry.fringes.observation import Observation
-from deflectometry.pose.adjust_pose import MirrorPose, locate_mirror, pose_from_points
+from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.given_pose import check_given_pose
 from deflectometry.pose.pose_observations import Knowledge, UncertainPose
 from deflectometry.pose.pose_without_outline import outline_from_image
@@ -86,7 +86,7 @@ def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> Lo
         )
     if not mirror.facets:
         return _find_without_outline(observation, image, setup, mirror)
-    evidence = locate_mirror(image, setup.camera, mirror.facets, mirror.knowledge)
+    evidence = pose_from_outline(image, setup.camera, mirror.facets, mirror.knowledge)
     source = (
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"

@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from deflectometry.setup.camera_and_screen import RectangularScreen as RectangularScreen
     from deflectometry.setup.camera_and_screen import Setup as Setup
-    from deflectometry.setup.camera_and_screen import TabulatedScreen as TabulatedScreen
     from deflectometry.setup.patterns import Axis as Axis
     from deflectometry.setup.patterns import FringePattern as FringePattern
     from deflectometry.setup.patterns import FringeSet as FringeSet
@@ -19,9 +17,7 @@ __getattr__, __dir__, __all__ = lazy_face(
         "Axis": "deflectometry.setup.patterns",
         "FringePattern": "deflectometry.setup.patterns",
         "FringeSet": "deflectometry.setup.patterns",
-        "RectangularScreen": "deflectometry.setup.camera_and_screen",
         "Setup": "deflectometry.setup.camera_and_screen",
-        "TabulatedScreen": "deflectometry.setup.camera_and_screen",
         "make_pattern": "deflectometry.setup.patterns",
     },
 )

@@ -191,10 +191,6 @@ def make_pattern(
     return FringePattern(tuple(FringeSet(axis, periods, steps_rad) for axis in order for periods in wanted[axis]))
 
 
-def _identity_table() -> FloatArray:
-    return np.array([0.0, 1.0])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplayLevels:
     """Levels a display may use, and the level it needs for a wanted light.
@@ -202,15 +198,14 @@ class DisplayLevels:
     minimum, maximum: Levels of the dark and the bright fringe as fractions of the display's range.
     bits: Bit depth of the frames, 8 to 16; above 8 the frames are uint16.
     level_from_light (n,): Level fraction for equally spaced fractions 0..1 of the light (the inverse of the
-        display's response), ascending from 0 to 1; without it the display is taken as linear. `gamma_table` makes
-        one for a power law.
+        display's response), ascending from 0 to 1; without it the display is taken as linear.
     InputError: Levels outside 0..1 or not ascending, an odd bit depth, a table that does not ascend from 0 to 1.
     """
 
     minimum: float = 0.0
     maximum: float = 1.0
     bits: int = 8
-    level_from_light: FloatArray = field(default_factory=_identity_table)
+    level_from_light: FloatArray = field(default_factory=lambda: np.array([0.0, 1.0]))
 
     def __post_init__(self) -> None:
         if not 0 <= self.minimum < self.maximum <= 1:
@@ -223,17 +218,6 @@ class DisplayLevels:
         if table.size < 2 or np.any(np.diff(table) <= 0) or abs(table[0]) > 1e-9 or abs(table[-1] - 1) > 1e-9:
             raise InputError("level_from_light: at least two values ascending from 0 to 1 are needed")
         object.__setattr__(self, "level_from_light", table)
-
-
-def gamma_table(gamma: float, n: int = 1025) -> FloatArray:
-    """Return the levels that make a display with light = level**gamma linear.
-
-    gamma: Exponent of the display, about 2.2 for monitors.
-    n: Number of nodes; with 1025 the light is right within 3e-4 of the range next to black, 4e-6 above 2 % light.
-    Returns (n,): Level fraction for light fractions 0..1, for `DisplayLevels.level_from_light`.
-    InputError: Gamma not positive.
-    """
-    return np.asarray(np.linspace(0.0, 1.0, n) ** (1.0 / positive("gamma", gamma, "the display's exponent")))
 
 
 def response_table(camera_dn: npt.ArrayLike, display_level: npt.ArrayLike, n: int = 4097) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deflectometry.pose.adjust_pose import MirrorPose, locate_mirror, pose_from_points
+from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.mirror_outline import beside_another, mirror_masks, sample_outlines
 from deflectometry.pose.outline_edges import correlation_points
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
@@ -73,7 +73,7 @@ def _distance(pose: RigidTransform, extra_m: float = 0.0, sigma_m: float = 0.005
 
 
 def test_pose_of_a_single_facet_comes_back_without_start_values() -> None:
-    found = locate_mirror(_draw(POSE, [_rectangle()]), CAMERA, [_rectangle()], IDEAL_SIDES)
+    found = pose_from_outline(_draw(POSE, [_rectangle()]), CAMERA, [_rectangle()], IDEAL_SIDES)
     assert _chi_square(found, POSE) < 22.5  # 99.9 % of chi-square with 6 degrees of freedom
     assert found.residual_rms_px < 0.03
     assert found.n_rejected < 0.05 * found.n_points
@@ -83,10 +83,10 @@ def test_pose_of_a_single_facet_comes_back_without_start_values() -> None:
 def test_curved_and_distorted_sides_leave_no_residual() -> None:
     # f = 1.5 m: the middles of the sides lie 60 mm deeper than the corners, 1 px in this image.
     deep = _rectangle(design=paraboloid(1.5))
-    found = locate_mirror(_draw(POSE, [deep]), CAMERA, [deep], IDEAL_SIDES)
+    found = pose_from_outline(_draw(POSE, [deep]), CAMERA, [deep], IDEAL_SIDES)
     assert found.residual_rms_px < 0.03
     assert _chi_square(found, POSE) < 22.5
-    flat = locate_mirror(_draw(POSE, [deep]), CAMERA, [_rectangle()], Knowledge((_distance(POSE),), side_share=0.0))
+    flat = pose_from_outline(_draw(POSE, [deep]), CAMERA, [_rectangle()], Knowledge((_distance(POSE),), side_share=0.0))
     assert flat.doubts
     assert flat.residual_rms_px > 2 * found.residual_rms_px
 
@@ -100,7 +100,7 @@ def test_covariance_is_honest() -> None:
         clean = draw_mirror(CAMERA, pose, [_rectangle()], blur_px=(0.0, 0.6, 1.5)[scene % 3])
         for _ in range(3):
             image = clean + rng.normal(0, 1.5, clean.shape)
-            total += _chi_square(locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES), pose)
+            total += _chi_square(pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES), pose)
             runs += 1
     # 99.9 % band of chi-square over its 360 degrees of freedom, with a tenth for the fixed part of pixel sampling.
     assert 0.70 < total / (6 * runs) < 1.27 * 1.1
@@ -108,8 +108,8 @@ def test_covariance_is_honest() -> None:
 
 def test_what_a_side_has_in_common_widens_the_covariance() -> None:
     image = _draw(POSE, [_rectangle()])
-    ideal = locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES)
-    wide = locate_mirror(image, CAMERA, [_rectangle()], Knowledge(side_share=0.0, sigma_outline_m=0.001))
+    ideal = pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES)
+    wide = pose_from_outline(image, CAMERA, [_rectangle()], Knowledge(side_share=0.0, sigma_outline_m=0.001))
     # The outline 1 mm off on each side is 1 mm / 1.2 m * sqrt(2) of size: 11 mm of distance.
     assert ideal.covariance[5, 5] < 0.002**2
     assert np.sqrt(wide.covariance[5, 5]) == pytest.approx(0.011, rel=0.5)
@@ -117,8 +117,8 @@ def test_what_a_side_has_in_common_widens_the_covariance() -> None:
 
 def test_measured_distance_is_weighted_not_forced() -> None:
     image = _draw(POSE, [_rectangle()])
-    alone = locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES)
-    loose = locate_mirror(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.003, 0.01),), side_share=0.0))
+    alone = pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES)
+    loose = pose_from_outline(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.003, 0.01),), side_share=0.0))
     (test,) = loose.distance_tests
     assert test.probability > 0.05
     assert test.image_only_m == pytest.approx(_distance(POSE).distance_m, abs=4 * test.sigma_image_only_m)
@@ -131,7 +131,7 @@ def test_measured_distance_is_weighted_not_forced() -> None:
 
 def test_wrong_distance_is_doubted_with_both_residuals() -> None:
     image = _draw(POSE, [_rectangle()])
-    found = locate_mirror(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.08, 0.002),)))
+    found = pose_from_outline(image, CAMERA, [_rectangle()], Knowledge((_distance(POSE, 0.08, 0.002),)))
     (doubt,) = found.doubts
     assert doubt.code == "distance_contradicts_image"
     assert re.search(r"contradicts the image.*mm and .* px", doubt.text)
@@ -142,13 +142,13 @@ def test_wrong_distance_is_doubted_with_both_residuals() -> None:
 
 
 def test_without_a_distance_there_is_no_test() -> None:
-    assert locate_mirror(_draw(POSE, [_rectangle()]), CAMERA, [_rectangle()]).distance_tests == ()
+    assert pose_from_outline(_draw(POSE, [_rectangle()]), CAMERA, [_rectangle()]).distance_tests == ()
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.5, np.pi / 2, -np.pi / 2, np.pi])
 def test_expected_roll_decides_which_corner_is_which(roll: float) -> None:
     pose = _rolled(POSE, roll)
-    found = locate_mirror(
+    found = pose_from_outline(
         _draw(pose, [_rectangle()]), CAMERA, [_rectangle()], Knowledge(roll_rad=roll + 0.1, side_share=0.0)
     )
     assert np.abs(_off(found.cam_from_mirror, pose)).max() < 0.01
@@ -158,14 +158,14 @@ def test_a_shape_without_symmetry_needs_no_roll() -> None:
     corners = np.array([[-0.6, -0.5], [0.6, -0.5], [0.3, 0.5], [-0.6, 0.4]])
     facet = Facet("odd", corners, paraboloid(50.0))
     pose = _rolled(POSE, -2.0)
-    found = locate_mirror(_draw(pose, [facet]), CAMERA, [facet], IDEAL_SIDES)
+    found = pose_from_outline(_draw(pose, [facet]), CAMERA, [facet], IDEAL_SIDES)
     assert np.abs(_off(found.cam_from_mirror, pose)).max() < 0.01
 
 
 def test_round_mirror_is_followed_by_its_many_sides() -> None:
     angles = 2 * np.pi * np.arange(48) / 48
     facet = Facet("round", 0.6 * np.column_stack([np.cos(angles), np.sin(angles)]), paraboloid(20.0))
-    found = locate_mirror(_draw(POSE, [facet]), CAMERA, [facet], IDEAL_SIDES)
+    found = pose_from_outline(_draw(POSE, [facet]), CAMERA, [facet], IDEAL_SIDES)
     np.testing.assert_allclose(found.cam_from_mirror.translation_m, POSE.translation_m, atol=0.02)
     assert found.residual_rms_px < 0.05
 
@@ -180,19 +180,19 @@ def test_two_tilts_that_look_alike_are_told_apart_by_the_screen() -> None:
     screen = far.translation_m + 2000 * (2 * (bisector @ line) * bisector - line)
     image = _draw(far, [facet], camera=camera, noise=3.0)
     distance = DistanceObservation(float(np.linalg.norm(far.translation_m - screen)), 20.0, np.zeros(3), screen)
-    found = locate_mirror(image, camera, [facet], Knowledge((distance,)))
+    found = pose_from_outline(image, camera, [facet], Knowledge((distance,)))
     assert "mirror_tilt_ambiguous" in [one.code for one in found.doubts]
     assert found.cam_from_mirror.rotation[:, 2] @ bisector > np.cos(0.1)
 
 
 def test_clips_and_stains_on_the_edge_are_rejected() -> None:
     image = _draw(POSE, [_rectangle()])
-    clean = locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES)
+    clean = pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES)
     columns = [int(x) for x in CAMERA.project(POSE.apply([[-0.2, -0.6, 0], [0.1, -0.6, 0]]))[:, 0]]
     row = int(CAMERA.project(POSE.apply([0.0, -0.6, 0]))[1])
     for column in columns:
         image[row - 3 : row + 3, column : column + 4] = 10
-    clipped = locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES)
+    clipped = pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES)
     assert clipped.n_points <= clean.n_points - 8
     assert _chi_square(clipped, POSE) < 22.5
 
@@ -201,21 +201,21 @@ def test_clips_and_stains_on_the_edge_are_rejected() -> None:
 def test_a_facet_on_the_border_is_refused(shift: list[float], side: str) -> None:
     cut = RigidTransform(POSE.rotation, POSE.translation_m + shift)
     with pytest.raises(EstimationError, match=f"touches the {side} border.*mirror.pose"):
-        locate_mirror(_draw(cut, [_rectangle()]), CAMERA, [_rectangle()])
+        pose_from_outline(_draw(cut, [_rectangle()]), CAMERA, [_rectangle()])
 
 
 def test_an_outline_of_another_shape_is_refused() -> None:
     angles = 2 * np.pi * np.arange(48) / 48
     disc = Facet("round", 0.6 * np.column_stack([np.cos(angles), np.sin(angles)]), paraboloid(20.0))
     with pytest.raises(EstimationError, match="does not fit the mirror's outline"):
-        locate_mirror(_draw(POSE, [disc]), CAMERA, [_rectangle()])
+        pose_from_outline(_draw(POSE, [disc]), CAMERA, [_rectangle()])
 
 
 def test_no_mirror_and_wrong_size_are_refused() -> None:
     with pytest.raises(EstimationError, match="no mirror in view"):
-        locate_mirror(np.random.default_rng(1).normal(10, 1, (154, 203)), CAMERA, [_rectangle()])
+        pose_from_outline(np.random.default_rng(1).normal(10, 1, (154, 203)), CAMERA, [_rectangle()])
     with pytest.raises(InputError, match="203 x 154 px"):
-        locate_mirror(np.zeros((100, 100)), CAMERA, [_rectangle()])
+        pose_from_outline(np.zeros((100, 100)), CAMERA, [_rectangle()])
     with pytest.raises(InputError, match="side_share"):
         Knowledge(side_share=-1.0)
 
@@ -242,7 +242,7 @@ def test_ensemble_of_24_is_found_also_with_one_missing(missing: tuple[int, ...])
     facets = _ensemble()
     seen = [facet for number, facet in enumerate(facets) if number not in missing]
     image = _draw(WIDE_POSE, seen, camera=WIDE_CAMERA)
-    found = locate_mirror(image, WIDE_CAMERA, facets, IDEAL_SIDES)
+    found = pose_from_outline(image, WIDE_CAMERA, facets, IDEAL_SIDES)
     assert _chi_square(found, WIDE_POSE) < 22.5
     assert np.flatnonzero(found.facet_share < 0.5).tolist() == list(missing)
     assert [one.code for one in found.doubts] == ["facets_dark"] * len(missing)
@@ -251,7 +251,7 @@ def test_ensemble_of_24_is_found_also_with_one_missing(missing: tuple[int, ...])
 
 def test_ensemble_with_gaps_too_narrow_to_see_is_found_by_its_rim() -> None:
     facets = _ensemble(0.004)
-    found = locate_mirror(_draw(WIDE_POSE, facets, camera=WIDE_CAMERA), WIDE_CAMERA, facets, IDEAL_SIDES)
+    found = pose_from_outline(_draw(WIDE_POSE, facets, camera=WIDE_CAMERA), WIDE_CAMERA, facets, IDEAL_SIDES)
     assert _chi_square(found, WIDE_POSE) < 22.5
     assert found.facet_share.min() > 0.9
 
@@ -312,8 +312,8 @@ def test_known_points_join_the_outline() -> None:
     points = np.array([[0.0, 0.0, 0.4]])
     known = KnownPoints(points, CAMERA.project(POSE.apply(points)), np.array([0.01]))
     image = _draw(POSE, [_rectangle()], noise=4.0)
-    alone = locate_mirror(image, CAMERA, [_rectangle()], IDEAL_SIDES)
-    joined = locate_mirror(image, CAMERA, [_rectangle()], Knowledge(points=known, side_share=0.0))
+    alone = pose_from_outline(image, CAMERA, [_rectangle()], IDEAL_SIDES)
+    joined = pose_from_outline(image, CAMERA, [_rectangle()], Knowledge(points=known, side_share=0.0))
     # A point 0.4 m before the mirror fixes the tilt.
     assert joined.covariance[0, 0] < 0.5 * alone.covariance[0, 0]
     assert _chi_square(joined, POSE) < 22.5
@@ -358,7 +358,7 @@ def test_reference_facet_agrees_with_its_measured_distance(shared_data: Path) ->
         distortion=BrownDistortion(k1=lens[0], k2=lens[1], p1=lens[2], p2=lens[3], k3=lens[4]),
     )
     distance = DistanceObservation(10.232, 0.010, np.zeros(3), screen)
-    found = locate_mirror(bright - dark, camera, [_rectangle(1.212, 1.212)], Knowledge((distance,)))
+    found = pose_from_outline(bright - dark, camera, [_rectangle(1.212, 1.212)], Knowledge((distance,)))
     # The publisher's program: 0.34 px and 66 mm apart before, 0.57 px after forcing the distance.
     assert found.residual_rms_px < 0.05
     assert abs(found.distance_tests[0].image_only_m - 10.232) < 0.03

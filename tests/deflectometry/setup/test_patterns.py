@@ -10,7 +10,6 @@ from deflectometry.setup.patterns import (
     FringeSet,
     determines_phase,
     equal_steps,
-    gamma_table,
     make_pattern,
     render_frames,
 )
@@ -73,7 +72,8 @@ def test_frames_show_the_pattern_at_pixel_centres() -> None:
 
 def test_levels_and_compensation_make_linear_light() -> None:
     pattern = make_pattern([3.0], [1.0], steps=3)
-    levels = DisplayLevels(minimum=0.2, maximum=0.9, bits=16, level_from_light=gamma_table(2.2))
+    level_from_light = np.linspace(0.0, 1.0, 1025) ** (1 / 2.2)
+    levels = DisplayLevels(minimum=0.2, maximum=0.9, bits=16, level_from_light=level_from_light)
     frame = list(render_frames(pattern, 400, 4, levels))[3][0] / 65535
     assert frame.min() == pytest.approx(0.2, abs=1e-3)
     assert frame.max() == pytest.approx(0.9, abs=1e-3)
