@@ -202,7 +202,7 @@ def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions
     if not np.isfinite(waiting[0].cost):
         _refuse_invisible(model, waiting[0])
     found = minimise(start, _evaluator(model, waiting), model.retract, options=options.descent)
-    return _assembled(problem, found, options)
+    return _assemble_result(problem, found, options)
 
 
 def _evaluator(model: BundleModel, waiting: list[BundleRows]) -> Callable[[BundleState], BundleRows]:
@@ -241,7 +241,9 @@ def _refuse_invisible(model: BundleModel, rows: BundleRows) -> None:
     )
 
 
-def _assembled(problem: BundleProblem, found: Descent[BundleState, BundleRows], options: BundleOptions) -> BundleResult:
+def _assemble_result(
+    problem: BundleProblem, found: Descent[BundleState, BundleRows], options: BundleOptions
+) -> BundleResult:
     rows = found.evaluation
     expected = normal_moments(options.loss, 2) if not rows.model.plain else None
     root = None if expected is None else np.full(rows.model.photo.size, np.sqrt(expected.slope))

@@ -35,11 +35,11 @@ def diagnose(problem: BundleProblem, system: SchurSystem, covariance: BundleCova
     Returns: First targets that fail on their own (one ray, no angle between the rays), then what photos and
         intrinsics share; empty when all is determined.
     """
-    found = (_lonely_targets(problem, system), _shared(problem, system, covariance))
+    found = (_find_lonely_targets(problem, system), _find_shared_defect(problem, system, covariance))
     return tuple(one for one in found if one is not None)
 
 
-def _lonely_targets(problem: BundleProblem, system: SchurSystem) -> Defect | None:
+def _find_lonely_targets(problem: BundleProblem, system: SchurSystem) -> Defect | None:
     lost = system.undamped.lost_targets
     which = np.nonzero(lost > 0)[0]
     if not which.size:
@@ -50,36 +50,36 @@ def _lonely_targets(problem: BundleProblem, system: SchurSystem) -> Defect | Non
     described = [f"{name} ({count} ray{'' if count == 1 else 's'})" for name, count in zip(names, rays, strict=True)]
     count = int(lost.sum())
     text = (
-        f"{count} degrees of freedom of {len(names)} targets are not determined: {_listed(tuple(described))}; each "
+        f"{count} degrees of freedom of {len(names)} targets are not determined: {_list_names(tuple(described))}; each "
         "needs two rays that meet at an angle, or known coordinates, or leave it out"
     )
     return Defect(count, names, (), (), text)
 
 
-def _shared(problem: BundleProblem, system: SchurSystem, covariance: BundleCovariance) -> Defect | None:
+def _find_shared_defect(problem: BundleProblem, system: SchurSystem, covariance: BundleCovariance) -> Defect | None:
     dense, inner = covariance.lost_movements
     count = dense.shape[1]
     if not count:
         return None
     layout, table = system.layout, problem.observations
-    dense, moved_targets = _localised(system, dense, inner * system.target_scale[:, :, None])
+    dense, moved_targets = _localise(system, dense, inner * system.target_scale[:, :, None])
     of_photo = _share(dense[: 6 * layout.n_photos].reshape(layout.n_photos, 6 * count))
-    photos = _named(of_photo, table.photos)
+    photos = _name_strongest(of_photo, table.photos)
     intrinsics: list[str] = []
     for model, columns in zip(problem.cameras, layout.intrinsic_columns, strict=True):
-        intrinsics += _named(_share(dense[columns]), tuple(f"{name} of {model.name}" for name in model.free))
+        intrinsics += _name_strongest(_share(dense[columns]), tuple(f"{name} of {model.name}" for name in model.free))
     moved = _share(moved_targets.reshape(layout.eliminated.size, 3 * count))
     names = tuple(table.targets[i] for i in layout.eliminated)
-    targets = _named(moved, names)
+    targets = _name_strongest(moved, names)
     parts = []
     if photos:
         seen = table.n_targets_in_photo
         place = {name: i for i, name in enumerate(table.photos)}
-        parts.append("photos " + _listed(tuple(f"{name} ({seen[place[name]]} targets)" for name in photos)))
+        parts.append("photos " + _list_names(tuple(f"{name} ({seen[place[name]]} targets)" for name in photos)))
     if targets:
-        parts.append("targets " + _listed(targets))
+        parts.append("targets " + _list_names(targets))
     if intrinsics:
-        parts.append("intrinsics " + _listed(tuple(intrinsics)))
+        parts.append("intrinsics " + _list_names(tuple(intrinsics)))
     text = (
         f"{count} degrees of freedom are not determined; they move {', '.join(parts)}. "
         "Add image points that tie these to the rest, hold an intrinsic or give it a prior, or leave the photos out"
@@ -87,7 +87,7 @@ def _shared(problem: BundleProblem, system: SchurSystem, covariance: BundleCovar
     return Defect(count, targets, photos, tuple(intrinsics), text)
 
 
-def _localised(system: SchurSystem, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _localise(system: SchurSystem, dense: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Take the movement of the whole network out of lost directions, so that few photos and targets move.
 
     A loose photo against a network at rest, and the network against the photo at rest, are the same freedom. The
@@ -127,11 +127,11 @@ def _share(rows: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((rows**2).sum(axis=1)))
 
 
-def _named(share: FloatArray, names: tuple[str, ...]) -> tuple[str, ...]:
+def _name_strongest(share: FloatArray, names: tuple[str, ...]) -> tuple[str, ...]:
     order = np.argsort(-share, kind="stable")
     return tuple(names[i] for i in order if share[i] > _NAMED)
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _list_names(names: tuple[str, ...]) -> str:
     rest = len(names) - _MOST_NAMES
     return ", ".join(names[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")

@@ -292,7 +292,7 @@ class SchurSystem:
 
     @cached_property
     def _undamped_step(self) -> tuple[FloatArray, float]:
-        return self._solved(self.undamped, 0.0)
+        return self._solve(self.undamped, 0.0)
 
     @cached_property
     def decrement(self) -> float:
@@ -303,7 +303,7 @@ class SchurSystem:
         """Return the damped step and the decrease of the cost it promises."""
         if damping <= _NO_DAMPING:
             return self._undamped_step
-        return self._solved(self.eliminated(damping), damping)
+        return self._solve(self.eliminated(damping), damping)
 
     def eliminated(self, damping: float) -> Elimination:
         """Eliminate the targets and factorise the rest."""
@@ -314,7 +314,7 @@ class SchurSystem:
         # The movements are an exact null space: this gives them the eigenvalue 1 and changes nothing else.
         border = np.linalg.qr(self.dense_movements * self.dense_scale[:, None])[0]
         keeps = 24.0 * layout.n_global * layout.eliminated.size < _KEEP_BYTES
-        keep = tuple(self._formed(roots)) if keeps else None
+        keep = tuple(self._form(roots)) if keeps else None
         dense_right = self.normal.dense_gradient / self.dense_scale
         factor = self._factor_by_blocks(dense, keep, border)
         if factor is not None and keep is not None:
@@ -324,7 +324,7 @@ class SchurSystem:
             return Elimination(roots, lost, factor, keep, dense_right, right)
         matrix = dense.whole()
         matrix += border @ border.T
-        for block in self._formed(roots) if keep is None else keep:
+        for block in self._form(roots) if keep is None else keep:
             product = block.matrix @ block.matrix.T
             change = block.matrix @ right[block.first : block.last].ravel()
             if block.rows is None:
@@ -353,9 +353,9 @@ class SchurSystem:
 
     def couplings(self, elimination: Elimination) -> Iterator[Coupling]:
         """Yield the coupling blocks of an elimination."""
-        yield from self._formed(elimination.roots) if elimination.couplings is None else elimination.couplings
+        yield from self._form(elimination.roots) if elimination.couplings is None else elimination.couplings
 
-    def _formed(self, roots: FloatArray) -> Iterator[Coupling]:
+    def _form(self, roots: FloatArray) -> Iterator[Coupling]:
         layout = self.layout
         count = int(layout.eliminated.size)
         at_once = max(1, int(_CHUNK_BYTES / (24.0 * max(layout.n_global, 1))))
@@ -388,7 +388,7 @@ class SchurSystem:
             return Coupling(first, last, rows, matrix[rows])
         return Coupling(first, last, None, matrix)
 
-    def _solved(self, elimination: Elimination, damping: float) -> tuple[FloatArray, float]:
+    def _solve(self, elimination: Elimination, damping: float) -> tuple[FloatArray, float]:
         """Return the step and the promised decrease ``-g.s / 2 + damping |D s|^2 / 2``."""
         dense = -elimination.factor.solve(elimination.dense_right)
         inner = np.empty_like(elimination.target_right)

@@ -119,11 +119,11 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         if isinstance(center, TargetCenter):
             coded.append((center, reading))
         elif reading.code is not None:
-            unused.append(_unused(reading.code.name, dot, center))
+            unused.append(_describe_unused(reading.code.name, dot, center))
     uncoded: list[TargetCenter] = []
     if search.with_uncoded:
         rest = [dot for dot, reading in zip(dots, readings, strict=True) if reading is None]
-        uncoded, cut = _uncoded(image_dn, rest, covered, search)
+        uncoded, cut = _measure_uncoded(image_dn, rest, covered, search)
         unused += cut
     named = [(center, reading) for center, reading in coded if reading.code is not None]
     names = [reading.code.name for _, reading in named if reading.code is not None]
@@ -188,7 +188,7 @@ def measure_at(
             stack.centers_px[rows],
             stack.covariance_px2[rows],
             np.linalg.det(outlines) ** 0.25,
-            _clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
+            _flag_clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
         )
         found.append((detections, outlines))
     return found
@@ -200,12 +200,12 @@ def _template_reach(search: TargetSearch) -> float:
     return min(REACH, 1 + (REACH - 1) * gap)
 
 
-def _unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
+def _describe_unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
     flag = why.flag if isinstance(why, UnmeasuredTargetError) else SampleFlag.PARTLY_COVERED
     return UnusedTarget(name, dot.center_px, flag, str(why))
 
 
-def _uncoded(
+def _measure_uncoded(
     image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], coded: Sequence[Ellipse], search: TargetSearch
 ) -> tuple[list[TargetCenter], list[UnusedTarget]]:
     """Measure the dots without a code that lie in no coded target, and name those that may be a coded one cut off."""
@@ -246,11 +246,11 @@ def _detections(
         np.array([center.center_px for center in centers]).reshape(n, 2),
         np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
         np.array([center.ellipse.radius_px for center in centers]).reshape(n),
-        _clipped(image_dn, inside, contrast),
+        _flag_clipped(image_dn, inside, contrast),
     )
 
 
-def _clipped(image_dn: npt.NDArray[np.generic], inside_dn: FloatArray, contrast_dn: FloatArray) -> FlagArray:
+def _flag_clipped(image_dn: npt.NDArray[np.generic], inside_dn: FloatArray, contrast_dn: FloatArray) -> FlagArray:
     """Flag targets of which a side is at the largest number of the file."""
     flags = np.zeros(inside_dn.size, dtype=np.uint32)
     # Luminance of colours, or light of encoded numbers, is float32 in the file's depth.

@@ -163,10 +163,10 @@ def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str
     cameras, poses = read_cameras_json(result / "cameras.json")
     said: list[str] = []
     numbers = {name: number for number, name in enumerate(cameras, 1)}
-    lenses = {numbers[name]: _forward(name, camera, said) for name, camera in cameras.items()}
+    lenses = {numbers[name]: _in_colmap_direction(name, camera, said) for name, camera in cameras.items()}
     table = read_points_csv(result / "points.csv")
     known = np.isfinite(table.xyz_m).all(axis=1) & ((table.flags & np.uint32(SampleFlag.NOT_SEEN)) == 0)
-    point_ids = _numbered([name for name, one in zip(table.ids, known, strict=True) if one])
+    point_ids = _number_targets([name for name, one in zip(table.ids, known, strict=True) if one])
     points = {point_ids[name]: xyz for name, xyz, one in zip(table.ids, table.xyz_m, known, strict=True) if one}
     images = _images(result / "residuals.csv", poses, numbers, point_ids)
     with WholeFolder(out, _MODEL) as working:
@@ -178,7 +178,7 @@ def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str
     return (*said, "not in this format: any covariance, datum or sigma; they stay in the results folder")
 
 
-def _forward(name: str, camera: Camera, said: list[str]) -> Camera:
+def _in_colmap_direction(name: str, camera: Camera, said: list[str]) -> Camera:
     """Return the camera with the lens in COLMAP's direction."""
     if camera.distortion.is_zero or camera.distortion.distorts_in_closed_form:
         return camera
@@ -198,7 +198,7 @@ def _own_number(name: str) -> int:
     return int(name) if name.isascii() and name.isdecimal() and len(name) < 10 and str(int(name)) == name else 0
 
 
-def _numbered(names: Sequence[str]) -> dict[str, int]:
+def _number_targets(names: Sequence[str]) -> dict[str, int]:
     """Keep numbers that are names already; the others follow the largest."""
     result = {name: _own_number(name) for name in names}
     following = max(result.values(), default=0)
@@ -229,12 +229,12 @@ def _images(
             name,
             camera_ids[pose.camera],
             pose.cam_from_world,
-            _chosen(pixels, rows[name]),
+            _choose(pixels, rows[name]),
             np.array([point_ids[columns["target"][row]] for row in rows[name]], dtype=np.intp),
         )
         for name, pose in poses.items()
     )
 
 
-def _chosen(pixels: FloatArray, rows: list[int]) -> FloatArray:
+def _choose(pixels: FloatArray, rows: list[int]) -> FloatArray:
     return np.asarray(pixels[np.array(rows, dtype=np.intp)])

@@ -194,11 +194,11 @@ def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pos
     for name, pixel in zip(found.names, found.pixels_px, strict=True):
         # The dot's centre lies in the middle of the pattern, to round-off.
         size = (2 * half + 1, 2 * half + 1)
-        part, first = _around(image, pixel, half + 2)
+        part, first = _cut_out(image, pixel, half + 2)
         part = np.ascontiguousarray(part, dtype=np.float32)
         sharp = cv2.getRectSubPix(part, size, (float(pixel[0] - first[0]), float(pixel[1] - first[1])))
         factors = (max(1, round(radius / wanted)) for wanted in (_COARSE_RADIUS_PX, _REDUCED_RADIUS_PX))
-        coarse, fine = (Pattern(_reduced(np.asarray(sharp, dtype=np.float32), factor), factor) for factor in factors)
+        coarse, fine = (Pattern(_reduce(np.asarray(sharp, dtype=np.float32), factor), factor) for factor in factors)
         patterns[name] = coarse, fine
     return Track(pose, patterns, NamedEllipses(found.names, found.pixels_px, shapes_px2), radius)
 
@@ -300,7 +300,7 @@ def _fit_near(
     for _ in range(3):
         if np.count_nonzero(usable) < max(LEAST_TARGETS, share * chosen.size):
             return None
-        pose = _fitted(camera, points[usable], matched[usable], pose)
+        pose = _fit_pose(camera, points[usable], matched[usable], pose)
         off = np.linalg.norm(camera.project(pose.apply(points)) - matched, axis=1)
         agreeing = off < _FAR_PX
         if (agreeing == usable).all():
@@ -352,14 +352,14 @@ def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolAr
         return np.asarray(((pixels > margin_px) & (pixels < limits)).all(axis=1))
 
 
-def _around(image: Image, pixel: FloatArray, half: int) -> tuple[Image, tuple[int, int]]:
+def _cut_out(image: Image, pixel: FloatArray, half: int) -> tuple[Image, tuple[int, int]]:
     """Return the pixels around a place, and the column and row of the first."""
     column, row = (max(round(float(value)) - half, 0) for value in pixel)
     part = image[row : row + 2 * half + 1, column : column + 2 * half + 1]
     return part, (column, row)
 
 
-def _reduced(part: Image, factor: int) -> Float32Array:
+def _reduce(part: Image, factor: int) -> Float32Array:
     """Average blocks, from the middle outwards: the middle pixel stays the middle of the middle block."""
     if factor == 1:
         return np.ascontiguousarray(part, dtype=np.float32)
@@ -372,22 +372,25 @@ def _match(image: Image, pixel: FloatArray, pattern: Pattern, radius_px: float, 
     """Return where near a place the pattern is, to some tenths of a pixel; NaN where it is not."""
     factor, (rows, columns) = pattern.factor, pattern.image.shape
     half = search_px + int(np.ceil(_PATTERN_RADII * radius_px))
-    part, first = _around(image, pixel, half)
-    reduced = _reduced(part, factor)
+    part, first = _cut_out(image, pixel, half)
+    reduced = _reduce(part, factor)
     if reduced.shape[0] <= rows or reduced.shape[1] <= columns:
         return np.full(2, np.nan)
     likeness = np.asarray(cv2.matchTemplate(reduced, pattern.image, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
     _, best, _, (column, row) = cv2.minMaxLoc(likeness)
     if best < _LEAST_LIKENESS:
         return np.full(2, np.nan)
-    found = (column + _top(likeness[row], column) + columns // 2, row + _top(likeness[:, column], row) + rows // 2)
+    found = (
+        column + _find_vertex(likeness[row], column) + columns // 2,
+        row + _find_vertex(likeness[:, column], row) + rows // 2,
+    )
     height, width = part.shape
     return np.array(
         [first[0] + (width // 2) % factor + factor * found[0], first[1] + (height // 2) % factor + factor * found[1]]
     )
 
 
-def _top(values: Float32Array, index: int) -> float:
+def _find_vertex(values: Float32Array, index: int) -> float:
     """Return how far from a largest value the parabola through it and its neighbours has its top."""
     if not 0 < index < len(values) - 1:
         return 0.0
@@ -396,7 +399,7 @@ def _top(values: Float32Array, index: int) -> float:
     return 0.0 if bend >= 0 else 0.5 * (before - after) / bend
 
 
-def _fitted(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: RigidTransform) -> RigidTransform:
+def _fit_pose(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, start: RigidTransform) -> RigidTransform:
     """Refine a pose by a few Gauss-Newton steps; it only places windows, so 0.05 px are enough.
 
     Steps are those of a camera without lens errors, which change them by some percent; residuals are exact.

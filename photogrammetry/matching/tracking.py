@@ -122,7 +122,7 @@ def start_track(
     spots = find_candidates(image_dn, search.limits)
     found, owner = _Found(), dict[int, str]()
     for k, (name, place) in enumerate(zip(names, places, strict=True)):
-        spot = _under(spots, place)
+        spot = _find_spot(spots, place)
         if spot is None:
             raise InputError(
                 f"marks in {photo}: there is no round target under {name} at ({place[0]:.0f}, {place[1]:.0f}); are x "
@@ -135,7 +135,7 @@ def start_track(
     radius = np.array([spots[spot].ellipse.radius_px for spot in owner])
     dark = np.array([spots[spot].inside_dn < spots[spot].outside_dn for spot in owner])
     track = Track(names, places, radius, dark, image_dn, search, limits or TrackLimits())
-    return _after(track, image_dn, places, found), _tracked(track, photo, found)
+    return _renew_track(track, image_dn, places, found), _collect(track, photo, found)
 
 
 def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple[Track, TrackedPhoto]:
@@ -162,7 +162,7 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
     found = _Found()
     claims: dict[int, list[tuple[float, int]]] = {}
     for k in range(len(track.names)):
-        spot, far = _fitting(track, k, spots, predicted[k], slack)
+        spot, far = _choose_spot(track, k, spots, predicted[k], slack)
         if scores[k] < track.limits.least_correlation:
             found.reasons[k] = f"its surroundings correlate by {scores[k]:.2f} only with the photo before"
         elif isinstance(spot, str):
@@ -179,7 +179,7 @@ def follow(track: Track, image_dn: npt.NDArray[np.generic], photo: str) -> tuple
                 other = track.names[own[0][1] if place else own[1][1]]
                 found.reasons[k] = f"it and {other} lead to the same target"
     predicted = _look_again(track, image_dn, spots, set(claims), predicted, found)
-    return _after(track, image_dn, predicted, found), _tracked(track, photo, found)
+    return _renew_track(track, image_dn, predicted, found), _collect(track, photo, found)
 
 
 def _look_again(
@@ -203,14 +203,14 @@ def _look_again(
     better = np.where(good[:, None], predicted, common)
     free = tuple(spot for k, spot in enumerate(spots) if k not in taken)
     for k in lost:
-        spot, _ = _fitting(track, k, free, better[k], slack)
+        spot, _ = _choose_spot(track, k, free, better[k], slack)
         if not isinstance(spot, str):
             found.reasons.pop(k)
             _measure(found, k, image_dn, free[spot], track.search)
     return better
 
 
-def _under(spots: tuple[Candidate, ...], place: FloatArray) -> int | None:
+def _find_spot(spots: tuple[Candidate, ...], place: FloatArray) -> int | None:
     """Return the spot whose ellipse holds a place, the nearest of several."""
     best: tuple[float, int] | None = None
     for k, spot in enumerate(spots):
@@ -228,7 +228,7 @@ def _measure(found: _Found, k: int, image_dn: npt.NDArray[np.generic], spot: Can
         found.reasons[k] = str(error)
 
 
-def _fitting(
+def _choose_spot(
     track: Track, k: int, spots: tuple[Candidate, ...], place: FloatArray, slack: float
 ) -> tuple[int | str, float]:
     """Return the one spot that fits a target near a place, or why there is none; and how far it is."""
@@ -267,7 +267,7 @@ def _predict(track: Track, image_dn: npt.NDArray[np.generic]) -> _Prediction:
     reach = int(np.ceil(track.limits.search_radius_px / shrink))
     for k, place in enumerate(places):
         half = max(_COARSE_HALF_PX, round(3 * track.radius_px[k] / shrink))
-        moved[k], scores[k] = _correlated(before, now, place, (half, reach))
+        moved[k], scores[k] = _correlate(before, now, place, (half, reach))
     slack = 2.0 * shrink
     good = scores >= track.limits.least_correlation
     if np.count_nonzero(good) >= _LEAST_COMMON:
@@ -283,7 +283,7 @@ def _coarse(image_dn: npt.NDArray[np.generic], shrink: float) -> Float32Array:
     return np.asarray(cv2.resize(image_dn.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def _correlated(
+def _correlate(
     before: Float32Array, now: Float32Array, place: FloatArray, sizes: tuple[int, int]
 ) -> tuple[FloatArray, float]:
     """Find one place again by normalised correlation of its surroundings, to a fraction of a coarse pixel."""
@@ -332,7 +332,7 @@ def _common_motion(places: FloatArray, moved: FloatArray, good: BoolArray) -> tu
     return common, np.asarray(good & (np.linalg.norm(moved - common, axis=1) < 3.0))
 
 
-def _after(track: Track, image_dn: npt.NDArray[np.generic], predicted: FloatArray, found: _Found) -> Track:
+def _renew_track(track: Track, image_dn: npt.NDArray[np.generic], predicted: FloatArray, found: _Found) -> Track:
     """Return the track with the photo just seen."""
     places, radius = predicted.copy(), track.radius_px.copy()
     for k, center in found.centers.items():
@@ -340,7 +340,7 @@ def _after(track: Track, image_dn: npt.NDArray[np.generic], predicted: FloatArra
     return Track(track.names, places, radius, track.dark, image_dn, track.search, track.limits)
 
 
-def _tracked(track: Track, photo: str, found: _Found) -> TrackedPhoto:
+def _collect(track: Track, photo: str, found: _Found) -> TrackedPhoto:
     n = len(track.names)
     pixels, covariance, shapes = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.full((n, 2, 2), np.nan)
     flags = np.full(n, int(SampleFlag.NOT_SEEN), dtype=np.uint32)

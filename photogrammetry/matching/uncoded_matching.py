@@ -133,7 +133,7 @@ class _Search:
         """Take the points that start from a pair of photos and are seen in a third."""
         rows, points = self._candidates(first, second)
         self.tried += len(rows)
-        hypotheses = self._supported(rows, points)
+        hypotheses = self._support(rows, points)
         hypotheses.sort(key=lambda one: one.accidents)
         for place, one in enumerate(hypotheses):
             if not self.free[list(one.dots)].all():
@@ -181,7 +181,7 @@ class _Search:
         ]
         return np.asarray(np.logical_and.reduce(seen))
 
-    def _supported(self, rows: IntArray, points: FloatArray) -> list[_Hypothesis]:
+    def _support(self, rows: IntArray, points: FloatArray) -> list[_Hypothesis]:
         """Look for points in all other photos; keep those with a third ray."""
         if not len(rows):
             return []
@@ -195,7 +195,7 @@ class _Search:
         found = []
         for k, own in enumerate(helpers):
             if own:
-                one = self._confirmed((*rows[k].tolist(), *own), points[k], chances[k])
+                one = self._confirm((*rows[k].tolist(), *own), points[k], chances[k])
                 if one is not None:
                     found.append(one)
         return list({tuple(sorted(one.dots)): one for one in found}.values())
@@ -226,7 +226,7 @@ class _Search:
             if squares[best] < self._gate[2]:
                 helpers[k].append(int(own[best]))
 
-    def _confirmed(self, members: tuple[int, ...], start: FloatArray, chances: list[float]) -> _Hypothesis | None:
+    def _confirm(self, members: tuple[int, ...], start: FloatArray, chances: list[float]) -> _Hypothesis | None:
         """Adjust a point with all its rays; leave out rays that do not agree; count accidents."""
         members = tuple(sorted(members))
         while len(members) >= 3:

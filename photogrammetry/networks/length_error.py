@@ -158,14 +158,14 @@ class LengthStatement:
         apart = self.best[0].role is LengthRole.KEPT_APART
         role = "kept apart" if apart else "that were used, each left out once,"
         said = (
-            f"{_counted(sum(counts), 'length')} {role} on {_counted(len(counts), 'measuring line')}, {full} of them "
+            f"{_count(sum(counts), 'length')} {role} on {_count(len(counts), 'measuring line')}, {full} of them "
             f"with {LENGTHS_PER_LINE_NEEDED} or more; VDI/VDE 2634 part 1 asks for {LINES_NEEDED} lines with "
             f"{LENGTHS_PER_LINE_NEEDED} each: "
         )
         return said + ("fulfilled" if apart and full >= LINES_NEEDED else "a check, no acceptance test")
 
 
-def _counted(count: int, what: str) -> str:
+def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
@@ -220,9 +220,7 @@ def state_length_errors(
     if not scale_is_known(bundle):
         # Lengths in an arbitrary unit have no error.
         return LengthStatement((), tuple(one.name + ": the network has no scale" for one in found), permissible)
-    numbered = [
-        one for role in LengthRole for one in _numbered([c for c in found if c.role is role], _extent_m(bundle))
-    ]
+    numbered = [one for role in LengthRole for one in _number([c for c in found if c.role is role], _extent_m(bundle))]
     return LengthStatement(tuple(numbered), tuple(missing), permissible)
 
 
@@ -257,7 +255,7 @@ def _extent_m(bundle: BundleResult) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
 
 
-def _numbered(checks: list[LengthCheck], extent_m: float) -> list[LengthCheck]:
+def _number(checks: list[LengthCheck], extent_m: float) -> list[LengthCheck]:
     """Give each length its measuring line: the longest one opens a line, those along it are on it."""
     line_of: dict[int, int] = {}
     count = 0

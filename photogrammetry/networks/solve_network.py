@@ -183,12 +183,12 @@ def solve_from(
         network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
     problem, unused = _problem(table, cameras, knowledge)
-    placed = _placed(state, table, problem, knowledge)
+    placed = _place(state, table, problem, knowledge)
     _refuse_gross_lengths(problem, placed)
     bundle = adjust(problem, placed, options=chosen).require()
     factor = 1.0
     if options.rescale:
-        bundle, factor = _rescaled(bundle)
+        bundle, factor = _rescale(bundle)
     largest = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
     return Solved(network, bundle, rejected, largest, factor, unused)
 
@@ -240,7 +240,7 @@ def _problem(
     return replace(free, constraints=tuple(constraints), fixed=fixed, datum=datum), tuple(unused)
 
 
-def _placed(state: BundleState, table: ImagePoints, problem: BundleProblem, knowledge: Knowledge) -> BundleState:
+def _place(state: BundleState, table: ImagePoints, problem: BundleProblem, knowledge: Knowledge) -> BundleState:
     """Put the network where control points or constraints want it; else round its own middle."""
     if problem.fixed:
         control = {name: knowledge.fixed_m[name] for name in problem.fixed}
@@ -280,7 +280,7 @@ def _refuse_gross_lengths(problem: BundleProblem, placed: BundleState) -> None:
         )
 
 
-def _rescaled(bundle: BundleResult) -> tuple[BundleResult, float]:
+def _rescale(bundle: BundleResult) -> tuple[BundleResult, float]:
     """Take the sigmas of the image points from their residuals; what is known otherwise keeps its own.
 
     One factor for all: a scale bar whose sigma is right must not pay for image points whose sigma is not.

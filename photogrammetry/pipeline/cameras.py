@@ -119,7 +119,7 @@ def _build_camera(
         film_mm = section.focal_length_35mm
         if not section.is_known and film_mm is None:
             film_mm = _film_focal_length(measurement, section.name, names)
-        camera = _started(section, stated or size_px or (0, 0), film_mm)
+        camera = _start_camera(section, stated or size_px or (0, 0), film_mm)
     if size_px is not None and stated is not None and size_px != stated:
         raise InputError(
             f"camera: the photos have {size_px[0]} x {size_px[1]} px, but the camera {stated[0]} x {stated[1]} px; "
@@ -160,7 +160,7 @@ def _beginning(path: Path) -> bytes:
         return b""
 
 
-def _started(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: float | None) -> Camera:
+def _start_camera(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: float | None) -> Camera:
     said = section.distortion_direction
     if section.millimetres is not None:
         way = DistortionDirection(said or DistortionDirection.MEASURED_TO_IDEAL)

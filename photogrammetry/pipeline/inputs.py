@@ -94,10 +94,10 @@ def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:
             found.append(CommonPlane(one.targets, sigma_m))
         else:
             found.append(KnownPlane(one.targets, np.array(one.normal), one.offset_m, sigma_m))
-    return (*found, *_of_collector(model.collector), *_weighted(model.control_point))
+    return (*found, *_constrain_rim(model.collector), *_weigh_control_points(model.control_point))
 
 
-def _of_collector(section: CollectorSection | None) -> list[Constraint]:
+def _constrain_rim(section: CollectorSection | None) -> list[Constraint]:
     """Return what the shape of a trough implies for targets on its rim (spec of the collector: z = w^2 / (16 f))."""
     if section is None:
         return []
@@ -112,7 +112,7 @@ def _of_collector(section: CollectorSection | None) -> list[Constraint]:
     return found
 
 
-def _weighted(points: Sequence[ControlPointSection]) -> list[Constraint]:
+def _weigh_control_points(points: Sequence[ControlPointSection]) -> list[Constraint]:
     return [
         ControlPoint(one.target, np.array(one.xyz_m), np.diag(np.square(one.sigma_mm)) * 1e-6)
         for one in points

@@ -55,15 +55,15 @@ def add_features(
         for features in pool.map(one, files):
             found.append(features)
             stage.advance()
-    matches = _matches(measurement, found, jobs, progress)
+    matches = _match_photos(measurement, found, jobs, progress)
     tracks = follow_tracks(
         [one.keypoints for one in found], matches, TrackChoice(section.min_photos, section.max_points)
     )
     sizes = {one.keypoints.photo: one.keypoints.size_px for one in found}
-    return _joined(tracks, coded, sizes)
+    return _join_coded(tracks, coded, sizes)
 
 
-def _matches(
+def _match_photos(
     measurement: PhotogrammetryMeasurement, found: list[Features], jobs: int | None, progress: Progress
 ) -> list[PairMatch]:
     sizes = {one.keypoints.photo: one.keypoints.size_px for one in found}
@@ -85,7 +85,7 @@ def _matches(
     return matches
 
 
-def _joined(tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple[int, int]]) -> MeasuredPhotos:
+def _join_coded(tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple[int, int]]) -> MeasuredPhotos:
     """Put features beside coded targets; kind 0 are the targets where there are any."""
     left = LeftOut(
         "natural features",
@@ -96,14 +96,14 @@ def _joined(tracks: Tracks, coded: MeasuredPhotos | None, sizes: dict[str, tuple
     shapes = np.full((tracks.points.n, 2, 2), np.nan)
     if coded is None:
         return MeasuredPhotos(tracks.points, shapes, sizes, (left,), (_DOUBT,), True, kinds=kinds)
-    points = _both(coded.points, tracks.points)
+    points = _concatenate(coded.points, tracks.points)
     ellipses: FloatArray = np.concatenate([coded.ellipses_px2, shapes])
     kinds = np.concatenate([np.zeros(coded.points.n, dtype=np.intp), kinds + 1])
     refused, doubts = (*coded.refused, left), (*coded.doubts, _DOUBT)
     return MeasuredPhotos(points, ellipses, sizes, refused, doubts, True, coded.loose, kinds)
 
 
-def _both(first: ImagePoints, second: ImagePoints) -> ImagePoints:
+def _concatenate(first: ImagePoints, second: ImagePoints) -> ImagePoints:
     tables = (first, second)
     return ImagePoints.from_names(
         [table.photos[i] for table in tables for i in table.photo_index],

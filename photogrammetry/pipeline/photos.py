@@ -147,7 +147,7 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
     OnePhoto
         Its targets and dots.
     """
-    found = _with_markers(image, name, section) if section.has_markers else None
+    found = _measure_markers(image, name, section) if section.has_markers else None
     if found is not None and not search.with_uncoded:
         return found
     rings = measure_targets(image, name, search)
@@ -169,7 +169,7 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
     return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
 
 
-def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
+def _measure_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
     markers = find_markers(image, photo, section.dictionary or "")
     refused = [
         LeftOut(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
@@ -177,14 +177,14 @@ def _with_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto
     ]
     detections = markers.detections
     if section.charuco is not None:
-        detections = _and_board(image, detections, section)
+        detections = _add_board(image, detections, section)
     shapes = np.full((len(detections), 2, 2), np.nan)
     size = (int(image.shape[1]), int(image.shape[0]))
     none = detections.chosen(np.zeros(0, dtype=np.intp))
     return OnePhoto(detections, shapes, size, tuple(refused), none, np.zeros((0, 2, 2)))
 
 
-def _and_board(image: Image, markers: Detections, section: TargetsSection) -> Detections:
+def _add_board(image: Image, markers: Detections, section: TargetsSection) -> Detections:
     """Add the inner corners of a ChArUco board, "board.0", "board.1"... row by row from its top left."""
     if section.charuco is None or section.dictionary is None:
         return markers
@@ -207,7 +207,7 @@ def _and_board(image: Image, markers: Detections, section: TargetsSection) -> De
     )
 
 
-def _loose(found: Sequence[OnePhoto]) -> LooseDots:
+def _collect_dots(found: Sequence[OnePhoto]) -> LooseDots:
     """Put together the dots of all photos."""
     photo = np.repeat(np.arange(len(found)), [len(one.dots) for one in found])
     covariance = np.concatenate([one.dots.covariance_px2 for one in found])
@@ -271,7 +271,7 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     sizes = {one.detections.photo: one.size_px for one in found}
     points = ImagePoints.from_names(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
-    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), doubts, True, _loose(found))
+    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), doubts, True, _collect_dots(found))
 
 
 def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:

@@ -76,7 +76,7 @@ def measure_surface(section: SurfaceSection, folder: Path, bundle: BundleResult)
     points, doubts = surface_points(bundle)
     moved = None
     if section.compare_with is not None:
-        stable = tuple(_expanded(section.stable_targets or (), points.ids, "stable_targets"))
+        stable = tuple(_expand_names(section.stable_targets or (), points.ids, "stable_targets"))
         moved = displacements(_other_date(folder / section.compare_with), points, stable=stable)
         doubts = gather_doubts(doubts, _comparison_doubts(moved))
     result = SurfaceResult(None, "", (), None, (), moved, section.compare_with or "", None, section.ply, ())
@@ -90,7 +90,7 @@ def _against_surface(
     section: SurfaceSection, folder: Path, points: SurfacePoints, viewer_m: FloatArray, so_far: SurfaceResult
 ) -> SurfaceResult:
     """Compare points with the design or the mesh."""
-    own, mesh, parts = _chosen(section, points), None, list[_Part]()
+    own, mesh, parts = _choose_points(section, points), None, list[_Part]()
     reference: Reference
     if section.mesh is not None:
         mesh = reference = read_mesh(folder / section.mesh, 1e-3 if section.mesh_unit == "mm" else 1.0)
@@ -155,7 +155,7 @@ def _other_date(folder: Path) -> SurfacePoints:
     return SurfacePoints(tuple(names), table.xyz_m[known], covariance)
 
 
-def _expanded(patterns: Sequence[str], ids: Sequence[str], where: str) -> list[str]:
+def _expand_names(patterns: Sequence[str], ids: Sequence[str], where: str) -> list[str]:
     """Return the names that patterns and ranges mean, each of which must mean one at least."""
     found: dict[str, None] = {}
     for pattern in patterns:
@@ -176,10 +176,10 @@ def _expanded(patterns: Sequence[str], ids: Sequence[str], where: str) -> list[s
     return list(found)
 
 
-def _chosen(section: SurfaceSection, points: SurfacePoints) -> SurfacePoints:
+def _choose_points(section: SurfaceSection, points: SurfacePoints) -> SurfacePoints:
     if section.targets is None:
         return points
-    names = set(_expanded(section.targets, points.ids, "targets"))
+    names = set(_expand_names(section.targets, points.ids, "targets"))
     return points.chosen(np.array([name in names for name in points.ids]))
 
 
@@ -205,10 +205,10 @@ def _build_surface(section: SurfaceSection, points: SurfacePoints) -> _Surface:
     whole = _design(section) if section.design else None
     if not section.facet:
         everything = np.ones(len(points.ids), dtype=np.bool_)
-        return _Surface(points, [_Part(None, "surface", whole, everything)], _needed(whole))
+        return _Surface(points, [_Part(None, "surface", whole, everything)], _require_design(whole))
     owner = np.full(len(points.ids), -1)
     for place, facet in enumerate(section.facet):
-        names = set(_expanded(facet.targets, points.ids, f'facet "{facet.name}"'))
+        names = set(_expand_names(facet.targets, points.ids, f'facet "{facet.name}"'))
         own = np.array([name in names for name in points.ids])
         twice = np.nonzero(own & (owner >= 0))[0]
         if twice.size:
@@ -222,11 +222,11 @@ def _build_surface(section: SurfaceSection, points: SurfacePoints) -> _Surface:
         for place, one in enumerate(section.facet)
     ]
     if all(one.section is not None and one.section.design is None for one in parts):
-        return _Surface(points, parts, _needed(whole))
-    return _Surface(points, parts, CompositeDesign(tuple(_needed(one.design) for one in parts), owner))
+        return _Surface(points, parts, _require_design(whole))
+    return _Surface(points, parts, CompositeDesign(tuple(_require_design(one.design) for one in parts), owner))
 
 
-def _needed(design: DesignSurface | None) -> DesignSurface:
+def _require_design(design: DesignSurface | None) -> DesignSurface:
     if design is None:
         raise InputError("surface: a design is missing")
     return design
@@ -257,7 +257,7 @@ def _fit(section: SurfaceSection, points: SurfacePoints, reference: Reference, v
     """Fit, or place, the surface."""
     choices = FitChoices(section.fit != "none", section.fit == "focal-length", section.robust)
     if section.reference:
-        placed = _aligned(section, points)
+        placed = _align(section, points)
         how = f"{len(section.reference)} targets of known place on the design"
         if choices.pose:
             return _Fitted(fit_surface(points, reference, placed.design_from_world, choices), how)
@@ -289,7 +289,7 @@ class _Aligned:
     points: SurfacePoints
 
 
-def _aligned(section: SurfaceSection, points: SurfacePoints) -> _Aligned:
+def _align(section: SurfaceSection, points: SurfacePoints) -> _Aligned:
     """Place points by those whose design coordinates are known; the covariance contains that of the placing."""
     known = {one.target: one.xyz_m for one in section.reference}
     missing = [name for name in known if name not in points.ids]
@@ -315,7 +315,7 @@ def _facet_names(ids: Sequence[str], parts: Sequence[_Part]) -> tuple[str, ...]:
 def _facet_points(part: _Part, fit: SurfaceFit, section: SurfaceSection) -> FacetPoints:
     """Return a facet in the frame of the fit; without an outline it is the hull of its points."""
     own = part.section is not None and part.section.design is not None
-    design = _needed(part.design)
+    design = _require_design(part.design)
     if not own and isinstance(fit.reference, DesignSurface):
         design = fit.reference
     place = _place(part.section) if own and part.section is not None else RigidTransform.identity()
@@ -326,15 +326,15 @@ def _facet_points(part: _Part, fit: SurfaceFit, section: SurfaceSection) -> Face
             raise EstimationError(f"surface: {part.name} has {len(xy)} usable points; three or more are needed")
         corners = hull_outline(xy)
     else:
-        corners = _carried(np.array(outline), design, place)
+        corners = _move_onto_surface(np.array(outline), design, place)
     given = None if part.section is None else part.section.reference_point_m
-    reference = np.full(2, np.nan) if given is None else _carried(np.array([given]), design, place)[0]
+    reference = np.full(2, np.nan) if given is None else _move_onto_surface(np.array([given]), design, place)[0]
     return FacetPoints(
         Facet(part.name, corners, design.quadric, RigidTransform.identity(), reference), design, part.members
     )
 
 
-def _carried(xy: FloatArray, design: DesignSurface, place: RigidTransform) -> FloatArray:
+def _move_onto_surface(xy: FloatArray, design: DesignSurface, place: RigidTransform) -> FloatArray:
     """Move places x, y of a facet's frame onto its surface and into the frame of the fit."""
     height = design.transformed(place.inverse()).quadric.height(*xy.T)
     return np.asarray(place.apply(np.column_stack([xy, height]))[:, :2])

@@ -134,14 +134,14 @@ def plan_network(
             # What a few more photos would bring.
             for more in [n for n in _LADDER if best.count < n <= goal.most_photos][:2]:
                 tried(best.rings_rad, more)
-            return Plan(best, True, tuple(trials), *_judged(best, task))
+            return Plan(best, True, tuple(trials), *_judge(best, task))
         previous = count
     usable = [one for one in trials if not one.prediction.reason]
     if not usable:
         last = trials[-1].prediction
         raise EstimationError(f"plan: none of {len(trials)} networks determines all targets; the last: {last.reason}")
     best = min(usable, key=lambda one: goal.value_m(one.prediction))
-    return Plan(best, False, tuple(trials), *_judged(best, task))
+    return Plan(best, False, tuple(trials), *_judge(best, task))
 
 
 def _fewest(
@@ -161,7 +161,7 @@ def _fewest(
     return found
 
 
-def _judged(best: Trial, task: Task) -> tuple[float, tuple[Doubt, ...]]:
+def _judge(best: Trial, task: Task) -> tuple[float, tuple[Doubt, ...]]:
     """Return q and what is weak in a network."""
     prediction = best.prediction
     q = q_factor(prediction, task.planned, task.target_object)

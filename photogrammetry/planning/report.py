@@ -1,26 +1,15 @@
 """Sections of the report of a planned network; each is one cell of its notebook."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from heliogauge.camera.model import Camera
 from heliogauge.reporting import page
 from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y, add_legend, chart_figure
 from heliogauge.reporting.html import Html, join, show
 from heliogauge.reporting.scene import SceneGroup, scene
-from heliogauge.results.folder import (
-    PhotoPose,
-    PointTable,
-    Summary,
-    read_cameras_json,
-    read_points_csv,
-    read_summary,
-    read_table_csv,
-)
 from heliogauge.validate import FloatArray
-from photogrammetry.report.network import folded_table, headline_table, text_table
+from photogrammetry.report.network import NetworkResults, folded_table, headline_table, open_network, text_table
 from photogrammetry.report.scene import ellipsoid_lines, grouped, hex_colors, magnification, pyramid_lines
 
 #: Numbers of the headline table and what they are called there.
@@ -42,57 +31,25 @@ LABELS: dict[str, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanResults:
-    """What a folder of a plan holds; ``tables`` by the name of the CSV file."""
-
-    summary: Summary
-    points: PointTable
-    camera: Camera
-    poses: dict[str, PhotoPose]
-    tables: dict[str, dict[str, list[str]]]
-
-    def column(self, file: str, name: str) -> FloatArray:
-        """Return a column of numbers; empty cells are NaN."""
-        return np.array([float(cell) if cell else np.nan for cell in self.tables[file][name]])
-
-    @property
-    def covariances_m2(self) -> FloatArray:
-        """Covariance of each point, shape (n, 3, 3) [m^2]."""
-        result = np.empty((len(self.points.ids), 3, 3))
-        for i, a in enumerate("xyz"):
-            for j, b in enumerate("xyz"):
-                result[:, i, j] = self.column("points_covariance", f"{min(a, b)}{max(a, b)}_m2")
-        return result
-
-
-def open_plan(folder: str | Path = ".") -> PlanResults:
+def open_plan(folder: str | Path = ".") -> NetworkResults:
     """Read a folder with a plan.
 
     folder: The folder; the working directory without it.
     """
-    folder = Path(folder)
-    cameras, poses = read_cameras_json(folder / "cameras.json")
-    return PlanResults(
-        summary=read_summary(folder / "summary.json"),
-        points=read_points_csv(folder / "points.csv"),
-        camera=next(iter(cameras.values())),
-        poses=poses,
-        tables={name: read_table_csv(folder / f"{name}.csv") for name in ("stations", "trials", "points_covariance")},
-    )
+    return open_network(folder, ("stations", "trials", "points_covariance"))
 
 
-def head(results: PlanResults) -> Html:
+def head(results: NetworkResults) -> Html:
     """Return title and warnings."""
     return page.head(results, "plan of a photogrammetric measurement")
 
 
-def overview(results: PlanResults) -> Html:
+def overview(results: NetworkResults) -> Html:
     """Return the answer and its numbers."""
     return join(text_table(results.summary), headline_table(results.summary, LABELS))
 
 
-def network(results: PlanResults) -> Html:
+def network(results: NetworkResults) -> Html:
     """Return the planned network in space."""
     points, covariances = results.points.xyz_m, results.covariances_m2
     known = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
@@ -130,7 +87,7 @@ def network(results: PlanResults) -> Html:
     return scene(groups, name="plan", note=note)
 
 
-def search(results: PlanResults) -> Html:
+def search(results: NetworkResults) -> Html:
     """Return sigma against the number of photos for every layout that was tried."""
     figure, axes = chart_figure(
         "Sigma against the number of photos",
@@ -200,7 +157,7 @@ def _plain_ticks(axes: object, count: FloatArray, sigma: FloatArray) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def sigmas(results: PlanResults) -> Html:
+def sigmas(results: NetworkResults) -> Html:
     """Return the expected sigma of each target."""
     from matplotlib.ticker import MaxNLocator
 
@@ -228,7 +185,7 @@ def sigmas(results: PlanResults) -> Html:
     return join(show(figure), folded_table(head_line, rows, numbers=range(1, 8), what="targets, least certain first"))
 
 
-def stations(results: PlanResults) -> Html:
+def stations(results: NetworkResults) -> Html:
     """Return where to take the photos."""
     columns = results.tables["stations"]
     rows = []
@@ -261,6 +218,6 @@ def stations(results: PlanResults) -> Html:
     return folded_table(head_line, rows, numbers=(1, 2, 3, 5, 6, 7, 8), what="photos")
 
 
-def making(results: PlanResults) -> Html:
+def making(results: NetworkResults) -> Html:
     """Return times and input files."""
     return join(page.duration_table(results), page.input_table(results))

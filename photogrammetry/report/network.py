@@ -97,10 +97,11 @@ class NetworkResults:
         return {name: np.nonzero(images == name)[0] for name in self.poses}
 
 
-def open_network(folder: str | Path = ".") -> NetworkResults:
+def open_network(folder: str | Path = ".", tables: Sequence[str] = _TABLES) -> NetworkResults:
     """Read a folder of results.
 
     folder: The folder; the working directory without it.
+    tables: Names of the tables that are read.
     """
     folder = Path(folder)
     cameras, poses = read_cameras_json(folder / "cameras.json")
@@ -110,7 +111,7 @@ def open_network(folder: str | Path = ".") -> NetworkResults:
         points=read_points_csv(folder / "points.csv"),
         cameras=cameras,
         poses=poses,
-        tables={name: read_table_csv(folder / f"{name}.csv") for name in _TABLES},
+        tables={name: read_table_csv(folder / f"{name}.csv") for name in tables},
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -134,19 +134,14 @@ class DesignSurface:
         return null_motions(motion_changes(self.quadric.matrix))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CompositeDesign:
-    """Several design surfaces in one frame, each with its own points: facets that are no part of one surface.
+class RigidReference:
+    """A surface of which no length is free."""
 
-    which (n,): The surface of each point, in the order in which points are given.
-    """
-
-    designs: tuple[DesignSurface, ...]
-    which: IntArray
+    __slots__ = ()
 
     @property
     def curvature_names(self) -> tuple[str, ...]:
-        """Empty: curvatures of composites are estimated facet by facet."""
+        """Empty."""
         return ()
 
     @property
@@ -154,9 +149,20 @@ class CompositeDesign:
         """Empty, shape (0,)."""
         return np.zeros(0)
 
-    def with_curvatures(self, curvatures_per_m: FloatArray) -> "CompositeDesign":
+    def with_curvatures(self, curvatures_per_m: FloatArray) -> Self:
         """Return the same: there is nothing to change."""
         return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompositeDesign(RigidReference):
+    """Several design surfaces in one frame, each with its own points: facets that are no part of one surface.
+
+    which (n,): The surface of each point, in the order in which points are given.
+    """
+
+    designs: tuple[DesignSurface, ...]
+    which: IntArray
 
     def feet(self, points_m: FloatArray) -> Feet:
         """Return orthogonal distances of points, each from its own surface, shape (n, 3) in the order of ``which``."""

@@ -9,7 +9,7 @@ import numpy as np
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import FloatArray, IntArray, float_array
-from photogrammetry.surface.design import Feet, null_motions
+from photogrammetry.surface.design import Feet, RigidReference, null_motions
 from photogrammetry.surface.fit import quick_fit
 
 _NAMES = "libusb-1.0-0 libgl1 libgomp1"
@@ -36,7 +36,7 @@ def load_open3d() -> Any:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeshSurface:
+class MeshSurface(RigidReference):
     """A triangle mesh, its outer side towards the cameras.
 
     vertices_m (v, 3): Corners [m].
@@ -67,20 +67,6 @@ class MeshSurface:
         triangles = triangles[real]
         triangles.setflags(write=False)
         object.__setattr__(self, "triangles", triangles)
-
-    @property
-    def curvature_names(self) -> tuple[str, ...]:
-        """Empty: a mesh has no length that could be free."""
-        return ()
-
-    @property
-    def curvatures_per_m(self) -> FloatArray:
-        """Empty, shape (0,)."""
-        return np.zeros(0)
-
-    def with_curvatures(self, curvatures_per_m: FloatArray) -> "MeshSurface":
-        """Return the same: there is nothing to change."""
-        return self
 
     @property
     def face_areas_and_normals(self) -> tuple[FloatArray, FloatArray]:

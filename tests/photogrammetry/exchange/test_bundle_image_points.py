@@ -39,9 +39,7 @@ def test_corner_origin_and_missing_sigma(tmp_path):
     assert found.sigma_assumed
     # What is done by default is said as done, with the key that undoes it.
     (doubt,) = found.doubts
-    assert (
-        'the residuals scale the covariance unless measurement.toml says [adjustment] sigmas = "stated"' in doubt.text
-    )
+    assert 'the residuals scale the covariance unless measurement.toml has [adjustment] sigmas = "stated"' in doubt.text
     assert doubt.numbers == {"missing_count": 2, "image_points_count": 2}
     some = read_image_points_csv(written(tmp_path, HEADER + "a,1,1,2,0.3,\na,2,3,4,,\n"))
     np.testing.assert_allclose(some.points.covariance_px2, np.broadcast_to(np.eye(2) * 0.09, (2, 2, 2)))
