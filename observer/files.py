@@ -93,7 +93,7 @@ def write_slices(path: Path, slices: Slices, eyes_m: FloatArray, names: Sequence
 
     Shapes: eyes_m (k, 3).
     """
-    # One byte for each sample: more than an eye tells apart. 0 is what a photo does not show.
+    # One byte for each sample: more than an eye distinguishes. 0 is what a photo does not show.
     brightest = max(float(np.nanmax(slices.brightness_dn, initial=1.0)), 1.0)
     level = 1 + 254 * np.clip(slices.brightness_dn / brightest, 0, 1)
     stored = np.where(np.isfinite(level), level, 0).round().astype(np.uint8)

@@ -23,7 +23,7 @@ from observer.trough.absorber_path import AbsorberPath
 #: Where the tube may be beside its design, as prior [m].
 _PRIOR_M = 0.1
 #: How much the tube may bend: scatter of the second difference over stations 1 m apart [m]. A tube that sags by 10 mm
-#: between supports 4 m apart has 5 mm. The bearings tell which of these it is: a straight tube's stations help each
+#: between supports 4 m apart has 5 mm. Which of these it is, the bearings decide: a straight tube's stations help each
 #: other, and clouds or the glass beside one of them do not bend it.
 _BENDS_M = (0.01, 0.005, 0.0025)
 #: The most that is nearly as probable as the most probable one, by exp(-2), is believed.
@@ -77,7 +77,7 @@ class AbsorberSolution:
     with_poses (2 n, 6 p): Covariance of the axis (x of all stations, then z) with the steps of all poses: both err
         together with the coordinates of the targets [m rad, m^2].
     pixel_m: What a pixel covers at the tube, in the median; 0 where that is not known [m].
-    widening: How much wider the tube looks near its own reflection; None where too few photos tell.
+    widening: How much wider the tube looks near its own reflection; None where there are too few photos.
     """
 
     path: AbsorberPath
@@ -207,9 +207,9 @@ def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath) -> _Ad
     used = np.ones(directions.photo.size, dtype=bool)
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
-        said, wanted, following = _reduce_to_stations(normal + prior, right, 2 * start.n)
-        smooth = _probable_smoothness(said, wanted, bent, start.y_m)
-        inverse = np.linalg.inv(said + smooth)
+        normal_left, wanted, following = _reduce_to_stations(normal + prior, right, 2 * start.n)
+        smooth = _probable_smoothness(normal_left, wanted, bent, start.y_m)
+        inverse = np.linalg.inv(normal_left + smooth)
         stations = inverse @ (wanted - smooth @ bent)
         step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
         residuals = directions.deviation_rad - (value * step[index]).sum(axis=1)
@@ -322,7 +322,7 @@ def _reduce_to_stations(normal: FloatArray, right: FloatArray, n: int) -> _ForSt
 
 
 def _probable_smoothness(
-    said: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray
+    normal: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray
 ) -> FloatArray:
     """Return the prior's precision of both coordinates along the stations, as smooth as the bearings show.
 
@@ -332,8 +332,8 @@ def _probable_smoothness(
     for bend in _BENDS_M:
         smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend)), dtype=np.float64)
         pulled = wanted - smooth @ bent_m
-        misfit = bent_m @ smooth @ bent_m - pulled @ np.linalg.solve(said + smooth, pulled)
-        determinants = np.linalg.slogdet(smooth)[1] - np.linalg.slogdet(said + smooth)[1]
+        misfit = bent_m @ smooth @ bent_m - pulled @ np.linalg.solve(normal + smooth, pulled)
+        determinants = np.linalg.slogdet(smooth)[1] - np.linalg.slogdet(normal + smooth)[1]
         evidence.append(0.5 * float(determinants - misfit))
         priors.append(smooth)
     return priors[int(np.argmax(np.array(evidence) > max(evidence) - _EVIDENCE_LOSS))]

@@ -21,9 +21,9 @@ _DIAMETER_SHARE = 0.03
 #: ... and by so many pixels: blur, and the background through the glass, change the width of tubes 5 to 7 px wide by up
 #: to 0.21 px either way in ray-traced photos.
 _DIAMETER_PX = 0.3
-#: A place that is less certain than this is said to be so: it puts 0.5 mrad into the slopes of an LS-2 [m].
+#: A place that is less certain than this is reported: it puts 0.5 mrad into the slopes of an LS-2 [m].
 _WARN_SIGMA_M = 1.5e-3
-#: With less than this share of the stations measured it is said which part is missing.
+#: With less than this share of the stations measured the missing part is reported.
 _WARN_SHARE = 0.7
 
 _SUPPORT_TEXT = "hidden by a receiver support"

@@ -16,7 +16,7 @@ _FILTER_SAMPLES = 1.2
 _NOISE_TIMES = 6.0
 #: An edge has at least this share of the contrast that most rows' strongest edges have.
 _LEAST_SHARE = 0.2
-#: So many samples tell the noise to one percent.
+#: So many samples give the noise to one percent.
 _NOISE_SAMPLES = 5000
 #: So many samples beside an edge its blur has ended.
 _BESIDE_SAMPLES = 4

@@ -1,4 +1,4 @@
-"""Edges and bearings found with a provisional pose, carried to the adjusted one: the pixel is what was measured."""
+"""Edges and bearings found with a provisional pose, moved to the adjusted one: the pixel is what was measured."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from observer.photo_edges.views import View
 from observer.trough.expectation import Expectation
 
 
-def carried_edges(
+def edges_in_poses(
     edges: ReflectionEdges, before: Sequence[View], after: Sequence[View], expected: Expectation
 ) -> ReflectionEdges:
     """Move edges on the mirror to where their pixels' lines of sight meet it with other poses.
@@ -37,7 +37,7 @@ def carried_edges(
     return replace(edges, row=row, points_m=points).chosen(inside)
 
 
-def carried_bearings(
+def bearings_in_poses(
     bearings: Bearings, before: Sequence[View], after: Sequence[View], expected: Expectation
 ) -> Bearings:
     """Turn directions of the tube into those that the same pixels have with other poses.

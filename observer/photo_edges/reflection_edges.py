@@ -228,13 +228,13 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
 def sides_of_tube(
     contrast: FloatArray, middle_rad: FloatArray, half_rad: FloatArray, slope_error_rad: float, among: BoolArray
 ) -> FloatArray:
-    """Tell which of the tube's edges each edge of its reflection is.
+    """Return which of the tube's edges each edge of its reflection is.
 
     contrast (m,): Step of the brightness towards larger x.
     middle_rad, half_rad (m,): By what angle the lines of sight pass beside the tube's axis with the design's
         slopes, and half its width [rad].
     slope_error_rad: Largest slope error of the mirror [rad].
-    among (m,): Those that tell whether the tube is darker or brighter than what is around it.
+    among (m,): Those that show whether the tube is darker or brighter than what is around it.
     Returns (m,): +1 for the edge at the larger camera angle, -1 for the other.
 
     It is the nearer one. Where the mirror's normal is turned by more than a quarter of the tube's width, 7 mrad at

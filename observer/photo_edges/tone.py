@@ -2,7 +2,7 @@
 
 Lens and pixels blur an edge evenly to both sides of it, in light. Encoded as sRGB (IEC 61966-2-1) dark tones are drawn
 apart: the blurred edge looks lopsided, and its steepest place moves by a tenth of a pixel to the dark side, so that a
-dark tube looks thinner than it is. So the edges in the photos themselves tell how they are encoded.
+dark tube looks thinner than it is. So the encoding is estimated from the edges in the photos themselves.
 """
 
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ _HALF_PX = 3
 _ROUNDS = 4
 #: Steps of the brightness below this share of the usual one are none of an edge.
 _LEAST_STEP = 0.2
-#: Edges that are enough to tell.
+#: Edges that are enough to estimate it.
 _ENOUGH = 100
-#: Where no targets tell: photos that are lopsided by more than this towards the dark are no linear ones. Those have
+#: Without targets: photos that are lopsided by more than this towards the dark are no linear ones. Those have
 #: -0.12 to 0.03 (once 0.055, under clouds), sRGB as it is stored 0.05 to 0.2, linear ones taken for sRGB -0.4 to 0.02.
 _CLEARLY = 0.045
-#: Targets that tell, how well one encoding must fit their stated diameter, and by how much better than the other.
+#: Fewest targets, how well one encoding must fit their stated diameter, and by how much better than the other.
 _ENOUGH_TARGETS, _FITS, _BETTER = 6, 0.025, 0.015
 
 
@@ -42,8 +42,8 @@ class Tone(StrEnum):
 class ToneFound:
     """How photos are encoded, and how lopsided their edges are.
 
-    tone: The encoding that leaves edges most even; the usual one where too few edges tell.
-    lopsided: What it leaves; 0 is even. NaN where too few edges tell.
+    tone: The encoding that leaves edges most even; the usual one where there are too few edges.
+    lopsided: What it leaves; 0 is even. NaN where there are too few edges.
     as_stored: Lopsidedness of the numbers as they are.
     by_targets: Whether the size of the targets decided.
     """
@@ -101,8 +101,8 @@ def find_tone(
         stored [DN].
     decoded (m, 2 k + 1): The same in the photos taken for sRGB.
     sizes: Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
-    usual: What such photos usually are, where neither targets nor edges tell.
-    Returns: The encoding under which targets are as large as stated; where that does not tell, the one that leaves
+    usual: What such photos usually are, where neither targets nor edges show it.
+    Returns: The encoding under which targets are as large as stated; where that does not decide, the one that leaves
         edges most even.
     """
     stored, as_srgb = (_lopsidedness(part) if len(part) >= _ENOUGH else float("nan") for part in (as_stored, decoded))

@@ -131,7 +131,7 @@ class _Lookout:
 
 
 def _lookout(shot: Shot, expected: Expectation) -> _Lookout | None:
-    """Return from where a photo sees the tube; None where it tells nothing of it."""
+    """Return from where a photo sees the tube; None where that cannot be used."""
     camera = shot.view.camera
     collector, eye = expected.collector, shot.view.eye_m
     level, middle = float(np.mean(expected.absorber.z_m)), float(np.mean(expected.absorber.x_m))
@@ -141,7 +141,7 @@ def _lookout(shot: Shot, expected: Expectation) -> _Lookout | None:
         return None
     to_reflection = _angle_to_reflection(eye, expected)
     if to_reflection <= (0.0 if collector.glass is None else PRISM_RAD):
-        # The tube's reflection is its background; edges of both cannot be told apart.
+        # The tube's reflection is its background; edges of both cannot be distinguished.
         return None
     distance = float(np.hypot(eye[0] - middle, height))
     return _Lookout(shot, eye, height, distance, 1 / max(camera.focal_x_px, camera.focal_y_px), to_reflection)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.running.progress import Progress
-from observer.doubts.design_checks import refuse_impossible_cameras
+from observer.doubts.photos import refuse_impossible_cameras
 from observer.photo_edges.views import View
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.stated_camera import explained

@@ -4,16 +4,15 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.images.photos import read_luma
-from observer.doubts.design_checks import (
+from observer.doubts.photos import overexposure_doubt, sparse_doubt
+from observer.doubts.stated_dimensions import (
     diameter_doubt,
     diameter_of_absorber,
     focal_length_doubt,
     focal_length_of_mirror,
     heights_doubt,
     outline_doubts,
-    overexposure_doubt,
     panels_doubt,
-    sparse_doubt,
 )
 from observer.photo_edges.outline import clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
 from observer.pipeline.cameras import Cameras

@@ -10,7 +10,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution, solve_absorber
 from observer.absorber.product import absorber_doubts
-from observer.doubts.design_checks import sparse_doubt
+from observer.doubts.photos import sparse_doubt
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.photos import SeenInPhotos
 from observer.product.slope_map import AngleMaps, angle_maps, known_theta_r, slope_map_of, slopes_to_tube

@@ -198,7 +198,7 @@ def _by_module(durations_s: dict[str, float], names: tuple[str, ...]) -> dict[st
 class _Named:
     """Progress of one module: its name stands before each stage.
 
-    progress: Who is told.
+    progress: Receives the stages.
     """
 
     def __init__(self, progress: Progress, name: str) -> None:

@@ -1,7 +1,7 @@
 """All photos of a measurement to targets, edges of the reflection and bearings of the tube, each photo read once.
 
 What a photo shows of the tube is looked for as soon as its targets give it a provisional pose, from the coordinates
-listed; the adjustment of all photos comes later, and what was found is carried to its poses
+listed; the adjustment of all photos comes later, and what was found is moved to its poses
 (`observer.photo_edges.moved_edges`).
 """
 
@@ -19,7 +19,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import Image, read_luma
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from observer.photo_edges.moved_edges import carried_bearings, carried_edges
+from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
 from observer.photo_edges.tone import Tone, linear_light
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
@@ -73,7 +73,7 @@ class Finder:
     known: Those with listed coordinates.
     camera_of: Camera of each photo to start with; empty where none is known.
     expected: Collector, absorber and rows.
-    tone: How the photos are encoded; None: as their own edges tell.
+    tone: How the photos are encoded; None: estimated from their own edges.
     """
 
     section: TargetsSection
@@ -89,7 +89,7 @@ class Finder:
 
     @property
     def measures_alone(self) -> bool:
-        """Whether the targets of a photo can be told without the other photos."""
+        """Whether the targets of a photo can be identified without the other photos."""
         return self.section.dictionary is not None and self.section.tracked_from is None
 
     @property
@@ -104,7 +104,7 @@ class FirstLook:
 
     photos: Names of all photos.
     targets: Targets of each photo; empty where they are not measured one by one.
-    poses: Provisional ``cam_from_frame`` of the photos whose listed targets tell it.
+    poses: Provisional ``cam_from_frame`` of the photos whose listed targets determine it.
     edges, bearings: What those photos show of the tube.
     slices: A few rows of the mirror in all photos.
     tone: How the photos are encoded; None where that is not known yet.
@@ -135,7 +135,7 @@ class _Photo:
 
 
 class _Placed(NamedTuple):
-    """A photo in hand and its provisional ``cam_from_frame``; None where its targets tell none."""
+    """A photo in hand and its provisional ``cam_from_frame``; None where its targets determine none."""
 
     photo: _Photo
     pose: RigidTransform | None
@@ -279,8 +279,8 @@ def look_first_at_each(
         return [FirstLook(names, (), {}, {}, {}, own, leader.tone) for own in slices]
     searched: dict[str, OnePhoto] = {}
     with progress.stage("look how photos are encoded"):
-        # One flight, one camera: the first trough that tells is believed.
-        tone = next((told for one in finders if (told := _tone_of_some(files, one, searched)) is not None), None)
+        # One flight, one camera: the first trough that shows it decides.
+        tone = next((seen for one in finders if (seen := _tone_of_some(files, one, searched)) is not None), None)
         finders = [replace(one, tone=tone) for one in finders]
     if tone is Tone.SRGB:
         searched.clear()  # They were searched as they are stored.
@@ -312,7 +312,7 @@ def look_first_at_each(
 
 
 def _runs_of(count: int) -> list[range]:
-    """Divide photos into runs that begin, after the first, with those searched to tell how all are encoded."""
+    """Divide photos into runs that begin, after the first, with those from which the encoding of all is estimated."""
     ends = [*sorted({0, *some_of(count)}), count]
     runs = []
     for first, end in pairwise(ends):
@@ -331,7 +331,7 @@ def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, 
 
 
 def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, OnePhoto]) -> Tone | None:
-    """Return how photos are encoded, from a few of them whose targets tell the pose; None where none does.
+    """Return how photos are encoded, from a few of them whose targets determine the pose; None where none does.
 
     What is found in them, as they are stored, is put down.
     """
@@ -404,8 +404,8 @@ def look_again(
     tubes = [_renumbered(part, k) for k, part in enumerate(bearings)]
     together = Bearings(*(np.concatenate([getattr(one, name) for one in tubes]) for name in Bearings.__slots__))
     return SeenInPhotos(
-        carried_edges(joined(everything), before, views, expected),
-        carried_bearings(together, before, views, expected),
+        edges_in_poses(joined(everything), before, views, expected),
+        bearings_in_poses(together, before, views, expected),
         slices,
         tone,
     )

@@ -69,7 +69,7 @@ class Result(InstrumentResult):
     intercept : InterceptResult
         What mirror and absorber collect.
     photos : Photos
-        Poses of the photos with their joint covariance, as the targets tell them.
+        Poses of the photos with their joint covariance, as estimated from the targets.
     poses : tuple of RigidTransform
         The same as the reflection has refined them, ``cam_from_frame``.
     pose_covariances : ndarray, shape (n, 6, 6)

@@ -1,4 +1,4 @@
-"""Whether the stated camera fits the targets in the photos: where it does not, a few photos tell a better one."""
+"""Whether the stated camera fits the targets in the photos: where not, a better one from a few photos."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, MetrologyError, NotConvergedError
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
-from observer.doubts.design_checks import camera_doubt
+from observer.doubts.photos import camera_doubt
 from observer.pipeline.photos import FirstLook
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.keys import PhotogrammetryMeasurement
@@ -27,7 +27,7 @@ _TIMES_SIGMA = 5.0
 #: Targets in one plane fit a wrong focal length nearly as well, at other distances: there its own sigma says, freed
 #: alone, that it is wrong, from so many sigmas and this share of it on (0.05 mrad in the slopes of an LS-2).
 _FOCAL_TIMES_SIGMA, _FOCAL_SHARE = 3.0, 5e-4
-#: Photos that tell the camera, and those that tell its focal length.
+#: Photos from which the camera is estimated, and those for its focal length.
 _PHOTOS, _FOCAL_PHOTOS = 24, 100
 _FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", "k2")
 
@@ -63,8 +63,8 @@ def _doubt_by_fit(
     return Doubt(
         "camera_contradicts_targets",
         f"camera: with the stated one the targets' image points fit {factor:.1f} times worse than they were measured, "
-        f"with {', '.join(said)} {better:.1f} times; slopes and absorber are wrong with it. Let the photos tell: under "
-        f"[camera] free = [{free}], or calibrate the camera",
+        f"with {', '.join(said)} {better:.1f} times; slopes and absorber are wrong with it. Estimate it from the "
+        f"photos: under [camera] free = [{free}], or calibrate the camera",
         {"image_sigma_factor": factor, "image_sigma_with_other_camera_factor": better},
         Severity.SERIOUS,
     )
@@ -73,7 +73,7 @@ def _doubt_by_fit(
 def _doubt_of_focal_length(
     network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
 ) -> Doubt | None:
-    """Say whether targets and list tell another focal length, however well they fit the stated one."""
+    """Say whether targets and list have another focal length, however well they fit the stated one."""
     found = _with_free(survey, first, ("focal_px",), _FOCAL_PHOTOS)
     if found is None:
         return None
@@ -86,8 +86,8 @@ def _doubt_of_focal_length(
         "focal_length_contradicts_targets",
         f"camera: focal_px = {was:.6g} does not fit: targets and their list say {now:.6g} +- {sigma:.1g} "
         f"({100 * (now / was - 1):+.2f} %), which image points in one plane hardly show; slopes and absorber are wrong "
-        'with it. Let the photos tell: under [camera] free = ["focal_px"], or calibrate the camera; else look whether '
-        "the coordinates are as good as their sigmas",
+        'with it. Estimate it from the photos: under [camera] free = ["focal_px"], or calibrate the camera; else look '
+        "whether the coordinates are as good as their sigmas",
         {"stated_px": was, "found_px": now, "sigma_found_px": sigma},
         Severity.SERIOUS,
     )
@@ -99,7 +99,7 @@ def _with_free(
     free: tuple[Intrinsic, ...],
     most: int,
 ) -> photogrammetry_pipeline.Result | None:
-    """Adjust at most so many of the photos with a camera that they tell; None where they cannot."""
+    """Adjust at most so many of the photos with the camera estimated; None where it is not determined."""
     section = survey.model.camera[0].model_copy(update={"free": free, "prior": False, "sigma": {}})
     every = max(1, -(-len(first.targets) // most))
     some = first.targets[::every]
@@ -144,7 +144,8 @@ def explained() -> Iterator[None]:
         raise EstimationError(
             f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
             "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "
-            'trough move between photos? Or let photos tell the camera: under [camera] free = ["focal_px", "aspect"]'
+            "trough move between photos? Or estimate the camera from the photos: under [camera] "
+            'free = ["focal_px", "aspect"]'
         ) from error
 
 

@@ -18,19 +18,19 @@ from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.matching import KnownTargets
 from photogrammetry.pipeline import OnePhoto
 
-#: Photos that tell how all are encoded, in the inner part of a pass, where the reflection is on the mirror.
+#: Photos from which the encoding is estimated, in the inner part of a pass, where the reflection is on the mirror.
 _PHOTOS = 3
 _INNER = (0.2, 0.8)
 
 
 def some_of(count: int) -> list[int]:
-    """Return numbers of the photos that tell."""
+    """Return numbers of the photos from which the encoding is estimated."""
     return sorted({round(share * (count - 1)) for share in np.linspace(*_INNER, _PHOTOS)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """A photo that tells.
+    """A photo from which the encoding is estimated.
 
     image (height, width): The photo as stored [DN].
     view: Its camera and pose.
@@ -63,7 +63,7 @@ def sizes_of(
         return np.zeros(0), np.zeros(0)
     starts = NamedEllipses(tuple(table.names[k] for k in rows), table.pixels_px[rows], found.ellipses_px2[rows])
     decoded = measure_at([sample.decoded], [table.photo], [starts], search)[0][0]
-    # Targets on the rims look along the optical axis; three points of each tell how large the lens shows it.
+    # Targets on the rims look along the optical axis; three points of each give the size at which the lens shows it.
     middle = np.array([place[name] for name in starts.names])
     aside = [middle + 0.5 * diameter_m * np.eye(3)[axis] for axis in range(2)]
     pixels = [camera.project(pose.apply(points)) for points in (middle, *aside)]
@@ -77,7 +77,7 @@ def sizes_of(
 
 
 def usual_tone(files: Sequence[Path]) -> Tone:
-    """Return how photos are encoded where nothing in them tells: JPEG for the eye, as cameras write them."""
+    """Return how photos are encoded where nothing in them shows it: JPEG for the eye, as cameras write them."""
     return Tone.SRGB if all(file.suffix.lower() in (".jpg", ".jpeg") for file in files) else Tone.LINEAR
 
 

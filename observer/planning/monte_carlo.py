@@ -131,7 +131,7 @@ def monte_carlo(
         if done in _NOTED or run == runs - 1:
             settling.append((done, float(np.sqrt(slopes.error.sum() / max(slopes.count.sum(), 1.0)))))
     if done == 0:
-        raise EstimationError(f"Monte Carlo: none of {runs} simulations gave a result; the first said: {failed[0]}")
+        raise EstimationError(f"Monte Carlo: none of {runs} simulations gave a result; the first: {failed[0]}")
     rms, stated_rms = slopes.rms(done)
     rms_absorber, stated_absorber = absorber.rms(done)
     return MonteCarlo(

@@ -1,4 +1,4 @@
-"""The photo network of a planned pass: what it will know of the cameras, from targets that are only listed so far."""
+"""The photo network of a planned pass: what it will know of the cameras, from targets that are only listed."""
 
 from dataclasses import dataclass, replace
 

@@ -32,7 +32,7 @@ class Evaluation:
     along_rad : float
         Standard deviation of the slope along the trough, as prior [rad].
     measures_absorber : bool
-        Whether the photos tell the absorber's place; it is known otherwise.
+        Whether the absorber's place is measured in the photos; it is known otherwise.
     """
 
     column_step_m: float = 0.02

@@ -1,4 +1,4 @@
-"""What slope errors along the trough do to the angle across it, where one pass cannot tell them apart."""
+"""What slope errors along the trough do to the angle across it, where one pass cannot separate them."""
 
 import numpy as np
 

@@ -68,7 +68,7 @@ def sag_by_weight(sags: SpanSags) -> WeightSag:
     if turn.size < 2 or np.ptp(turn) < _LEAST_TURN_RAD:
         raise EstimationError(
             f"orientation study: {turn.size} orientations within {np.degrees(np.ptp(turn) if turn.size else 0):.0f} "
-            "degrees; two at least 10 degrees apart are needed to tell weight from bend"
+            "degrees; two at least 10 degrees apart are needed to separate weight from bend"
         )
     zero, one = np.zeros(turn.size), np.ones(turn.size)
     design = np.concatenate([np.column_stack([np.sin(turn), one, zero]), np.column_stack([-np.cos(turn), zero, one])])

@@ -99,7 +99,7 @@ def panel_tilts(
     angle_rad (ny, nx): theta_ra to align to the absorber as it is, theta_r to align to the design's focal line
         [rad].
     slope_map: The mirror; gives nodes and uncertainty.
-    sigma_rad (k,): Standard deviation of each panel's mean as `panels.csv` has it; by default what the map tells of
+    sigma_rad (k,): Standard deviation of each panel's mean as `panels.csv` has it; by default that of the map for
         theta_r [rad].
     Returns: Means with their sigma: noise of the nodes, and what the map has in common.
     """

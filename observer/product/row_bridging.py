@@ -1,4 +1,4 @@
-"""Along the trough: values of a row that its neighbours on the panel do not bear out, and values that are missing.
+"""Along the trough: values of a row that its neighbours on the panel do not confirm, and values that are missing.
 
 Each row of the map was solved alone (`observer.slopes.row_spline`). Along a column of one panel the slope error is
 again an integrated random walk, whose roughness is taken from the rows' own values. It bridges what no edge of the
@@ -37,7 +37,7 @@ class Bridged:
 
     value (r, nx): Slope error [rad].
     variance (r, nx): Its variance, with that of the values it rests on [rad^2].
-    contradicted (r, nx): Values that their neighbours do not bear out.
+    contradicted (r, nx): Values that their neighbours do not confirm.
     """
 
     value: FloatArray
@@ -102,7 +102,7 @@ def lone_values(value: FloatArray, variance: FloatArray, usable: BoolArray, pane
     with np.errstate(invalid="ignore"):
         allowed = np.maximum(_REJECT_TIMES * np.sqrt(variance + 2 * spread), _CLOSE_RAD)
         lone = usable & (count >= _FEWEST_BESIDE) & (np.abs(value - foretold) > allowed)
-    # What misleads a row at some nodes of a panel misleads it at the others, where no neighbours may tell.
+    # What misleads a row at some nodes of a panel misleads it at the others, where no neighbours may show it.
     place = np.maximum(panel, 0) * rows + np.arange(rows)[:, None]
     misled = np.bincount(place[lone], minlength=int(place.max()) + 1) >= _MISLED_NODES
     return np.asarray(usable & (lone | misled[place]))

@@ -108,7 +108,7 @@ def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility
         frame="trough: origin at the vertex in the middle, x across, y along, z to the absorber",
         removed="nothing",
     )
-    # Cameras and absorber, which all have in common, are told apart.
+    # Cameras and absorber, which all have in common, are listed apart.
     lines = reflector.lines.alone(reflector.lines.misfit_rad, reflector.lines.sigma_rad)
     own = sum_covariance(lines, grid, reflector.roughness, np.zeros((0, 0)), alike=reflector.alike)
     return replace(slope_map, noise_correlation=noise_correlation(own, slope_map, panel))
@@ -159,7 +159,7 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
 def slopes_to_tube(reflector: Reflector, slope_map: SlopeMap) -> SlopeMap:
     """Return the slope map with the noise and the common modes that theta_ra has instead of its own.
 
-    The reflection tells where the mirror sends light beside the tube: an error of the tube's place is in theta_r and,
+    The reflection shows where the mirror sends light beside the tube: an error of the tube's place is in theta_r and,
     the other way round, in theta_a. Sigmas of both parts, taken as independent, were 1.3 to 6 times the one here in
     simulated flights.
 

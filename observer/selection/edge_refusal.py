@@ -25,7 +25,7 @@ _SHADOWS_SHARE = 0.008
 _MOST_UNEVEN, _UNEVEN_TIMES_USUAL = 0.2, 5.0
 
 
-#: With more edges than this that the other side does not bear out a word is said.
+#: With more edges than this that the other side does not confirm it is reported.
 _MOST_ONE_SIDED = 0.2
 
 
@@ -48,7 +48,7 @@ FATE_TEXTS = {
     EdgeFate.BESIDE: "does not agree with the edges around it",
     EdgeFate.ALONE: "not continued in the neighbouring rows",
     EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
-    EdgeFate.ONE_SIDED: "not borne out by the tube's other edge, where shadows are about",
+    EdgeFate.ONE_SIDED: "not confirmed by the tube's other edge, where shadows are about",
 }
 
 
@@ -75,7 +75,7 @@ def first_fate(edges: ReflectionEdges) -> IntArray:
 
 
 def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolArray:
-    """Tell which edges do not belong to a curve through several rows.
+    """Return which edges do not belong to a curve through several rows.
 
     Shapes: y_m (r,).
     edges: Candidates of all photos.
@@ -134,8 +134,8 @@ def unchecked_doubt(fate: IntArray) -> Doubt | None:
     return Doubt(
         "edges_unchecked",
         f"{100 * wrong:.0f} % of the edges in the reflection step the other way than the tube's, as those of shadows, "
-        f"glass and things on the ground do; {100 * lonely:.0f} % are not borne out by the tube's other edge and were "
-        "refused. Photos nearer to each other bear them out; or turn the trough so that a bright, clear sky is around "
+        f"glass and things on the ground do; {100 * lonely:.0f} % are not confirmed by the tube's other edge and were "
+        "refused. Photos nearer to each other confirm them; or turn the trough so that a bright, clear sky is around "
         "the tube",
         {"wrong_step_share": wrong, "one_sided_share": lonely},
     )

@@ -14,7 +14,7 @@ from observer.slopes.joint_solution import solve_jointly
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 
 #: An edge counts where those of the other side know the slope at its place better than this [rad]; at 0.5 mrad photos
-#: 0.2 m apart would bear next to nothing out.
+#: 0.2 m apart would confirm next to nothing.
 _SUPPORT_RAD = 1e-3
 #: Both sides contradict each other beyond so many standard deviations of their difference, and beyond this [rad].
 _CONTRADICT_TIMES, _SMALLEST_RAD = 4.0, 5e-4
@@ -27,10 +27,10 @@ _CURVE_TIMES = 3.0
 _ROUNDS = 4
 
 
-def borne_out(
+def confirmed_edges(
     lines: TouchingLines, side: FloatArray, grid: RowGrid, roughness: Roughness
 ) -> tuple[BoolArray, BoolArray]:
-    """Tell which edges agree with those of the tube's other side.
+    """Return which edges agree with those of the tube's other side.
 
     lines: Edges as observations with their noise, what rows have in common taken off their misfits.
     side (m,): +1 or -1 for each.
@@ -68,7 +68,7 @@ def _one_side(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> tupl
 
 
 def pulled_curves(curve: IntArray, row: IntArray, normalised: FloatArray, n_rows: int) -> BoolArray:
-    """Tell which edges are off by the same sign together with those before and after on their curve.
+    """Return which edges are off by the same sign together with those before and after on their curve.
 
     Shapes: row (m,), result (m,).
     curve (m,): Number of the curve: one for each photo and side.

@@ -12,7 +12,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
-from observer.selection.shadows import borne_out, pulled_curves
+from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.slopes.along_variance import find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
@@ -73,7 +73,7 @@ class Reflector:
     last_change_m: RMS change of the height in the last round [m].
     has_shadows: Whether shadows as dark as the tube are in the reflection, and edges were checked against those of
         the other side: what few edges say is then not believed.
-    shape: Whether the mirror deviates as its slopes say, as the reflection tells it.
+    shape: Whether the mirror deviates as its slopes say, estimated from the reflection.
     """
 
     grid: RowGrid
@@ -144,7 +144,7 @@ def solve_reflector(
     step_m: Wanted distance of the nodes across the trough [m].
     prior: What is known of the slope along the trough.
     shaped: Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that;
-        None: as the reflection itself tells (`observer.slopes.shape_share`).
+        None: estimated from the reflection (`observer.slopes.shape_share`).
     Returns: Slope errors with covariance, and what became of each edge.
     EstimationError: Too few edges.
     """
@@ -202,7 +202,7 @@ def solve_reflector(
     if not keep.any():
         raise EstimationError(
             f"reflection: none of {keep.size} edges in {len(photos.poses)} photos agrees with the others: photos at "
-            "most 0.2 m apart across the trough bear each other out; are camera, targets and dimensions right?"
+            "most 0.2 m apart across the trough confirm each other; are camera, targets and dimensions right?"
         )
     used = lines.chosen(keep)
     roughness = find_along(_apart(used, errors), grid, roughness)
@@ -273,20 +273,20 @@ def _refuse_shadows(
     """Refuse edges that shadows may have made."""
     fate = fate.copy()
     some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
-    borne, _ = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    borne, _ = confirmed_edges(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     keep = some.copy()
     keep[some] = borne
     if not borne.any():
         fate[some] = EdgeFate.ONE_SIDED
         return _WithoutShadows(fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool))
-    # Edges of shadows made the mirror look rough; with its own roughness more of its edges bear each other out.
+    # Edges of shadows made the mirror look rough; with its own roughness more of its edges confirm each other.
     roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
     pulled = _is_pulled(lines, keep, edges, errors, grid)
     fate[pulled] = EdgeFate.BESIDE
     some &= ~pulled
     errors = solve_jointly(lines.chosen(keep & some), grid, roughness, covariance, with_shares=None)
-    borne, agreed = borne_out(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    borne, agreed = confirmed_edges(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
     fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
     return _WithoutShadows(fate, errors, roughness, agreed)
 

@@ -1,10 +1,10 @@
 """How large slopes along the trough are, from the reflection itself.
 
-One pass cannot tell the slope along the trough at a point, but it can tell how large such slopes are on the whole: both
+One pass does not determine the slope along the trough at a point, but how large such slopes are on the whole: both
 edges of the tube are seen through one mirror point by cameras some 0.6 m apart, and where the line of sight is oblique
 along the trough a slope along it moves them differently, by ``2 tan(incidence) w`` of it, w the half width of the tube
 as the mirror point sees it. At 15 degrees this is a fortieth: 0.05 mrad for 2 mrad, below the noise of an edge, but all
-edges of the mirror together tell the standard deviation.
+edges of the mirror together determine the standard deviation.
 """
 
 from dataclasses import replace
@@ -57,7 +57,7 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> Roughne
         # Slopes that do not matter have no length either.
         if stride == 2 and best > lowest + 1:
             likely = max(_LENGTHS_M, key=lambda each: evidence(best, each))
-            # What hardly any edge tells is not believed: along 3 m slopes of chance would move the whole map.
+            # What hardly any edge determines is not believed: along 3 m slopes of chance would move the whole map.
             length = likely if evidence(best, likely) > evidence(best, length) + _EVIDENCE_LOSS else length
     largest = best
     while largest < max(best, 0) and evidence(largest + 1, length) > evidence(best, length) - _EVIDENCE_LOSS:

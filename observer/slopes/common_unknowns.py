@@ -6,12 +6,12 @@ says how the tube lies to the mirror, but other things change it too, and are un
 
 - the tube's place at its stations, known from its direct view, with that covariance;
 - its radius;
-- a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are told;
+- a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are located;
 - the middle of the glass beside that of the tube: the glass turns a line that touches the metal by kappa while it is
   inside, so that with the tube d beside the middle of the glass and the line's direction u the tube looks wider by
   ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm);
 - the mean height of each panel, with the accuracy of its mounting as prior: a millimetre looks like 0.15 mrad of slope
-  at the rim, which nothing tells from slope, and like 0.03 mrad of width, which many edges together do tell.
+  at the rim, which nothing separates from slope, and like 0.03 mrad of width, which many edges together do show.
 
 What is left out of these comes back as wrong poses: with the glass 6 mm beside the tube they err by four times their
 standard deviation, and slopes by 0.1 mrad.
@@ -127,7 +127,7 @@ class CommonUnknowns:
         covariance (6 n, 6 n): Joint covariance of their steps before.
 
         A photo's unknowns m are combinations of its step s with unit covariance, so that ``s = S m + rest`` with S
-        the `steps` and a rest that is independent of m. The edges tell m and, but for what m has in common with it,
+        the `steps` and a rest that is independent of m. The edges give m and, but for what m has in common with it,
         not the rest: its expectation stays zero and its covariance ``P - S S^T``.
         """
         count, modes = len(self.steps), self.steps.shape[2]
@@ -135,8 +135,8 @@ class CommonUnknowns:
         numbers = np.arange(count * modes).reshape(count, modes)
         known = covariance_common[numbers[:, :, None], numbers[:, None, :]]
         before = covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
-        told = self.steps @ (np.eye(modes) - known) @ np.swapaxes(self.steps, 1, 2)
-        after = before - 0.5 * (told + np.swapaxes(told, 1, 2))
+        gained = self.steps @ (np.eye(modes) - known) @ np.swapaxes(self.steps, 1, 2)
+        after = before - 0.5 * (gained + np.swapaxes(gained, 1, 2))
         steps = np.einsum("nij,nj->ni", self.steps, own)
         return tuple(pose.moved(step) for pose, step in zip(poses, steps, strict=True)), after
 

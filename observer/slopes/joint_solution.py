@@ -30,7 +30,7 @@ _COLUMNS_FOR_SHARES = 64
 _EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
 #: Waves of 0.6 m have so many times the roughness in the next order [1/m^2].
 _NEXT_ORDER_PER_M2 = 100.0
-#: It is told to such a part of the range, by differences of the evidence over twice so many decades.
+#: It is found to such a part of the range, by differences of the evidence over twice so many decades.
 _INTERVALS, _DIFFERENCE = 32, 0.125
 
 

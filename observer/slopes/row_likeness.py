@@ -11,7 +11,7 @@ import numpy as np
 from heliogauge.validate import BoolArray, FloatArray
 from observer.slopes.row_spline import RowGrid
 
-#: Fewer pairs of nodes do not tell a correlation.
+#: Fewer pairs of nodes do not determine a correlation.
 _FEWEST_PAIRS = 200
 #: Lengths that are tried, in all rows' extent, and how many: beyond the longest all rows are one.
 _LONGEST, _LENGTHS = 30.0, 60
@@ -26,7 +26,7 @@ def row_likeness(slope_rad: FloatArray, good: BoolArray, grid: RowGrid, y_m: Flo
     slope_rad (r, nx): Slope error across the trough [rad].
     good (r, nx): Nodes that were measured.
     grid: Nodes, and which of them lie on one panel.
-    Returns (r, r): ``exp(-distance / length)``; rows are alike entirely where too little was measured to tell the
+    Returns (r, r): ``exp(-distance / length)``; rows are alike entirely where too little was measured to estimate the
         length.
 
     Autocovariance along the columns, the mean and the bend of each row's piece of panel taken off: they are measured

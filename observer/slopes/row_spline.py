@@ -1,8 +1,8 @@
 """The mirror's slopes from touching lines of sight: smooth along each row, panel by panel, and what all rows share.
 
 Each row of the map (constant y) has nodes along x. A touching line of sight at x says something about the slopes of the
-two nodes beside it. Between them the slope error follows a random walk that is integrated once or twice, as the data
-themselves tell like its roughness: the posterior mean is a smoothing spline, and its variance says honestly how little
+two nodes beside it. Between them the slope error follows a random walk that is integrated once or twice, estimated from
+the data like its roughness: the posterior mean is a smoothing spline, and its variance says honestly how little
 is known between samples.
 The slope along the trough has a prior instead of a measurement where one pass only has seen the mirror.
 """

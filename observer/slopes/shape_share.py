@@ -1,4 +1,4 @@
-"""Whether the mirror itself deviates as its slopes say, or only its normals are turned: told by the reflection.
+"""Whether the mirror itself deviates as its slopes say, or only its normals are turned: estimated from the reflection.
 
 A point of the mirror that is higher by h is passed by both edges of the tube under slightly other angles: one mirror
 point is seen by two cameras 0.6 m apart, and a height of a millimetre makes 0.03 mrad of difference between them. That
@@ -30,7 +30,7 @@ _BORDER, _DECIDED_TIMES = 0.5, 2.0
 #: With a larger sigma the factor says nothing.
 _MOST_SIGMA = 0.6
 #: There are no other mirrors than 0 and 1: a factor that is further beside both shows what its sigma does not contain.
-#: Where something was told it was never further (-0.5 to 2.0); 24 photos of a mirror with its shape said -3.6 +- 0.6.
+#: Where it was determined it was never further (-0.5 to 2.0); 24 photos of a mirror with its shape said -3.6 +- 0.6.
 _BESIDE = 1.0
 #: An effect on the slopes of less than this share of their sigma is not worth a word.
 _WORTH_SIGMAS = 0.5
@@ -41,7 +41,7 @@ class ShapeShare:
     """What the reflection says of the mirror's shape.
 
     share, sigma: Factor of the heights that the slopes integrate to, and its standard deviation; infinite where
-        they are too small to tell.
+        they are too small to determine it.
     effect_rad: RMS by which the slopes across differ with those heights and without [rad].
     """
 
@@ -114,16 +114,16 @@ def _edge_step_m(lines: TouchingLines) -> float:
 def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) -> Doubt | None:
     """Say whether the stated kind of surface contradicts the reflection, or matters and is not decided by it.
 
-    stated: ``shape_from_slopes``; None where the reflection was to tell.
+    stated: ``shape_from_slopes``; None where it is estimated.
     usual_sigma_rad: Usual sigma of a slope; what matters less than half of it is not worth a word [rad].
     """
     if found.effect_rad < _WORTH_SIGMAS * usual_sigma_rad:
         return None
     numbers = {"shape_share": found.share, "sigma_shape_share": found.sigma, "effect_rad": found.effect_rad}
-    told = f"the reflection says {found.share:.2f} +- {found.sigma:.2f} of the heights that the slopes integrate to"
+    measured = f"the reflection says {found.share:.2f} +- {found.sigma:.2f} of the heights that the slopes integrate to"
     matters = f"slopes would differ by {1e3 * found.effect_rad:.2f} mrad RMS"
     if stated is not None and found.is_decided and found.has_shape != stated:
-        text = f"evaluation.shape_from_slopes = {str(stated).lower()} does not fit: {told}; the other way {matters}"
+        text = f"evaluation.shape_from_slopes = {str(stated).lower()} does not fit: {measured}; the other way {matters}"
         return Doubt("surface_shape_contradicts_reflection", text, numbers, Severity.SERIOUS)
     if stated is not None or found.is_decided:
         return None

@@ -10,9 +10,9 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import derivatives_of
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
 
-#: Sums that are carried through the rows at once; ten take 16 MB for 400 rows of 250 nodes.
+#: Sums that are solved for at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
-#: Panels that suffice to tell how much neighbouring nodes err together.
+#: Panels that suffice to estimate how much neighbouring nodes err together.
 _PANELS = 10
 
 
@@ -114,7 +114,7 @@ def with_bridged(
     Returns: The same for sums over this map.
 
     The solution of a bridged node's own row is the prior there, some milliradians, which the value in the map is not:
-    5 % of such nodes made the sigma of an intercept factor twelve times as large as what is told by cameras and
+    5 % of such nodes made the sigma of an intercept factor twelve times as large as what comes from cameras and
     edges.
     """
     bridged = (slope_map.flags & np.uint32(SampleFlag.SMOOTHED_GAP)) > 0

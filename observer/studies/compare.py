@@ -28,7 +28,7 @@ FIGURE = "orientations.png"
 CHANGES_FIGURE = "theta_r_change.png"
 #: Spans whose supports differ by less are the same one [m].
 _SAME_M = 0.05
-#: A sag that departs from weight and bend by more than so many sigma is said.
+#: A sag that departs from weight and bend by more than so many sigma is reported.
 _DOUBT_TIMES = 3.5
 
 
@@ -139,7 +139,7 @@ def run(folders: Sequence[Path]) -> Comparison:
         one.slope_map if one.slope_map is None or first is None else resample(one.slope_map, first.x_m, first.y_m)
         for one in found
     )
-    # All files are called absorber.csv: the number tells them apart.
+    # All files are called absorber.csv: the number distinguishes them.
     inputs = enumerate((one.folder / "absorber.csv" for one in found), start=1)
     return Comparison(
         found,

@@ -106,7 +106,7 @@ def run(
         Doubt("module_not_measured", f"{name}: not measured: {reason}") for name, reason in (failed or {}).items()
     )
     doubtful = (_first_of(label, module) for label, module in zip(labels, modules, strict=True) if module.doubts)
-    # All files are called summary.json: the folder tells them apart.
+    # All files are called summary.json: the folder distinguishes them.
     hashes = {
         str(folder / name): digest
         for folder in folders

@@ -1,4 +1,4 @@
-"""Whether the listed targets are those in the photos, and tell where the trough's frame lies."""
+"""Whether the listed targets are those in the photos, and determine where the trough's frame lies."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray
 from observer.trough.collector import Collector
 
-#: Fewest targets that tell a frame.
+#: Fewest targets that determine a frame.
 _FEWEST = 3
 #: A frame that may be turned by more than this is none: slopes of troughs are wanted to a tenth of a milliradian [rad].
 _LOOSE_RAD = 5e-3

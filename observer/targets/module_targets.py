@@ -1,4 +1,4 @@
-"""Targets of a collector: which of a list belong to it, where they are in its frame, whether they tell a pose."""
+"""Targets of a collector: which of a list belong to it, where they are in its frame, whether they determine a pose."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ class ListedPlaces:
 
 
 def spans_an_area(places_m: FloatArray) -> bool:
-    """Say whether targets tell the pose of a photo that shows them.
+    """Return whether targets determine the pose of a photo that shows them.
 
     Shapes: places_m (n, 3).
     Returns: Whether they spread across the line that they lie along: those of one rim leave the camera's turn about

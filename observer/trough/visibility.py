@@ -69,7 +69,7 @@ def visibility(
     absorber: AbsorberPath,
     theta_r_rad: FloatArray,
 ) -> Visibility:
-    """Tell which nodes of the mirror can show the tube's edges.
+    """Return which nodes of the mirror can show the tube's edges.
 
     Shapes: eyes_m (n, 3).
     nodes_m: Ascending columns and rows [m].

@@ -5,7 +5,7 @@ import numpy as np
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from observer.photo_edges.moved_edges import carried_bearings, carried_edges
+from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.photo_edges.tube_bearings import Bearings, bearing
 from observer.photo_edges.views import View
@@ -37,7 +37,7 @@ def test_edges_keep_their_pixels_and_come_to_lie_on_the_mirror() -> None:
     photo, row, x = rng.integers(0, 3, 500), rng.integers(40, 360, 500), rng.uniform(-2.4, 2.4, 500)
     points = np.stack([x, Y[row], x**2 / (4 * 1.49)], axis=1)
     edges = ReflectionEdges(photo, row, np.ones(500), points, np.full(500, 1e-3), np.full(500, 0.5), np.zeros(500))
-    found = carried_edges(edges, before, after, EXPECTED)
+    found = edges_in_poses(edges, before, after, EXPECTED)
     assert found.photo.size == 500
     assert np.abs(found.points_m[:, 2] - found.points_m[:, 0] ** 2 / (4 * 1.49)).max() < 1e-12
     assert np.linalg.norm(found.points_m - points, axis=1).max() > 5e-3
@@ -56,7 +56,7 @@ def test_edges_that_leave_the_mirror_are_left_out() -> None:
     edges = ReflectionEdges(
         np.zeros(2, int), np.array([0, 399]), np.ones(2), points, np.ones(2), np.ones(2), np.zeros(2)
     )
-    assert carried_edges(edges, before, after, EXPECTED).photo.size == 1
+    assert edges_in_poses(edges, before, after, EXPECTED).photo.size == 1
 
 
 def test_bearings_are_those_of_the_same_pixels_from_the_adjusted_places() -> None:
@@ -65,7 +65,7 @@ def test_bearings_are_those_of_the_same_pixels_from_the_adjusted_places() -> Non
     eyes = np.array([pose.inverse().translation_m for _, pose in before])
     angle = bearing(np.full(300, 0.01), np.full(300, 1.49), eyes[photo])
     some = np.full(300, 1e-5)
-    found = carried_bearings(Bearings(photo, y, angle, some, some, 7e3 * some), before, after, EXPECTED)
+    found = bearings_in_poses(Bearings(photo, y, angle, some, some, 7e3 * some), before, after, EXPECTED)
     for k in range(3):
         own = photo == k
         points = np.stack([np.full(100, 0.01), y[own], np.full(100, 1.49)], axis=1)

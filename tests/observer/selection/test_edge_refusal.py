@@ -85,5 +85,5 @@ def test_an_edge_beside_which_the_brightness_goes_on_changing_is_uneven() -> Non
 
 def test_a_word_is_said_where_most_edges_stand_alone() -> None:
     fate = np.repeat([EdgeFate.USED, EdgeFate.WRONG_STEP, EdgeFate.ONE_SIDED], [40, 10, 50])
-    assert "50 % are not borne out" in str(unchecked_doubt(fate))
+    assert "50 % are not confirmed" in str(unchecked_doubt(fate))
     assert unchecked_doubt(fate[:55]) is None

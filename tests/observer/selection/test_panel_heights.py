@@ -8,7 +8,7 @@ import pytest
 
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from observer.doubts.design_checks import heights_doubt
+from observer.doubts.stated_dimensions import heights_doubt
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined
 from observer.photo_edges.views import View
 from observer.pipeline.headline import _height_columns

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from observer.selection.shadows import borne_out, pulled_curves
+from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
 
 GRID = RowGrid(np.linspace(-1.0, 1.0, 80), np.ones(79, dtype=bool), 6)
@@ -35,7 +35,7 @@ def test_what_one_side_says_alone_or_both_differently_is_refused() -> None:
     error = rng.normal(0, 1e-4, x.size) + np.where(shifted, 6e-3, 0.0)
     seen = ~hidden
     lines = lines_of(x[seen], row[seen], error[seen])
-    edges, nodes = borne_out(lines, side[seen], GRID, SMOOTH)
+    edges, nodes = confirmed_edges(lines, side[seen], GRID, SMOOTH)
     inner = (x[seen] > -0.4) & (x[seen] < 0.5)
     assert edges[inner].mean() > 0.99
     assert not edges[(x[seen] < -0.85) | (x[seen] > 0.65)].any()
@@ -46,7 +46,7 @@ def test_what_one_side_says_alone_or_both_differently_is_refused() -> None:
 def test_edges_of_one_side_only_bear_nothing_out() -> None:
     """As with a camera that is 20 % wrong: no edge is left of the other side."""
     x, row = np.tile(np.arange(-0.9, 1.0, 0.1), 6), np.repeat(np.arange(6), 19)
-    edges, nodes = borne_out(lines_of(x, row, np.zeros(x.size)), np.ones(x.size), GRID, SMOOTH)
+    edges, nodes = confirmed_edges(lines_of(x, row, np.zeros(x.size)), np.ones(x.size), GRID, SMOOTH)
     assert not edges.any()
     assert not nodes.any()
 
@@ -55,7 +55,7 @@ def test_clean_edges_of_both_sides_are_all_kept() -> None:
     rng = np.random.default_rng(1)
     x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
     row, side = np.repeat(np.tile(np.arange(6), 2), x.size // 12), np.repeat([1.0, -1.0], x.size // 2)
-    edges, _ = borne_out(lines_of(x, row, rng.normal(0, 1e-4, x.size)), side, GRID, SMOOTH)
+    edges, _ = confirmed_edges(lines_of(x, row, rng.normal(0, 1e-4, x.size)), side, GRID, SMOOTH)
     assert edges.mean() > 0.999
 
 

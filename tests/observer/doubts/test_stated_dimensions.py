@@ -8,17 +8,8 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from observer.doubts.design_checks import (
-    Found,
-    camera_doubt,
-    diameter_doubt,
-    focal_length_doubt,
-    outline_doubts,
-    overexposure_doubt,
-    panels_doubt,
-    refuse_impossible_cameras,
-    sparse_doubt,
-)
+from observer.doubts.photos import camera_doubt, overexposure_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.doubts.stated_dimensions import Found, diameter_doubt, focal_length_doubt, outline_doubts, panels_doubt
 from observer.photo_edges.outline import Span, clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
 from observer.photo_edges.views import View
 from observer.slopes.row_spline import Roughness

@@ -1,4 +1,4 @@
-"""What the measurement itself says of the collector's dimensions: where they differ, a number was stated wrongly."""
+"""Dimensions of the collector as stated beside what the measurement shows: where they differ, a number is wrong."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.doubts import Doubt, Severity
-from heliogauge.errors import InputError
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import FloatArray
 from observer.photo_edges.outline import Span
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.row_spline import Roughness
@@ -23,7 +21,7 @@ _FOCAL_SHARE_WITH_ABSORBER = 3e-3
 #: ... or where both are off the same way, this much on average: panels that were mounted with care leave up to 0.4 % in
 #: the mirror alone, and tubes hang up to 6 mm, 0.4 %, beside the focal line.
 _FOCAL_SHARE_TOGETHER = 4.5e-3
-#: Rows of the mirror tell the focal length where they are measured out to this share of both halves of the aperture.
+#: Rows determine the focal length where they are measured out to this share of both halves of the aperture.
 _REACH_SHARE = 0.7
 #: ... and on this share of their nodes.
 _ROW_SHARE = 0.4
@@ -34,22 +32,14 @@ _TIMES_SIGMA = 5.0
 #: The tube's diameter: more than this share of it and than so many sigmas; its sigma holds what all edges may have
 #: in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
 _DIAMETER_SHARE, _DIAMETER_TIMES_SIGMA = 5e-3, 3.0
-#: What is said of width and length: more than this share, and more than so many sigmas.
+#: What is reported of width and length: more than this share, and more than so many sigmas.
 _SPAN_SHARE = 4e-3
-#: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
-_CLIPPED_SHARE = 0.1
-#: What a pass with photos near enough to each other measures of what can show the tube, and how near that is [m].
-_SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
-#: Image points that fit so much worse than they were measured are not bad photos any more.
-_MISFIT_FACTOR = 3.0
 #: Slopes that vary along a row as much as this jump at panel edges: mirrors of one piece have 1e-4 to 3e-3, a mirror of
 #: four panels that was stated to be one 0.15 [rad^2 / m^3].
 _JUMPING = 0.02
-#: Heights of panels whose sigma is less than this share of the prior's were told by the reflection; from so many on
+#: Heights of panels whose sigma is less than this share of the prior's come from the reflection; from so many on
 #: their mean square over what is expected says something.
-_TOLD_SHARE, _FEWEST_HEIGHTS, _HEIGHTS_EXCESS = 0.95, 4, 4.0
-#: No camera that sees a collector is further away than this many times its largest dimension.
-_FARTHEST_TIMES = 100.0
+_MEASURED_SHARE, _FEWEST_HEIGHTS, _HEIGHTS_EXCESS = 0.95, 4, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,28 +51,6 @@ class Found:
 
     value_m: float
     sigma_m: float
-
-
-def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
-    """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
-
-    eyes_m (n, 3): The cameras in the trough's frame [m].
-    InputError: Most cameras are behind the mirror, or extremely far away.
-    """
-    height = float(np.median(eyes_m[:, 2]))
-    if height < collector.rim_height_m:
-        raise InputError(
-            f"targets: with the listed coordinates the cameras are behind the mirror (median z = {height:.2f} m): the "
-            "list is mirrored. x must go across the aperture, y along the trough and z to the absorber, right-handed: "
-            "change the sign of x_m or of y_m for all targets"
-        )
-    largest = max(collector.aperture_width_m, collector.length_m, collector.focal_length_m)
-    distance = float(np.median(np.linalg.norm(eyes_m, axis=1)))
-    if distance > _FARTHEST_TIMES * largest:
-        raise InputError(
-            f"targets: with the listed coordinates the cameras are {distance:.0f} m away from a collector of "
-            f"{largest:g} m; are the coordinates in metres?"
-        )
 
 
 def focal_length_of_mirror(slope_map: SlopeMap, collector: Collector) -> Found:
@@ -200,21 +168,6 @@ def outline_doubts(across: Span, along: Span, collector: Collector) -> Iterator[
             )
 
 
-def overexposure_doubt(clipped_share: float) -> Doubt | None:
-    """Say whether too much of the mirror is overexposed.
-
-    clipped_share: Share of the mirror at full scale in a usual photo.
-    """
-    if not clipped_share > _CLIPPED_SHARE:
-        return None
-    return Doubt(
-        "mirror_overexposed",
-        f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
-        "move and the tube looks thinner than it is; expose so that the sky stays below full scale",
-        {"overexposed_share": clipped_share},
-    )
-
-
 def panels_doubt(roughness: Roughness, collector: Collector) -> Doubt | None:
     """Say whether the mirror looks like several panels where none were stated.
 
@@ -238,11 +191,11 @@ def heights_doubt(reflector: Reflector) -> Doubt | None:
     """
     height, sigma = reflector.unknowns.panel_heights_m(reflector.errors.common, reflector.errors.covariance_common)
     unit = reflector.unknowns.height_unit_m
-    told = sigma < _TOLD_SHARE * unit if unit else np.zeros(height.size, dtype=bool)
-    if np.count_nonzero(told) < _FEWEST_HEIGHTS:
+    measured = sigma < _MEASURED_SHARE * unit if unit else np.zeros(height.size, dtype=bool)
+    if np.count_nonzero(measured) < _FEWEST_HEIGHTS:
         return None
     # Before the measurement an estimate is expected to have the variance that it took from the prior.
-    excess = float(np.mean(height[told] ** 2 / (unit**2 - sigma[told] ** 2)))
+    excess = float(np.mean(height[measured] ** 2 / (unit**2 - sigma[measured] ** 2)))
     if excess < _HEIGHTS_EXCESS:
         return None
     return Doubt(
@@ -251,45 +204,4 @@ def heights_doubt(reflector: Reflector) -> Doubt | None:
         f"{np.sqrt(excess):.1f} times as far from the design's height; state {1e3 * unit * np.sqrt(excess):.1g} mm, "
         "until then slopes are less certain than their sigma says",
         {"stated_sigma_m": unit, "seen_sigma_m": unit * float(np.sqrt(excess))},
-    )
-
-
-def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
-    """Say whether the photos are too far apart to measure the mirror.
-
-    Shapes: eyes_m (n, 3).
-    measured_share: Share of the mirror with a value, of what can show the tube to these cameras.
-    Returns: None where enough is measured.
-    """
-    if measured_share > _SPARSE_SHARE:
-        return None
-    steps = np.diff(np.sort(eyes_m[:, 0]))
-    usual = float(np.median(steps)) if steps.size else 0.0
-    remedy = (
-        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough"
-        if usual > _GOOD_STEP_M
-        else "look at reflection_edges.csv for why edges were refused"
-    )
-    return Doubt(
-        "mirror_measured_sparsely",
-        f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "
-        f"some {usual:.2f} m apart: an edge of the reflection tells the slope only where it lies; {remedy}",
-        {"measured_share": measured_share, "photos_count": len(eyes_m), "usual_step_m": usual},
-    )
-
-
-def camera_doubt(image_sigma_factor: float) -> Doubt | None:
-    """Say whether camera and target list contradict each other.
-
-    image_sigma_factor: How much worse image points fit than they were measured.
-    """
-    if image_sigma_factor < _MISFIT_FACTOR:
-        return None
-    return Doubt(
-        "image_points_fit_badly",
-        f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
-        "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. Let the "
-        'photos tell: under [camera] free = ["focal_px"], or calibrate the camera',
-        {"image_sigma_factor": image_sigma_factor},
-        Severity.SERIOUS,
     )

@@ -1,0 +1,95 @@
+"""Photos and cameras that cannot give a result, or not a good one: where they stand, how far apart, how exposed."""
+
+import numpy as np
+
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import InputError
+from heliogauge.validate import FloatArray
+from observer.trough.collector import Collector
+
+#: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
+_CLIPPED_SHARE = 0.1
+#: What a pass with photos near enough to each other measures of what can show the tube, and how near that is [m].
+_SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
+#: Image points that fit so much worse than they were measured are not bad photos any more.
+_MISFIT_FACTOR = 3.0
+#: No camera that sees a collector is further away than this many times its largest dimension.
+_FARTHEST_TIMES = 100.0
+
+
+def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
+    """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
+
+    eyes_m (n, 3): The cameras in the trough's frame [m].
+    InputError: Most cameras are behind the mirror, or extremely far away.
+    """
+    height = float(np.median(eyes_m[:, 2]))
+    if height < collector.rim_height_m:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are behind the mirror (median z = {height:.2f} m): the "
+            "list is mirrored. x must go across the aperture, y along the trough and z to the absorber, right-handed: "
+            "change the sign of x_m or of y_m for all targets"
+        )
+    largest = max(collector.aperture_width_m, collector.length_m, collector.focal_length_m)
+    distance = float(np.median(np.linalg.norm(eyes_m, axis=1)))
+    if distance > _FARTHEST_TIMES * largest:
+        raise InputError(
+            f"targets: with the listed coordinates the cameras are {distance:.0f} m away from a collector of "
+            f"{largest:g} m; are the coordinates in metres?"
+        )
+
+
+def overexposure_doubt(clipped_share: float) -> Doubt | None:
+    """Say whether too much of the mirror is overexposed.
+
+    clipped_share: Share of the mirror at full scale in a usual photo.
+    """
+    if not clipped_share > _CLIPPED_SHARE:
+        return None
+    return Doubt(
+        "mirror_overexposed",
+        f"{100 * clipped_share:.0f} % of the mirror is overexposed: beside a sky at full scale the reflection's edges "
+        "move and the tube looks thinner than it is; expose so that the sky stays below full scale",
+        {"overexposed_share": clipped_share},
+    )
+
+
+def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
+    """Say whether the photos are too far apart to measure the mirror.
+
+    Shapes: eyes_m (n, 3).
+    measured_share: Share of the mirror with a value, of what can show the tube to these cameras.
+    Returns: None where enough is measured.
+    """
+    if measured_share > _SPARSE_SHARE:
+        return None
+    steps = np.diff(np.sort(eyes_m[:, 0]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    remedy = (
+        f"take photos at most {_GOOD_STEP_M:g} m apart across the trough"
+        if usual > _GOOD_STEP_M
+        else "look at reflection_edges.csv for why edges were refused"
+    )
+    return Doubt(
+        "mirror_measured_sparsely",
+        f"only {100 * measured_share:.0f} % of the mirror that can show the tube was measured, by {len(eyes_m)} photos "
+        f"some {usual:.2f} m apart: an edge of the reflection gives the slope only where it lies; {remedy}",
+        {"measured_share": measured_share, "photos_count": len(eyes_m), "usual_step_m": usual},
+    )
+
+
+def camera_doubt(image_sigma_factor: float) -> Doubt | None:
+    """Say whether camera and target list contradict each other.
+
+    image_sigma_factor: How much worse image points fit than they were measured.
+    """
+    if image_sigma_factor < _MISFIT_FACTOR:
+        return None
+    return Doubt(
+        "image_points_fit_badly",
+        f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
+        "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. "
+        'Estimate it from the photos: under [camera] free = ["focal_px"], or calibrate the camera',
+        {"image_sigma_factor": image_sigma_factor},
+        Severity.SERIOUS,
+    )
