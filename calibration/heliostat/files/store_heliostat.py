@@ -145,7 +145,7 @@ def _reason(result: HeliostatResult) -> str:
     return (
         "what the other heliostats of the field have in common is usual"
         if result.free == FIELD
-        else "chosen by the user"
+        else "not chosen by trial"
     )
 
 
