@@ -74,9 +74,11 @@ class WholeFolder:
                 raise InputError(
                     f"{self._target}: cannot be written ({error.strerror or error}); check permissions and space"
                 ) from error
-            elif isinstance(error, InputError) and str(self._working) in str(error):
+            elif isinstance(error, InputError):
                 # The temporary folder is gone by the time the message is read.
-                raise InputError(str(error).replace(str(self._working), str(self._target))) from error
+                message = str(error).replace(str(self._working), str(self._target))
+                if message != str(error):
+                    raise InputError(message) from error
         finally:
             shutil.rmtree(self._working, ignore_errors=True)
 
