@@ -28,12 +28,10 @@ class Kind:
     load: Function ``(folder) -> measurement`` that reads and checks a folder.
     template: File with a commented measurement.toml to start from.
     command: What follows ``heliogauge`` on the command line to evaluate a folder.
-    run: Function ``(measurement, options, progress) -> result``, without options where the kind has none.
-    write: Function ``(result, folder)`` that writes the results into an existing folder; without it the result's own
-        method ``write(folder)`` does.
+    run: Function ``(measurement, options, progress) -> InstrumentResult``, without options where the kind has none.
     options: Dataclass of the choices that override those of measurement.toml.
-    run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run and write, where a
-        measurement fills its folder of results itself.
+    run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run, where a measurement
+        fills its folder of results itself.
     recognises: Function ``(folder) -> bool`` that knows folders of this kind without a measurement.toml.
     """
 
@@ -43,7 +41,6 @@ class Kind:
     template: str
     command: str
     run: str = ""
-    write: str = ""
     options: str = ""
     run_into: str = ""
     recognises: str = ""

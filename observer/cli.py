@@ -14,10 +14,8 @@ from heliogauge.running.commands import (
     Quiet,
     Verbose,
     deliver,
-    into_folder,
     make_app,
     say_ending,
-    tell,
 )
 from heliogauge.running.progress import SilentProgress
 
@@ -119,18 +117,17 @@ def plan_command(
     """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
     from heliogauge.running.terminal import terminal_progress
     from observer.planning.keys import load_observer_plan
-    from observer.planning.plan import headline_text, run, summarise, write
+    from observer.planning.plan import run
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = into_folder(
+    deliver(
         out,
         lambda: run(load_observer_plan(folder), progress),
-        write,
+        progress,
         force=force,
-        progress=progress,
+        quiet=quiet,
         report=not no_report,
     )
-    tell(result.doubts, lambda: headline_text(summarise(result)), f"results: {out}", quiet=quiet)
 
 
 @app.command("compare")

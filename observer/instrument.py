@@ -25,7 +25,6 @@ INSTRUMENT = Instrument(
             template="observer.planning:template.toml",
             command="observer plan",
             run="observer.planning.plan:run",
-            write="observer.planning.plan:write",
         ),
     ),
     reports={

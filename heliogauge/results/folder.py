@@ -129,11 +129,6 @@ class Summary:
     geometry_m: Mapping[str, Any] = field(default_factory=dict)
     version: str = __version__
 
-    def __post_init__(self) -> None:
-        """Until every instrument makes doubts: take sentences for doubts."""
-        both = tuple(Doubt("sentence", one) if isinstance(one, str) else one for one in self.doubts)
-        object.__setattr__(self, "doubts", both)
-
 
 def unit_of(key: str) -> tuple[str, str]:
     """Split the key of a number into its name and its unit.

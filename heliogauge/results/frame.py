@@ -1,13 +1,14 @@
 """What the result of any instrument has, and what is done with all of them alike."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from heliogauge.doubts import Doubt
-from heliogauge.results.folder import SUMMARY_FILE, Summary, write_summary
+from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, write_summary
+from heliogauge.running.progress import Progress
 
 #: Headline numbers by name with unit; None where one is not determined.
 Numbers = Mapping[str, float | int | None]
@@ -81,3 +82,27 @@ class InstrumentResult(ABC):
             facets or {},
             geometry_m or {},
         )
+
+
+_ResultT = TypeVar("_ResultT", bound=InstrumentResult)
+
+
+def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, force: bool, report: bool) -> _ResultT:
+    """Do the work of a command and write its result into a folder that is whole or not there.
+
+    job: Does the work; is called when the folder is known to be usable.
+    force: Replace an earlier result.
+    report: Add ``report.html``.
+    InputError: The folder cannot be used, or the job refuses its input.
+    EstimationError: The job's answer is not determined.
+    """
+    with ResultFolder(out, force=force) as working:
+        result = job()
+        with progress.stage("write results"):
+            result.write(working)
+        if report:
+            from heliogauge.reporting.build import build_report
+
+            with progress.stage("report"):
+                build_report(working)
+    return result

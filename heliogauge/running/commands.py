@@ -7,7 +7,7 @@ have one name, one help text and one meaning.
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -18,8 +18,6 @@ from heliogauge.running.progress import Progress
 
 if TYPE_CHECKING:
     from heliogauge.results.frame import InstrumentResult
-
-_ResultT = TypeVar("_ResultT")
 
 MeasurementFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Folder with measurement.toml and its images.", show_default=False)
@@ -78,37 +76,6 @@ def make_app(summary: str) -> typer.Typer:
     return app
 
 
-def into_folder(
-    out: Path,
-    job: Callable[[], _ResultT],
-    write: Callable[[_ResultT, Path], None],
-    *,
-    force: bool,
-    progress: Progress,
-    report: bool = False,
-) -> _ResultT:
-    """Do a command's work and write its result into a folder that is whole or not there.
-
-    job: Does the work; is called when the folder is known to be usable.
-    force: Replace an earlier result.
-    report: Add ``report.html``.
-    InputError: The folder cannot be used, or the job refuses its input.
-    EstimationError: The job's answer is not determined.
-    """
-    from heliogauge.results.folder import ResultFolder
-
-    with ResultFolder(out, force=force) as working:
-        result = job()
-        with progress.stage("write results"):
-            write(result, working)
-        if report:
-            from heliogauge.reporting.build import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    return result
-
-
 def deliver(
     out: Path,
     job: Callable[[], "InstrumentResult"],
@@ -131,18 +98,10 @@ def deliver(
     InputError: The folder cannot be used, or the job refuses its input.
     EstimationError: The job's answer is not determined.
     """
-    from heliogauge.results.folder import ResultFolder
+    from heliogauge.results.frame import into_folder
 
-    with ResultFolder(out, force=force) as working:
-        result = job()
-        with progress.stage("write results"):
-            summary = result.write(working)
-        if report:
-            from heliogauge.reporting.build import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-    say_ending(summary.doubts, result.headline(), f"results: {out}{hint}", quiet=quiet)
+    result = into_folder(out, job, progress, force=force, report=report)
+    say_ending(result.doubts, result.headline(), f"results: {out}{hint}", quiet=quiet)
 
 
 def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bool) -> None:
@@ -151,20 +110,6 @@ def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bo
         typer.echo(f"warning: {one.text}", err=True)
     if not quiet:
         typer.echo(headline)
-        typer.echo(ending)
-
-
-def tell(warnings: Iterable[str], headline: Callable[[], str], ending: str, *, quiet: bool) -> None:
-    """Say how a command ended: warnings on standard error, the numbers and where they are on standard output.
-
-    doubts: What makes the result doubtful; printed even with -q.
-    headline: Returns the most important numbers in a few lines.
-    ending: The last line: where the results are.
-    """
-    for text in warnings:
-        typer.echo(f"warning: {text}", err=True)
-    if not quiet:
-        typer.echo(headline())
         typer.echo(ending)
 
 

@@ -181,22 +181,12 @@ def _options(kind: Kind, given: dict[str, Any]) -> Any:
 def _measure_into(
     kind: Kind, measurement: Any, out: Path, options: Any, progress: "Progress | None", *, force: bool, report: bool
 ) -> None:
-    from heliogauge.results.folder import ResultFolder
+    from heliogauge.results.frame import into_folder
     from heliogauge.running.progress import SilentProgress
 
     progress = progress or SilentProgress()
     if kind.run_into:
         resolve(kind.run_into)(measurement, out, options, progress, force=force, report=report)
         return
-    with ResultFolder(out, force=force) as working:
-        result = resolve(kind.run)(measurement, *([] if options is None else [options]), progress)
-        with progress.stage("write results"):
-            if kind.write:
-                resolve(kind.write)(result, working)
-            else:
-                result.write(working)
-        if report:
-            from heliogauge.reporting.build import build_report
-
-            with progress.stage("report"):
-                build_report(working)
+    chosen = [] if options is None else [options]
+    into_folder(out, lambda: resolve(kind.run)(measurement, *chosen, progress), progress, force=force, report=report)

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import ResultFolder
+from heliogauge.results.frame import into_folder
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.keys import ObserverMeasurement
 from observer.pipeline import modules
@@ -31,13 +31,7 @@ def run_into(
     EstimationError: No module could be measured.
     """
     progress = progress or SilentProgress()
+    if not measurement.model.module:
+        return into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
     with ResultFolder(out, force=force) as working:
-        if measurement.model.module:
-            return modules.run(measurement, working, options, progress, report=report)
-        result = run(measurement, options, progress)
-        with progress.stage("write results"):
-            result.write(working)
-        if report:
-            with progress.stage("report"):
-                build_report(working)
-    return result
+        return modules.run(measurement, working, options, progress, report=report)

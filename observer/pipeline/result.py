@@ -28,7 +28,7 @@ from observer.pipeline.intercept import InterceptResult, intercept_numbers, writ
 from observer.pipeline.photos import SeenInPhotos
 from observer.product.pictures import Overlay
 from observer.product.slope_map import AngleMaps
-from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
+from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
@@ -177,7 +177,7 @@ class Result(InstrumentResult):
 def _edge_columns(result: Result) -> dict[str, Any]:
     edges, reflector = result.seen.edges, result.reflector
     names = np.array(result.network.solved.bundle.problem.observations.photos)
-    texts = np.array([FATE_TEXTS[fate] for fate in EdgeFate])
+    codes = np.array([fate.code for fate in EdgeFate])
     return {
         "image": names[edges.photo],
         # A thousandth of their sigma.
@@ -186,5 +186,5 @@ def _edge_columns(result: Result) -> dict[str, Any]:
         "side": edges.side.astype(int),
         "sigma_x_m": edges.sigma_x_m.round(7),
         "residual_rad": reflector.residuals_rad.round(9),
-        "fate": texts[reflector.fate],
+        "fate": codes[reflector.fate],
     }

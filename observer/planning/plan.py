@@ -1,16 +1,19 @@
 """From measurement.toml to what a pass over a trough will give: sigmas, what is missing, where to fly."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.models import PhotosSection
-from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_cameras_json, write_summary, write_table_csv
+from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_cameras_json, write_table_csv
+from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
 from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
@@ -48,10 +51,9 @@ _LARGEST_INCIDENCE_RAD = np.radians(15.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
+class PlanResult(InstrumentResult):
     """What a plan promises, ready to be written.
 
-    name: Name of what is planned.
     collector: The design.
     network: Photos and targets.
     bundle: What the photo network will know.
@@ -59,12 +61,9 @@ class PlanResult:
     missing: Share of the mirror that will not be measured, by reason.
     figures: Figures of merit of the first pass.
     spread: Scatter of many simulated measurements; None where not asked.
-    doubts: What is amiss, and where to fly.
-    durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file read.
     """
 
-    name: str
+    kind: ClassVar[str] = "observer-plan"
     collector: Collector
     network: PlannedNetwork
     bundle: BundleResult
@@ -72,9 +71,81 @@ class PlanResult:
     missing: dict[SampleFlag, float]
     figures: FlightFigures
     spread: MonteCarlo | None
-    doubts: tuple[str, ...]
-    durations_s: dict[str, float]
-    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers of a plan."""
+        slope_map, path = self.simulated.slope_map, self.simulated.absorber
+        valid = slope_map.valid
+        sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
+        sigma_theta_r = sigma / (1 + slope_map.slope_x[valid] ** 2)
+        sigma_x, sigma_z = path.sigma_at(path.y_m)
+        eyes = _place_variances(self)
+        figures, spread = self.figures, self.spread
+        numbers: dict[str, float | int | None] = {
+            "photos_count": len(self.network.poses),
+            "sigma_theta_r_median_rad": float(np.median(sigma_theta_r)),
+            "sigma_theta_r_95_percent_rad": float(np.percentile(sigma_theta_r, 95)),
+            "sigma_slope_x_median_rad": float(np.median(sigma)),
+            "sigma_slope_x_95_percent_rad": float(np.percentile(sigma, 95)),
+            "sigma_random_slope_x_median_rad": float(np.median(own)),
+            "measured_share": slope_map.measured_share,
+            "sigma_absorber_x_rms_m": float(np.sqrt(np.mean(sigma_x**2))),
+            "sigma_absorber_z_rms_m": float(np.sqrt(np.mean(sigma_z**2))),
+            "sigma_camera_position_rms_m": float(np.sqrt(eyes.mean())),
+            "pixel_on_aperture_m": figures.pixel_on_aperture_m,
+            "pixel_on_absorber_m": figures.pixel_on_absorber_m,
+            "camera_angle_step_rad": figures.camera_angle_step_rad,
+            "camera_target_angle_deg": float(np.degrees(figures.camera_target_angle_rad)),
+            "longitudinal_incidence_deg": float(np.degrees(figures.longitudinal_incidence_rad)),
+        }
+        if spread is not None:
+            numbers |= {
+                "monte_carlo_runs_count": spread.runs,
+                "monte_carlo_rms_slope_x_rad": spread.rms_rad,
+                "monte_carlo_95_percent_rad": spread.percentile_95_rad,
+                "monte_carlo_over_sigma_ratio": spread.ratio,
+            }
+        texts = {
+            "design": slope_map.design,
+            "datum": self.bundle.datum,
+            "sigma": "at a node before any removal, of dz/dx (sigma_slope_x) and of the normal (sigma_theta_r): noise, "
+            "what lies between photos, slopes along the trough as far as their prior, cameras and absorber, which all "
+            "nodes share",
+            "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
+        }
+        return self._summary(numbers, texts)
+
+    def write_files(self, folder: Path) -> None:
+        """Write stations, maps, absorber and cameras of a plan into an existing folder."""
+        write_table_csv(folder / "stations.csv", _station_columns(self))
+        write_slope_map(folder / "slope_map.nc", {"": self.simulated.slope_map}, {"input_sha256": self.input_sha256})
+        write_table_csv(folder / "missing.csv", _missing_columns(self))
+        write_collector(folder / COLLECTOR, self.collector)
+        path = self.simulated.absorber
+        sigma_x, sigma_z = path.sigma_at(path.y_m)
+        write_table_csv(
+            folder / "absorber.csv",
+            {"y_m": path.y_m, "x_a_m": path.x_m, "z_a_m": path.z_m, "sigma_x_a_m": sigma_x, "sigma_z_a_m": sigma_z},
+        )
+        photos = self.bundle.problem.observations.photos
+        poses = {
+            name: PhotoPose("camera", pose, 0.5 * (matrix + matrix.T))
+            for name, pose, matrix in zip(photos, self.network.poses, self.bundle.covariance.poses, strict=True)
+        }
+        write_cameras_json(folder / "cameras.json", {"camera": self.bundle.cameras[0]}, poses)
+        if self.spread is not None:
+            write_table_csv(folder / "monte_carlo.csv", _spread_columns(self, self.spread))
+            write_table_csv(
+                folder / "monte_carlo_settling.csv",
+                {
+                    "runs_count": [count for count, _ in self.spread.settling],
+                    "rms_slope_x_rad": [value for _, value in self.spread.settling],
+                },
+            )
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
 
 
 def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) -> PlanResult:
@@ -105,9 +176,15 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
     spread = _spread(measurement, collector, network, progress)
     pixel_rad = 1 / max(network.camera.focal_x_px, network.camera.focal_y_px)
     figures = flight_figures(collector, pixel_rad, eyes[: passes[0].photos])
-    warnings = (*_warnings(model, collector, passes, missing, figures), *_of_spread(spread), *left_out)
+    slope_error_rad = 1e-3 * model.mirror.slope_error_mrad
+    doubts = gather_doubts(
+        advice(collector, passes, missing, slope_error_rad),
+        steps_too_wide(passes),
+        _steep_incidence(passes, figures),
+        _spread_doubts(spread),
+        left_out,
+    )
     return PlanResult(
-        model.name,
         collector,
         network,
         bundle,
@@ -115,9 +192,10 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
         missing,
         figures,
         spread,
-        warnings,
-        dict(progress.durations_s),
-        hashes,
+        name=model.name,
+        doubts=doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
     )
 
 
@@ -144,7 +222,7 @@ def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
 
 def planned_network(
     model: ObserverPlanModel, folder: Path, poses: tuple[RigidTransform, ...]
-) -> tuple[PlannedNetwork, tuple[str, ...]]:
+) -> tuple[PlannedNetwork, tuple[Doubt, ...]]:
     """Build the photo network of a plan.
 
     Parameters
@@ -158,7 +236,7 @@ def planned_network(
 
     Returns
     -------
-    PlannedNetwork, tuple of str
+    PlannedNetwork, tuple of Doubt
         The network, and why photos were left out.
 
     Raises
@@ -196,7 +274,10 @@ def planned_network(
             f"plan: {int(keep.sum())} photos see {_LEAST_IN_PHOTO} of {len(planned.names)} targets, two are needed; "
             "fly higher, look at the collector, or use a shorter focal length"
         )
-    left_out = tuple(f"photo_{k + 1:03d}: sees {seen[k]} targets" for k in np.nonzero(~keep)[0])
+    left_out = tuple(
+        Doubt("plan_photo_left_out", f"photo_{k + 1:03d}: sees {seen[k]} targets", {"targets_count": int(seen[k])})
+        for k in np.nonzero(~keep)[0]
+    )
     return replace(network, poses=tuple(pose for pose, good in zip(poses, keep, strict=True) if good)), left_out
 
 
@@ -315,62 +396,27 @@ def _spread(
         return monte_carlo(once, runs, model.monte_carlo.seed, stage.advance)
 
 
-def _warnings(
-    model: ObserverPlanModel,
-    collector: Collector,
-    passes: tuple[Pass, ...],
-    missing: dict[SampleFlag, float],
-    figures: FlightFigures,
-) -> tuple[str, ...]:
-    found = [*advice(collector, passes, missing, 1e-3 * model.mirror.slope_error_mrad), *steps_too_wide(passes)]
+def _steep_incidence(passes: tuple[Pass, ...], figures: FlightFigures) -> Doubt | None:
     incidence = figures.longitudinal_incidence_rad
-    if len({one.y_m for one in passes}) == 1 and incidence > _LARGEST_INCIDENCE_RAD:
-        found.append(
-            f"longitudinal incidence up to {np.degrees(incidence):.1f} degrees: from 15 degrees on slope errors along "
-            "the trough are felt (0.5 mrad at two sigma of 5 mrad); fly higher, or two passes at different y"
-        )
-    return tuple(found)
-
-
-def _of_spread(spread: MonteCarlo | None) -> tuple[str, ...]:
-    if spread is None:
-        return ()
-    found = []
-    if not spread.has_settled:
-        found.append(f"Monte Carlo: the scatter has not settled within 5 % after {spread.runs} runs; ask for more")
-    if spread.failed:
-        found.append(f"Monte Carlo: {len(spread.failed)} simulations gave no result, the first: {spread.failed[0]}")
-    return tuple(found)
-
-
-def write(result: PlanResult, folder: Path) -> None:
-    """Write the files of a plan into an existing folder."""
-    write_table_csv(folder / "stations.csv", _station_columns(result))
-    write_slope_map(folder / "slope_map.nc", {"": result.simulated.slope_map}, {"input_sha256": result.input_sha256})
-    write_table_csv(folder / "missing.csv", _missing_columns(result))
-    write_collector(folder / COLLECTOR, result.collector)
-    path = result.simulated.absorber
-    sigma_x, sigma_z = path.sigma_at(path.y_m)
-    write_table_csv(
-        folder / "absorber.csv",
-        {"y_m": path.y_m, "x_a_m": path.x_m, "z_a_m": path.z_m, "sigma_x_a_m": sigma_x, "sigma_z_a_m": sigma_z},
+    if len({one.y_m for one in passes}) > 1 or incidence <= _LARGEST_INCIDENCE_RAD:
+        return None
+    return Doubt(
+        "plan_incidence_large",
+        f"longitudinal incidence up to {np.degrees(incidence):.1f} degrees: from 15 degrees on slope errors along "
+        "the trough are felt (0.5 mrad at two sigma of 5 mrad); fly higher, or two passes at different y",
+        {"incidence_rad": incidence},
     )
-    photos = result.bundle.problem.observations.photos
-    poses = {
-        name: PhotoPose("camera", pose, 0.5 * (matrix + matrix.T))
-        for name, pose, matrix in zip(photos, result.network.poses, result.bundle.covariance.poses, strict=True)
-    }
-    write_cameras_json(folder / "cameras.json", {"camera": result.bundle.cameras[0]}, poses)
-    if result.spread is not None:
-        write_table_csv(folder / "monte_carlo.csv", _spread_columns(result, result.spread))
-        write_table_csv(
-            folder / "monte_carlo_settling.csv",
-            {
-                "runs_count": [count for count, _ in result.spread.settling],
-                "rms_slope_x_rad": [value for _, value in result.spread.settling],
-            },
-        )
-    write_summary(folder / "summary.json", summarise(result))
+
+
+def _spread_doubts(spread: MonteCarlo | None) -> Iterator[Doubt]:
+    if spread is None:
+        return
+    if not spread.has_settled:
+        text = f"Monte Carlo: the scatter has not settled within 5 % after {spread.runs} runs; ask for more"
+        yield Doubt("monte_carlo_not_settled", text, {"runs_count": spread.runs})
+    if spread.failed:
+        text = f"Monte Carlo: {len(spread.failed)} simulations gave no result, the first: {spread.failed[0]}"
+        yield Doubt("monte_carlo_runs_failed", text, {"failed_count": len(spread.failed)})
 
 
 def _place_variances(result: PlanResult) -> FloatArray:
@@ -413,58 +459,6 @@ def _spread_columns(result: PlanResult, spread: MonteCarlo) -> dict[str, Any]:
         "rms_error_slope_x_rad": spread.rms_slope_x[known],
         "sigma_slope_x_rad": spread.stated_slope_x[known],
     }
-
-
-def summarise(result: PlanResult) -> Summary:
-    """Collect the headline numbers of a plan."""
-    slope_map, path = result.simulated.slope_map, result.simulated.absorber
-    valid = slope_map.valid
-    sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
-    sigma_theta_r = sigma / (1 + slope_map.slope_x[valid] ** 2)
-    sigma_x, sigma_z = path.sigma_at(path.y_m)
-    eyes = _place_variances(result)
-    figures, spread = result.figures, result.spread
-    numbers: dict[str, float | int | None] = {
-        "photos_count": len(result.network.poses),
-        "sigma_theta_r_median_rad": float(np.median(sigma_theta_r)),
-        "sigma_theta_r_95_percent_rad": float(np.percentile(sigma_theta_r, 95)),
-        "sigma_slope_x_median_rad": float(np.median(sigma)),
-        "sigma_slope_x_95_percent_rad": float(np.percentile(sigma, 95)),
-        "sigma_random_slope_x_median_rad": float(np.median(own)),
-        "measured_share": slope_map.measured_share,
-        "sigma_absorber_x_rms_m": float(np.sqrt(np.mean(sigma_x**2))),
-        "sigma_absorber_z_rms_m": float(np.sqrt(np.mean(sigma_z**2))),
-        "sigma_camera_position_rms_m": float(np.sqrt(eyes.mean())),
-        "pixel_on_aperture_m": figures.pixel_on_aperture_m,
-        "pixel_on_absorber_m": figures.pixel_on_absorber_m,
-        "camera_angle_step_rad": figures.camera_angle_step_rad,
-        "camera_target_angle_deg": float(np.degrees(figures.camera_target_angle_rad)),
-        "longitudinal_incidence_deg": float(np.degrees(figures.longitudinal_incidence_rad)),
-    }
-    if spread is not None:
-        numbers |= {
-            "monte_carlo_runs_count": spread.runs,
-            "monte_carlo_rms_slope_x_rad": spread.rms_rad,
-            "monte_carlo_95_percent_rad": spread.percentile_95_rad,
-            "monte_carlo_over_sigma_ratio": spread.ratio,
-        }
-    texts = {
-        "design": slope_map.design,
-        "datum": result.bundle.datum,
-        "sigma": "at a node before any removal, of dz/dx (sigma_slope_x) and of the normal (sigma_theta_r): noise, "
-        "what lies between photos, slopes along the trough as far as their prior, cameras and absorber, which all "
-        "nodes share",
-        "not_included": "false edges, clouds, glass and blur beyond the sigmas of the edges given",
-    }
-    return Summary(
-        kind="observer-plan",
-        name=result.name,
-        numbers=numbers,
-        texts=texts,
-        doubts=result.doubts,
-        durations_s=result.durations_s,
-        input_sha256=result.input_sha256,
-    )
 
 
 def headline_text(summary: Summary) -> str:

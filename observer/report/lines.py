@@ -9,6 +9,7 @@ from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 from observer.report.results import Columns, TroughResults, numbers
+from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
 from observer.trough.collector import Collector
 from observer.trough.observation_equation import Sights, change_across, misfit
 
@@ -224,7 +225,10 @@ def residuals(results: TroughResults) -> Html:
     edges = results.edges
     names, counts = np.unique(edges.fate, return_counts=True)
     order = np.argsort(-counts)
-    rows = [(str(names[k]), f"{counts[k]}", f"{counts[k] / max(edges.fate.size, 1):.2%}") for k in order]
+    rows = [
+        (FATE_TEXTS[EdgeFate[str(names[k]).upper()]], f"{counts[k]}", f"{counts[k] / max(edges.fate.size, 1):.2%}")
+        for k in order
+    ]
     fates = table(("edges that were found", "count", "share"), rows, numbers=(1, 2))
     note = (
         "Residual: angle across the trough by which the line of sight through a found edge misses the tube's edge "

@@ -12,6 +12,7 @@ from heliogauge.results.folder import PhotoPose, PointTable, read_cameras_json, 
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.files import ANGLES, COLLECTOR, SLICES, StoredSlices, read_collector, read_slices
+from observer.selection.edge_refusal import EdgeFate
 from observer.trough.collector import Collector
 
 Columns = dict[str, list[str]]
@@ -26,7 +27,7 @@ class EdgeTable:
     side (m,): Which edge of the tube, +1 or -1.
     sigma_x_m (m,): Standard deviation of the position [m].
     residual_rad (m,): What remains of the angle [rad].
-    fate (m,): "used", or why not.
+    fate (m,): `EdgeFate.code` of each.
     """
 
     photo: IntArray
@@ -40,7 +41,7 @@ class EdgeTable:
     @property
     def used(self) -> BoolArray:
         """Those that the result rests on."""
-        return np.asarray(self.fate == "used")
+        return np.asarray(self.fate == EdgeFate.USED.code)
 
 
 #: What a slope map has at each node.

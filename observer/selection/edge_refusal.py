@@ -40,6 +40,11 @@ class EdgeFate(IntEnum):
     UNEVEN = 5
     ONE_SIDED = 6
 
+    @property
+    def code(self) -> str:
+        """As tables have it."""
+        return self.name.lower()
+
 
 FATE_TEXTS = {
     EdgeFate.USED: "used",

@@ -18,10 +18,11 @@ from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.grid import resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.files import ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS
+from observer.files import COLLECTOR, ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS, read_collector
 from observer.product.orientation_study import SpanSags, WeightSag, mirror_change, sag_by_weight, theta_r_change
 from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
 from observer.report.figures_orientation import Profile, orientation_figure
+from observer.trough.collector import Collector
 
 KIND = "observer-compare"
 FIGURE = "orientations.png"
@@ -36,6 +37,7 @@ _DOUBT_TIMES = 3.5
 class OneOrientation:
     """What the study takes from a result.
 
+    collector: The design.
     profile: The absorber along the trough.
     spans: Columns of ``absorber_spans.csv``.
     slope_map: The mirror; None where only the absorber was measured.
@@ -43,6 +45,7 @@ class OneOrientation:
 
     folder: Path
     summary: Summary
+    collector: Collector
     profile: Profile
     spans: dict[str, FloatArray]
     slope_map: SlopeMap | None
@@ -114,9 +117,10 @@ def run(folders: Sequence[Path]) -> Comparison:
     if len(folders) < 2:
         raise InputError(f"observer compare: {len(folders)} result given, two at different orientations are needed")
     found = tuple(_read(folder) for folder in folders)
-    designs = {one.summary.texts.get("design", "").split(", focal")[0] for one in found if one.slope_map is None}
-    if len(designs) > 1:
-        raise InputError(f"observer compare: results of different collectors: {'; '.join(sorted(designs))}")
+    sizes = {(one.collector.aperture_width_m, one.collector.length_m) for one in found if one.slope_map is None}
+    if len(sizes) > 1:
+        listed = "; ".join(f"parabolic trough, aperture {width:g} m x {length:g} m" for width, length in sorted(sizes))
+        raise InputError(f"observer compare: results of different collectors: {listed}")
     sags: list[WeightSag | None] = []
     doubts: list[Doubt] = []
     for number in range(len(found[0].spans["from_y_m"])):
@@ -168,7 +172,10 @@ def _read(folder: Path) -> OneOrientation:
     )
     slopes = folder / "slope_map.nc"
     profile = Profile(label, turn, *(table[name] for name in names))
-    return OneOrientation(folder, summary, profile, spans, read_slope_map(slopes) if slopes.is_file() else None)
+    collector = read_collector(folder / COLLECTOR)
+    return OneOrientation(
+        folder, summary, collector, profile, spans, read_slope_map(slopes) if slopes.is_file() else None
+    )
 
 
 def _numbers(path: Path, names: Sequence[str]) -> dict[str, FloatArray]:

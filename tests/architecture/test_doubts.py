@@ -4,6 +4,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 
 import pytest
 
@@ -35,15 +36,16 @@ def decisions(tree: ast.AST) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
-            for (left, right), operator in zip(zip(sides, sides[1:], strict=False), node.ops, strict=True):
+            for (left, right), operator in zip(pairwise(sides), node.ops, strict=True):
                 if isinstance(operator, ast.In | ast.NotIn) and is_sentence(right) and not _is_name_of(left):
                     yield node.lineno, ast.unparse(node)
                 if isinstance(operator, ast.Eq | ast.NotEq) and any(
                     is_sentence(one) and _is_words(other) for one, other in ((left, right), (right, left))
                 ):
                     yield node.lineno, ast.unparse(node)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _SEARCHES:
-            if any(is_sentence(one) for one in (node.func.value, *node.args)):
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            searched = node.func.attr in _SEARCHES
+            if searched and any(is_sentence(one) for one in (node.func.value, *node.args)):
                 yield node.lineno, ast.unparse(node)
 
 

@@ -99,11 +99,12 @@ class Finding:
 class Check:
     """One look at the residuals.
 
-    name: What was looked for.
+    kind, name: What was looked for: the kind of term, and which one.
     chance: Probability of as much by chance in this look alone.
     explained: Share of the residuals' variance that it explains; NaN where it was not significant.
     """
 
+    kind: str
     name: str
     chance: float
     explained: float = float("nan")
@@ -147,7 +148,11 @@ class Diagnosis:
         return {
             "findings": [one.content() for one in self.findings],
             "checks": [
-                {"name": one.name, "chance": _plain(one.chance), "explained_share": _plain(one.explained)}
+                {
+                    "name": f"{one.kind}: {one.name}",
+                    "chance": _plain(one.chance),
+                    "explained_share": _plain(one.explained),
+                }
                 for one in self.checks
             ],
             "significance": self.significance,

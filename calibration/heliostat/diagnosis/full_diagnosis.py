@@ -100,7 +100,7 @@ def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> Findi
     """Follow numbers of which the residuals contradict what was known."""
     found = []
     for kind in ("position", "actuator_numbers"):
-        doubted = [check for check in looked.checks if check.name.startswith(kind)]
+        doubted = [check for check in looked.checks if check.kind == kind]
         if any(check.chance * len(looked.checks) < significance for check in doubted):
             finding = loosened_finding(fit, kind)
             if finding is not None and not _much_better(looked, finding):

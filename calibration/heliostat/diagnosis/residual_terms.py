@@ -87,7 +87,7 @@ def residual_findings(
     for turn in range(_MOST_FAULTS):
         looks = [(group, look) for group in groups for look in _looks(group.model, group.terms)]
         if turn == 0:
-            checks = [Check(f"{look.term.kind}: {look.term.name}", look.chance) for _, look in looks]
+            checks = [Check(look.term.kind, look.term.name, look.chance) for _, look in looks]
         clear = [pair for pair in looks if pair[1].chance * count < significance]
         if not clear:
             break
@@ -205,8 +205,8 @@ def _closer(model: LinearFit, look: _Look) -> _Look:
 
 
 def _explained(check: Check, look: _Look, extension: Extension) -> Check:
-    same = check.name == f"{look.term.kind}: {look.term.name}"
-    return Check(check.name, check.chance, extension.explained) if same else check
+    same = (check.kind, check.name) == (look.term.kind, look.term.name)
+    return replace(check, explained=extension.explained) if same else check
 
 
 def _finding(fit: HeliostatFit, look: _Look, extension: Extension, severity: Severity, chance: float) -> Finding:

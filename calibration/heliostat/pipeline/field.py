@@ -30,7 +30,8 @@ from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
-from heliogauge.results.folder import ResultFolder, Summary, hash_files, write_summary
+from heliogauge.results.folder import Summary, hash_files, write_summary
+from heliogauge.results.frame import into_folder
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, run_each
 
@@ -101,20 +102,17 @@ def run_into(
     with progress.stage("look at heliostats"):
         campaign = options.choose(measurement)
     if len(campaign.names) == 1:
-        with ResultFolder(out, force=force) as working:
-            result = run(measurement, options, progress)
-            with progress.stage("write results"):
-                summary = result.write(working)
-            if report:
-                _report(working, progress)
-        (one,) = result.heliostats
-        return FieldResult([field_row(one)], summary, splits=split_lines(one))
+        result = into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
+        return FieldResult(result.rows, result.summarise(), splits=split_lines(result.heliostats[0]))
     with FieldFolder(out, force=force) as folder:
         try:
             campaign = with_field(campaign, options.workers, progress)
             filled = _fill(folder, campaign, measurement, options, progress)
             if report:
-                _report(folder.path, progress)
+                from heliogauge.reporting.build import build_report
+
+                with progress.stage("report"):
+                    build_report(folder.path)
             return filled
         except KeyboardInterrupt:
             count = len(folder.finished.keys() | folder.before.keys())
@@ -166,13 +164,6 @@ def _fill(
         write_field(folder.path, rows)
         write_summary(folder.path / "summary.json", summary)
     return FieldResult(rows, summary, resumed)
-
-
-def _report(folder: Path, progress: Progress) -> None:
-    from heliogauge.reporting.build import build_report
-
-    with progress.stage("report"):
-        build_report(folder)
 
 
 def _digest(shared: Shared) -> str:

@@ -15,6 +15,8 @@ from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from observer import cli
 from observer.absorber.product import absorber_columns, shape_numbers, span_columns, tube_spans
+from observer.files import COLLECTOR as COLLECTOR_FILE
+from observer.files import write_collector
 from observer.product.orientation_study import SpanSags, mirror_change, sag_by_weight
 from observer.report import compare as report
 from observer.report.figures_modules import maps_figure
@@ -89,6 +91,7 @@ def result_at(folder: Path, degrees: float, *, with_map: bool = True) -> Path:
     path = AbsorberPath(Y_M, 6e-3 * np.sin(turn) * shape, 1.49 - 6e-3 * np.cos(turn) * shape, 1e-8 * np.eye(66))
     write_table_csv(folder / "absorber.csv", absorber_columns(path, None, COLLECTOR))
     write_table_csv(folder / "absorber_spans.csv", span_columns(tube_spans(path, None, COLLECTOR, turn)))
+    write_collector(folder / COLLECTOR_FILE, COLLECTOR)
     numbers = {**shape_numbers(path, None, COLLECTOR, turn), "orientation_rad": turn}
     write_summary(folder / "summary.json", Summary("observer", "LS-2", numbers, texts={"design": COLLECTOR.describe()}))
     if with_map:
