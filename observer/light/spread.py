@@ -86,7 +86,7 @@ def gaussian_short_form(
     collector : Collector
         The design.
     sun : BeamProfile
-        The sun, from `observer.beam_profile.sun_profile`.
+        The sun, from `observer.light.beam.sun_profile`.
     sigma_r_rad : float
         Slope error of the mirror's normal across, RMS [rad].
     sigma_a_rad : float, optional
