@@ -12,6 +12,7 @@ FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
+TimeArray = npt.NDArray[np.datetime64]
 FlagArray = npt.NDArray[np.uint32]
 AnyFloatArray = npt.NDArray[np.float64] | npt.NDArray[np.float32]
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +11,8 @@ from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.mechanics import Poses, TrueHeliostat, rotation_about
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import FloatArray, IntArray, TimeArray
 
-Times: TypeAlias = npt.NDArray[np.datetime64]
 #: RTK-GPS at rest of Gouws (2018), table 3.1, in the order east, north, up [m].
 RTK_SIGMA_M = (5.602e-3, 5.781e-3, 8.866e-3)
 _MINUTES = 10
@@ -75,10 +74,10 @@ class Campaign:
     """
 
     schedule: Schedule
-    noon: Times
+    noon: TimeArray
     hours_min: FloatArray
 
-    def times(self, rng: np.random.Generator) -> Times:
+    def times(self, rng: np.random.Generator) -> TimeArray:
         """Draw the times of one heliostat, ascending (evenly over each day if so scheduled), shape (n,) (UTC)."""
         chosen = []
         for noon, (first, last) in zip(self.noon, self.hours_min.tolist(), strict=True):
@@ -138,7 +137,7 @@ class Changes:
         """Whether nothing changes."""
         return not self.jumps and not self.per_year
 
-    def at(self, heliostat: TrueHeliostat, times: Times) -> list[TrueHeliostat]:
+    def at(self, heliostat: TrueHeliostat, times: TimeArray) -> list[TrueHeliostat]:
         """Return the heliostat as it is at each of the times, shape (n,)."""
         years = (times - times[0]) / np.timedelta64(1, "s") / (365.25 * 86400)
         later = times >= np.datetime64(self.date, "ms") if self.jumps else np.zeros(len(times), dtype=bool)
@@ -168,8 +167,8 @@ class Beams:
     outlier (n,): Measured spots that are wrong.
     """
 
-    times: Times
-    noted: Times
+    times: TimeArray
+    noted: TimeArray
     sun: FloatArray
     target: IntArray
     readings: FloatArray

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, float_array, freeze, positive
+from heliogauge.validate import BoolArray, FloatArray, TimeArray, float_array, freeze, positive
 
-TimeArray = npt.NDArray[np.datetime64]
 # The series of the solar position take 0.5 kB an instant and term: 100 MB at a time.
 _INSTANTS_AT_A_TIME = 20_000
 # Refraction where the sun rises, used only to decide below which elevation none is applied [degree].

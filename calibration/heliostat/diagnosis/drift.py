@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.heliostat.diagnosis.terms import Term, Terms
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, TimeArray
 
 #: Rows on either side of a change that are needed to speak of one.
 FEWEST_ROWS = 4
@@ -56,7 +55,7 @@ def in_time(terms: Terms) -> list[Term]:
     return [jump, Term("drift", "a drift in time", wander, per_year, np.zeros(1))]
 
 
-def change_dates(times: npt.NDArray[np.datetime64]) -> npt.NDArray[np.datetime64]:
+def change_dates(times: TimeArray) -> TimeArray:
     """Return the dates on which rows begin to be new: each could be the first after a change.
 
     Shapes: times (n,).
@@ -71,9 +70,7 @@ def change_dates(times: npt.NDArray[np.datetime64]) -> npt.NDArray[np.datetime64
     return np.asarray(dates)
 
 
-def date_range(
-    at: FloatArray, statistics: FloatArray, times: npt.NDArray[np.datetime64]
-) -> tuple[np.datetime64, np.datetime64]:
+def date_range(at: FloatArray, statistics: FloatArray, times: TimeArray) -> tuple[np.datetime64, np.datetime64]:
     """Return between which days a change lies, with 95 % confidence.
 
     Shapes: statistics (d,), times (n,).
@@ -103,7 +100,7 @@ def _plain(name: str) -> str:
     return name.removesuffix("_per_year").removesuffix("_rad")
 
 
-def _days(dates: npt.NDArray[np.datetime64]) -> FloatArray:
+def _days(dates: TimeArray) -> FloatArray:
     return np.asarray((dates - np.datetime64("1970-01-01")) / _DAY, dtype=np.float64)
 
 

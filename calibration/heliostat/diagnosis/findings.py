@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from heliogauge import doubts
 from heliogauge.doubts import Doubt
+from heliogauge.validate import TimeArray
 
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
 #: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), or the
@@ -167,7 +167,7 @@ def ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda one: _ORDER[one.severity]))
 
 
-def dates_of(times: npt.NDArray[np.datetime64]) -> tuple[str, ...]:
+def dates_of(times: TimeArray) -> tuple[str, ...]:
     """Return the dates of times, each once; unknown times are passed over."""
     known = np.unique(times[~np.isnat(times)].astype("datetime64[D]"))
     return tuple(str(day) for day in known)

@@ -14,9 +14,9 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.parameters import Parameters
 from calibration.heliostat.observations.beam_observations import BeamSpots, DroneSightings, SunInCamera
 from calibration.heliostat.observations.mirror_observations import LampSightings, MirrorNormals, MirrorPoints
-from calibration.heliostat.observations.pointings import MountedCamera, Place, Pointings, TimeArray, joined_parameters
+from calibration.heliostat.observations.pointings import MountedCamera, Place, Pointings, joined_parameters
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import FloatArray, IntArray, TimeArray
 
 __all__ = [
     "BeamSpots",

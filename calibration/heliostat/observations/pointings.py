@@ -10,9 +10,7 @@ import numpy.typing as npt
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.parameters import Parameters
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, freeze
-
-TimeArray = npt.NDArray[np.datetime64]
+from heliogauge.validate import BoolArray, FloatArray, IntArray, TimeArray, float_array, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,13 +7,12 @@ no number that comes of it would be true.
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
 from calibration.heliostat.observations.rows import ColumnError, Rows, Verdicts
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, direction_from_angles, sun_directions
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, TimeArray
 
 #: Rows from which on a column can be judged as a whole.
 _ENOUGH = 5
@@ -148,7 +147,7 @@ def _refuse_radians(angles_deg: FloatArray) -> None:
         )
 
 
-def _convention(recorded: FloatArray, times: npt.NDArray[np.datetime64], site: Site, median: float) -> ColumnError:
+def _convention(recorded: FloatArray, times: TimeArray, site: Site, median: float) -> ColumnError:
     """Find the convention by which the suns as recorded would be those of their times."""
     truth = sun_directions(times, site)
     azimuth, elevation = recorded.T

@@ -9,15 +9,13 @@ import datetime
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray, freeze
-
-Times: TypeAlias = npt.NDArray[np.datetime64]
+from heliogauge.validate import BoolArray, FloatArray, TimeArray, freeze
 
 #: Why a row of observations has no part in the fit; "" and "outlier" come from the fit itself.
 ROW_FLAGS: dict[str, str] = {
@@ -76,7 +74,7 @@ class Rows:
     ids: tuple[str, ...]
     numbers: Mapping[str, FloatArray]
     texts: Mapping[str, tuple[str, ...]]
-    times: Times
+    times: TimeArray
     flags: tuple[str, ...]
     reasons: tuple[str, ...]
 
@@ -193,7 +191,7 @@ def _number(cell: str) -> float:
         return float("nan")
 
 
-def parse_times(texts: Sequence[str], verdicts: Verdicts) -> Times:
+def parse_times(texts: Sequence[str], verdicts: Verdicts) -> TimeArray:
     """Read times in ISO 8601 with a zone, as UTC.
 
     Shapes: result (n,).
@@ -218,7 +216,7 @@ def parse_times(texts: Sequence[str], verdicts: Verdicts) -> Times:
 
 
 def rows_of(
-    ids: Sequence[str], columns: Mapping[str, Sequence[Any]], times: Times, verdicts: Sequence[tuple[str, str]]
+    ids: Sequence[str], columns: Mapping[str, Sequence[Any]], times: TimeArray, verdicts: Sequence[tuple[str, str]]
 ) -> Rows:
     """Build rows from columns that are read already.
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import FloatArray, positive
+from heliogauge.validate import FloatArray, TimeArray, positive
 
 _DAY = np.timedelta64(1, "D")
 _MINUTE = np.timedelta64(60_000, "ms")
@@ -175,9 +175,7 @@ class _State:
         return int(self.taken[chosen])
 
 
-def _slots_of(
-    day: np.datetime64, site: Site, options: ScheduleOptions
-) -> tuple[npt.NDArray[np.datetime64], FloatArray]:
+def _slots_of(day: np.datetime64, site: Site, options: ScheduleOptions) -> tuple[TimeArray, FloatArray]:
     """Return times of the slots of a day, and the suns, as long as the sun is high enough."""
     # The place's own day: no slot is lost to midnight of UTC.
     midnight = day.astype("datetime64[ms]") - round(4 * site.longitude_deg) * _MINUTE

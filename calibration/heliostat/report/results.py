@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.heliostat.files.store_heliostat import read_heliostat
 from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from heliogauge.validate import BoolArray, FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, TimeArray, freeze
 
 _NUMBERS = (
     "sun_azimuth_deg",
@@ -43,7 +42,7 @@ class ResidualTable:
     split: tuple[str, ...]
     flag: tuple[str, ...]
     reason: tuple[str, ...]
-    time: npt.NDArray[np.datetime64]
+    time: TimeArray
     numbers: dict[str, FloatArray]
 
     def __len__(self) -> int:
