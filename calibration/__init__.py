@@ -13,6 +13,4 @@ if TYPE_CHECKING:
     from calibration import heliostat as heliostat
     from calibration import screen as screen
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__, {"camera": "calibration.camera", "heliostat": "calibration.heliostat", "screen": "calibration.screen"}
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

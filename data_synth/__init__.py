@@ -11,13 +11,4 @@ if TYPE_CHECKING:
     from data_synth import targets as targets
     from data_synth import troughs as troughs
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "fringes": "data_synth.fringes",
-        "heliostats": "data_synth.heliostats",
-        "optics": "data_synth.optics",
-        "targets": "data_synth.targets",
-        "troughs": "data_synth.troughs",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -22,18 +22,4 @@ if TYPE_CHECKING:
     from deflectometry.pipeline.result import Result as Result
     from deflectometry.pipeline.write_patterns import write_patterns as write_patterns
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Options": "deflectometry.pipeline.choices",
-        "Result": "deflectometry.pipeline.result",
-        "exchange": "deflectometry.exchange",
-        "frames": "deflectometry.frames",
-        "fringes": "deflectometry.fringes",
-        "load_deflectometry": "deflectometry.keys",
-        "pipeline": "deflectometry.pipeline",
-        "run": "deflectometry.pipeline.measure",
-        "setup": "deflectometry.setup",
-        "write_patterns": "deflectometry.pipeline.write_patterns",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

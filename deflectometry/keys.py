@@ -297,14 +297,9 @@ class DeflectometryModel(MeasurementModel):
 class DeflectometryMeasurement:
     """A checked deflectometry measurement: what the file says, and where its files are.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-    model : DeflectometryModel
-        What measurement.toml says.
-    fringe_files : tuple of Path
-        Image of each frame, in the order of the pattern.
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    fringe_files: Image of each frame, in the order of the pattern.
     """
 
     folder: Path

@@ -21,7 +21,9 @@ def write_reference(path: Path) -> None:
 
 def _sections(package: str, heading: str) -> list[str]:
     module = import_module(package)
-    rooms = [name for name in module.__all__ if isinstance(getattr(module, name), ModuleType)]
+    # A module without a face is listed like any other name.
+    found = {name: getattr(module, name) for name in module.__all__}
+    rooms = [name for name, value in found.items() if isinstance(value, ModuleType) and hasattr(value, "__all__")]
     names = [name for name in module.__all__ if name not in rooms]
     lines = [f"{heading} {package}", "", (module.__doc__ or "").strip(), ""]
     if names:

@@ -23,18 +23,4 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Camera": "heliogauge.camera.model",
-        "Doubt": "heliogauge.doubts",
-        "Result": "heliogauge.results.opened",
-        "RigidTransform": "heliogauge.geometry.rigid",
-        "SlopeMap": "heliogauge.slopes.map",
-        "load": "heliogauge.measurement.load",
-        "measure": "heliogauge.running.verbs",
-        "open": "heliogauge.running.verbs",
-        "report": "heliogauge.running.verbs",
-        "synth": "heliogauge.running.verbs",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

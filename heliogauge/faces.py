@@ -1,30 +1,53 @@
 """Public faces of packages: a few names, each imported from its module when it is first asked for."""
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from importlib.abc import InspectLoader
+from typing import Any, NamedTuple
 
 
-def lazy_face(
-    package: str, homes: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package (PEP 562).
+class Face(NamedTuple):
+    """What makes a package lazy (PEP 562): its ``__getattr__``, ``__dir__`` and ``__all__``."""
 
-    package: The package's ``__name__``.
-    homes: Module of each name. A module is its own home where the last part of the module is the name.
+    load: Callable[[str], Any]
+    names: Callable[[], list[str]]
+    all_names: list[str]
+
+
+def lazy_face(package: str) -> Face:
+    """Make the face of a package from the imports that stand under ``if TYPE_CHECKING:`` in its ``__init__.py``.
+
+    package: Its ``__name__``. ``from package import name`` names a room: a module is its own home.
     """
     if package != __package__:
         from heliogauge.instruments import refuse_hidden_packages
 
         refuse_hidden_packages()
+    homes = face_homes(_source_of(package))
 
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(homes))}")
-        module = import_module(homes[name])
-        value = module if homes[name] == f"{package}.{name}" else getattr(module, name)
+        home = homes[name]
+        value = import_module(f"{package}.{name}") if home == package else getattr(import_module(home), name)
         setattr(sys.modules[package], name, value)
         return value
 
-    return load, lambda: sorted(homes), sorted(homes)
+    return Face(load, lambda: sorted(homes), sorted(homes))
+
+
+def face_homes(source: str) -> dict[str, str]:
+    """Return the module of each name that a package file imports for type checkers."""
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            found = [one for one in node.body if isinstance(one, ast.ImportFrom) and one.module]
+            return {alias.name: str(one.module) for one in found for alias in one.names}
+    return {}
+
+
+def _source_of(package: str) -> str:
+    spec = sys.modules[package].__spec__
+    loader = None if spec is None else spec.loader
+    return (loader.get_source(package) or "") if isinstance(loader, InspectLoader) else ""

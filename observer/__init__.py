@@ -19,17 +19,4 @@ if TYPE_CHECKING:
     from observer.pipeline.measure import run as run
     from observer.pipeline.result import Result as Result
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Options": "observer.pipeline.measure",
-        "Result": "observer.pipeline.result",
-        "light": "observer.light",
-        "load_observer": "observer.keys",
-        "planning": "observer.planning",
-        "product": "observer.product",
-        "report": "observer.report",
-        "run": "observer.pipeline.measure",
-        "trough": "observer.trough",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -21,18 +21,4 @@ if TYPE_CHECKING:
     from photogrammetry import targets as targets
     from photogrammetry.image_points import ImagePoints as ImagePoints
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "ImagePoints": "photogrammetry.image_points",
-        "bundle": "photogrammetry.bundle",
-        "centers": "photogrammetry.centers",
-        "detection": "photogrammetry.detection",
-        "keys": "photogrammetry.keys",
-        "matching": "photogrammetry.matching",
-        "pipeline": "photogrammetry.pipeline",
-        "start_values": "photogrammetry.start_values",
-        "surface": "photogrammetry.surface",
-        "targets": "photogrammetry.targets",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -14,13 +14,4 @@ if TYPE_CHECKING:
     from calibration.camera.pipeline.measure import Options as Options
     from calibration.camera.pipeline.measure import run as run
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "BoardPoints": "calibration.camera.corners.detection",
-        "Chessboard": "calibration.camera.boards",
-        "Options": "calibration.camera.pipeline.measure",
-        "find_chessboard": "calibration.camera.corners.detection",
-        "run": "calibration.camera.pipeline.measure",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

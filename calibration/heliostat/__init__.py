@@ -19,17 +19,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.pipeline.measure import Result as Result
     from calibration.heliostat.pipeline.measure import run as run
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Options": "calibration.heliostat.pipeline.measure",
-        "Result": "calibration.heliostat.pipeline.measure",
-        "beam_photos": "calibration.heliostat.beam_photos",
-        "diagnosis": "calibration.heliostat.diagnosis",
-        "fitting": "calibration.heliostat.fitting",
-        "kinematic_model": "calibration.heliostat.kinematic_model",
-        "observations": "calibration.heliostat.observations",
-        "planning": "calibration.heliostat.planning",
-        "run": "calibration.heliostat.pipeline.measure",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

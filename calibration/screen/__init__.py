@@ -11,6 +11,4 @@ if TYPE_CHECKING:
     from calibration.screen.response import ScreenResponse as ScreenResponse
     from calibration.screen.response import linearise_frames as linearise_frames
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__, {"ScreenResponse": "calibration.screen.response", "linearise_frames": "calibration.screen.response"}
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

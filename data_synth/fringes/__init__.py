@@ -16,18 +16,4 @@ if TYPE_CHECKING:
     from data_synth.fringes.scene import expected_light as expected_light
     from data_synth.fringes.scene import render_fringes as render_fringes
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "DatasetOptions": "data_synth.fringes.dataset",
-        "FringeScene": "data_synth.fringes.scene",
-        "Knowledge": "data_synth.fringes.knowledge",
-        "expected_light": "data_synth.fringes.scene",
-        "measurement_content": "data_synth.fringes.knowledge",
-        "preset_scene": "data_synth.fringes.presets",
-        "read_truth": "data_synth.fringes.dataset",
-        "render_fringes": "data_synth.fringes.scene",
-        "response_table": "data_synth.fringes.knowledge",
-        "write_dataset": "data_synth.fringes.dataset",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -28,14 +28,9 @@ SYNTHETIC = FolderKind(content="synthetic measurements", mark=TRUTH_FILE)
 class DatasetOptions:
     """How a scene becomes a folder.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all noise; the same seed gives the same files.
-    knowledge : Knowledge, optional
-        What measurement.toml states, and how well.
-    force : bool, optional
-        Replace an earlier synthetic measurement.
+    seed: Seed of all noise; the same seed gives the same files.
+    knowledge: What measurement.toml states, and how well.
+    force: Replace an earlier synthetic measurement.
     """
 
     seed: int = 0
@@ -48,26 +43,9 @@ def write_dataset(
 ) -> SyntheticFringes:
     """Render a scene and write it as a measurement folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    scene : FringeScene
-        What to draw.
-    options : DatasetOptions, optional
-        Seed, what the measurement file states, whether an earlier synthetic measurement may be replaced.
-    progress : Progress, optional
-        Shows how far the work is.
-
-    Returns
-    -------
-    SyntheticFringes
-        What was written.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    folder: Where to write; must be absent or empty.
+    options: Seed, what the measurement file states, whether an earlier synthetic measurement may be replaced.
+    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = DatasetOptions() if options is None else options
     progress = SilentProgress() if progress is None else progress
@@ -95,20 +73,7 @@ def write_dataset(
 def read_truth(folder: Path) -> FringeTruth:
     """Read the truth of a synthetic measurement.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-
-    Returns
-    -------
-    FringeTruth
-        Facets with their exact surfaces, pixel arrays, parameters.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    Returns: Facets with their exact surfaces, pixel arrays, parameters.
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE

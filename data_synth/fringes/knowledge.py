@@ -16,20 +16,11 @@ from heliogauge.geometry.rigid import RigidTransform
 class Knowledge:
     """How well the measurement file knows the set-up: stated values are the true ones plus errors of these sigmas.
 
-    Parameters
-    ----------
-    pose_known : bool, optional
-        Give the mirror's pose; otherwise its outline and the measured distance.
-    sigma_pose_rotation_mrad, sigma_pose_translation_mm : float, optional
-        Errors of that pose.
-    sigma_distance_mm : float, optional
-        Error of the distance between the origins of mirror and screen.
-    sigma_screen_rotation_mrad, sigma_screen_translation_mm : float, optional
-        Errors of the screen's pose.
-    sigma_focal_px, sigma_center_px : float, optional
-        Errors of the camera, independent in x and y as measurement.toml has it.
-    response : bool, optional
-        Give the response of camera and display (as measured with grey steps) in response.csv.
+    pose_known: Give the mirror's pose; otherwise its outline and the measured distance.
+    sigma_distance_mm: Error of the distance between the origins of mirror and screen.
+    sigma_screen_rotation_mrad, sigma_screen_translation_mm: Errors of the screen's pose.
+    sigma_focal_px, sigma_center_px: Errors of the camera, independent in x and y as measurement.toml has it.
+    response: Give the response of camera and display (as measured with grey steps) in response.csv.
     """
 
     pose_known: bool = False

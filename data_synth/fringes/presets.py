@@ -250,20 +250,7 @@ PRESETS: Mapping[str, Callable[[], FringeScene]] = {
 def preset_scene(name: str) -> FringeScene:
     """Return a ready scene by name.
 
-    Parameters
-    ----------
-    name : str
-        One of `PRESETS`.
-
-    Returns
-    -------
-    FringeScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset.
+    InputError: No such preset.
     """
     if name not in PRESETS:
         raise InputError(f"preset {name!r}: one of {', '.join(PRESETS)} is needed")

@@ -69,24 +69,13 @@ class Lighting:
 class FringeScene:
     """Everything that determines a fringe measurement.
 
-    Parameters
-    ----------
-    name : str
-        Name of the measurement.
-    bench : Bench
-        Camera, mirror pose and screen.
-    facets : tuple of SyntheticFacet
-        The mirror.
-    pattern : FringePattern
-        The fringes as declared to the evaluation.
-    lighting : Lighting, optional
-        Display and room.
-    sensor : Sensor, optional
-        Exposure, noise, bit depth.
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
-    faults : tuple of Fault, optional
-        What goes wrong.
+    bench: Camera, mirror pose and screen.
+    facets: The mirror.
+    pattern: The fringes as declared to the evaluation.
+    lighting: Display and room.
+    sensor: Exposure, noise, bit depth.
+    blur_sigma_px: Gaussian blur of the lens [px].
+    faults: What goes wrong.
     """
 
     name: str
@@ -122,22 +111,7 @@ class SyntheticFringes:
 def render_fringes(scene: FringeScene, rng: np.random.Generator) -> SyntheticFringes:
     """Draw all frames of a scene.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        What to draw.
-    rng : numpy.random.Generator
-        Source of the noise.
-
-    Returns
-    -------
-    SyntheticFringes
-        Frames and truth.
-
-    Raises
-    ------
-    InputError
-        The mirror is not in view, or a distortion or surface error cannot be traced.
+    InputError: The mirror is not in view, or a distortion or surface error cannot be traced.
     """
     n = scene.pattern.n_frames
     sources = [*frame_sources(n, scene.faults), n, n + 1]
@@ -175,24 +149,10 @@ def _exposure_factors(scene: FringeScene, n: int) -> FloatArray:
 def expected_light(scene: FringeScene, rng: np.random.Generator) -> tuple[Float32Array, PixelTruth]:
     """Integrate the light on every pixel for every frame, without noise.
 
-    Parameters
-    ----------
-    scene : FringeScene
-        What to draw.
-    rng : numpy.random.Generator
-        Shifts the sample lattices of pixels that an edge crosses.
-
-    Returns
-    -------
-    light : ndarray of float32, shape (n + 2, h, w)
-        Light on the pixels for the fringe frames, the dark and the bright one; 1 for a fully reflected white display.
-    pixels : PixelTruth
-        What the pixel centres see.
-
-    Raises
-    ------
-    InputError
-        The mirror is not in view.
+    rng: Shifts the sample lattices of pixels that an edge crosses.
+    light (n + 2, h, w): Light on the pixels for the fringe frames, the dark and the bright one; 1 for a fully
+        reflected white display.
+    InputError: The mirror is not in view.
     """
     shader = _Shader.of(scene)
     light = np.zeros((shader.n_images, *scene.shape), dtype=np.float32)

@@ -12,14 +12,4 @@ if TYPE_CHECKING:
     from data_synth.heliostats.presets import HeliostatChoice as HeliostatChoice
     from data_synth.heliostats.presets import heliostat_scene as heliostat_scene
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "HeliostatChoice": "data_synth.heliostats.presets",
-        "HeliostatOptions": "data_synth.heliostats.dataset",
-        "HeliostatTruth": "data_synth.heliostats.dataset",
-        "heliostat_scene": "data_synth.heliostats.presets",
-        "read_heliostat_truth": "data_synth.heliostats.dataset",
-        "write_heliostat_dataset": "data_synth.heliostats.dataset",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

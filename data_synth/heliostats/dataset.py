@@ -48,12 +48,8 @@ _ARRAYS = ("heliostat", "spot_m", "normal", "outlier")
 class HeliostatOptions:
     """How a scene becomes a folder.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all noise; the same seed gives the same files.
-    force : bool, optional
-        Replace an earlier synthetic measurement.
+    seed: Seed of all noise; the same seed gives the same files.
+    force: Replace an earlier synthetic measurement.
     """
 
     seed: int = 0
@@ -64,18 +60,12 @@ class HeliostatOptions:
 class HeliostatTruth:
     """Truth of a synthetic measurement of heliostats; arrays have one entry for each row of observations.csv.
 
-    Parameters
-    ----------
-    parameters : mapping
-        The content of truth.json: site, targets, and of each heliostat its true numbers and its faults.
-    heliostat : ndarray of int, shape (n,)
-        Index into the list of heliostats.
-    spot_m : ndarray, shape (n, 2)
-        Where the beam's middle ray met its target: right, up from the centre; NaN for other observations [m].
-    normal : ndarray, shape (n, 3)
-        True normal of the mirror.
-    outlier : ndarray of bool, shape (n,)
-        Rows whose spot was spoiled.
+    parameters: The content of truth.json: site, targets, and of each heliostat its true numbers and its faults.
+    heliostat (n,): Index into the list of heliostats.
+    spot_m (n, 2): Where the beam's middle ray met its target: right, up from the centre; NaN for other observations
+        [m].
+    normal (n, 3): True normal of the mirror.
+    outlier (n,): Rows whose spot was spoiled.
     """
 
     parameters: Mapping[str, Any]
@@ -97,21 +87,8 @@ def write_heliostat_dataset(
 ) -> None:
     """Measure a scene's heliostats and write a measurement folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    scene : HeliostatScene
-        What to measure.
-    options : HeliostatOptions, optional
-        Seed.
-    progress : Progress, optional
-        Shows how far the work is.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, cannot be written to, or the scene cannot be measured.
+    folder: Where to write; must be absent or empty.
+    InputError: The folder holds something, cannot be written to, or the scene cannot be measured.
     """
     chosen = HeliostatOptions() if options is None else options
     progress = SilentProgress() if progress is None else progress
@@ -151,23 +128,7 @@ def write_heliostat_dataset(
 
 
 def read_heliostat_truth(folder: Path) -> HeliostatTruth:
-    """Read the truth of a synthetic measurement of heliostats.
-
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-
-    Returns
-    -------
-    HeliostatTruth
-        True numbers, spots, normals.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
-    """
+    """Read the truth of a synthetic measurement of heliostats."""
     parameters = read_json(folder / TRUTH_FILE)
     file = folder / TRUTH_ARRAYS_FILE
     try:

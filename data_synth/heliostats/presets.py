@@ -188,14 +188,8 @@ class HeliostatScene:
 class HeliostatChoice:
     """What a person may change about a preset; None leaves it.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Of the heliostats' errors and places.
-    heliostats : int or None, optional
-        How many.
-    observations : int or None, optional
-        Of each heliostat.
+    seed: Of the heliostats' errors and places.
+    observations: Of each heliostat.
     """
 
     seed: int = 0
@@ -206,22 +200,8 @@ class HeliostatChoice:
 def heliostat_scene(preset: str, choice: HeliostatChoice | None = None) -> HeliostatScene:
     """Return a scene by name.
 
-    Parameters
-    ----------
-    preset : str
-        One of `PRESETS`.
-    choice : HeliostatChoice, optional
-        Seed and sizes.
-
-    Returns
-    -------
-    HeliostatScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        There is no such preset.
+    choice: Seed and sizes.
+    InputError: There is no such preset.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: {', '.join(PRESETS)} are known")

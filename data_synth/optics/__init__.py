@@ -12,14 +12,4 @@ if TYPE_CHECKING:
     from data_synth.optics.surface_errors import SurfaceErrors as SurfaceErrors
     from data_synth.optics.wall import Wall as Wall
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Design": "data_synth.optics.mirror",
-        "Sheet": "data_synth.optics.sheets",
-        "SurfaceErrors": "data_synth.optics.surface_errors",
-        "SyntheticFacet": "data_synth.optics.mirror",
-        "Wall": "data_synth.optics.wall",
-        "chessboard_print": "data_synth.optics.markers",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

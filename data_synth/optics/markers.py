@@ -40,20 +40,7 @@ def marker_print(dictionary: str, number: int, side_m: float) -> LatticePrint:
 
 
 def chessboard_print(columns: int, rows: int, square_m: float) -> LatticePrint:
-    """Return a chessboard; its points are the inner corners, row by row from the top left, the first square black.
-
-    Parameters
-    ----------
-    columns, rows : int
-        Squares.
-    square_m : float
-        Side of a square [m].
-
-    Returns
-    -------
-    LatticePrint
-        The board.
-    """
+    """Return a chessboard; its points are the inner corners, row by row from the top left, the first square black."""
     x, y = _square_edges(columns, rows, square_m)
     cells = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
     return LatticePrint(x, y, cells, square_m, _inner_corners(columns, rows, square_m))

@@ -26,19 +26,11 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 class Design:
     """A design surface ``p S p + l p + c = 0``, seen from a facet's frame; z > 0 is the reflecting side.
 
-    Parameters
-    ----------
-    shape : str
-        One of plane, sphere, paraboloid, paraboloid_xy or trough (curved along x); its vertex is the optic's origin.
-    parameters : mapping of str to float
-        The lengths the shape needs [m].
-    optic_from_facet : RigidTransform, optional
-        Where on the optic the facet sits; its origin must lie on the surface. `on_optic` makes one.
-
-    Raises
-    ------
-    InputError
-        Unknown shape, missing or extra parameter, or an origin that is not on the surface.
+    shape: One of plane, sphere, paraboloid, paraboloid_xy or trough (curved along x); its vertex is the optic's
+        origin.
+    parameters: The lengths the shape needs [m].
+    optic_from_facet: Where on the optic the facet sits; its origin must lie on the surface. `on_optic` makes one.
+    InputError: Unknown shape, missing or extra parameter, or an origin that is not on the surface.
     """
 
     shape: str
@@ -67,27 +59,11 @@ class Design:
     ) -> "Design":
         """Put a facet somewhere on the optic.
 
-        Parameters
-        ----------
-        shape : str
-            The design surface.
-        parameters : mapping of str to float
-            Its lengths [m].
-        center_m : tuple of float
-            Where on the optic (x, y) the facet's origin is [m].
-        orientation : str, optional
-            "normal": the facet's z is the surface normal there, by the smallest turn from the optic's axes;
-            "axis": the facet's axes are parallel to the optic's.
-
-        Returns
-        -------
-        Design
-            The surface seen from the facet.
-
-        Raises
-        ------
-        InputError
-            Another orientation, or no surface over that place.
+        shape: The design surface.
+        center_m: Where on the optic (x, y) the facet's origin is [m].
+        orientation: "normal": the facet's z is the surface normal there, by the smallest turn from the optic's
+            axes; "axis": the facet's axes are parallel to the optic's.
+        InputError: Another orientation, or no surface over that place.
         """
         vertex = cls(shape, parameters)
         height, slope_x, slope_y = vertex.evaluate(np.array(center_m[0]), np.array(center_m[1]))
@@ -160,18 +136,10 @@ class MetPoints(NamedTuple):
 class SyntheticFacet:
     """One facet of the synthetic mirror: design plus analytic errors, cut out by its outline.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    outline_m : array_like, shape (n, 2)
-        Corners in the facet's x, y, counter-clockwise from the front [m].
-    design : Design
-        The design surface in the facet's frame.
-    errors : SurfaceErrors, optional
-        What is added to the height of the design.
-    mirror_from_facet : RigidTransform, optional
-        Where the facet should sit in the mirror (nominal; canting errors are tilts among `errors`).
+    outline_m (n, 2): Corners in the facet's x, y, counter-clockwise from the front [m].
+    design: The design surface in the facet's frame.
+    errors: What is added to the height of the design.
+    mirror_from_facet: Where the facet should sit in the mirror (nominal; canting errors are tilts among `errors`).
     """
 
     name: str
@@ -222,22 +190,10 @@ class SyntheticFacet:
     def intersect(self, origin_m: FloatArray, directions: FloatArray) -> MetPoints:
         """Find where rays meet the true surface, continued beyond the outline.
 
-        Parameters
-        ----------
-        origin_m : ndarray, shape (3,)
-            Common origin of the rays in the facet's frame [m].
-        directions : ndarray, shape (..., 3)
-            Unit directions in the facet's frame.
-
-        Returns
-        -------
-        tuple of ndarray
-            Points, shape (..., 3) [m]; slope_x and slope_y there, shape (...) [rad].
-
-        Raises
-        ------
-        InputError
-            Newton's method does not settle: the surface errors are steeper than the rays.
+        origin_m (3,): Common origin of the rays in the facet's frame [m].
+        directions (..., 3): Unit directions in the facet's frame.
+        Returns: Points, shape (..., 3) [m]; slope_x and slope_y there, shape (...) [rad].
+        InputError: Newton's method does not settle: the surface errors are steeper than the rays.
         """
         dx, dy, dz = directions[..., 0], directions[..., 1], directions[..., 2]
         path = -origin_m[2] / dz

@@ -67,20 +67,10 @@ class SheetShape:
 class Sheet:
     """A printed sheet in space: x right and y up as seen from the front, z towards the viewer, origin in its middle.
 
-    Parameters
-    ----------
-    name : str
-        What the points on it are called after.
-    figure : Print
-        What is printed.
-    world_from_sheet : RigidTransform
-        Where it is.
-    ink, paper : float, optional
-        Their brightness, 0 to 1; ink brighter than paper is a light-on-dark print.
-    shape : SheetShape, optional
-        How it differs from a flat and true print.
-    transparent : bool, optional
-        Only the ink is there, on whatever lies behind: a retro-reflective sticker.
+    name: What the points on it are called after.
+    ink, paper: Their brightness, 0 to 1; ink brighter than paper is a light-on-dark print.
+    shape: How it differs from a flat and true print.
+    transparent: Only the ink is there, on whatever lies behind: a retro-reflective sticker.
     """
 
     name: str
@@ -105,17 +95,9 @@ class Sheet:
     def hit(self, sheet_from_cam: RigidTransform, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find which point of the drawing lines of sight meet.
 
-        Parameters
-        ----------
-        sheet_from_cam : RigidTransform
-            Camera frame to the sheet's frame.
-        x, y : ndarray, shape (...)
-            Directions (x, y, 1) in the camera's frame.
-
-        Returns
-        -------
-        tuple of ndarray
-            x and y as drawn; far away where the line of sight does not meet the sheet's front [m].
+        sheet_from_cam: Camera frame to the sheet's frame.
+        x, y (...): Directions (x, y, 1) in the camera's frame.
+        Returns: x and y as drawn; far away where the line of sight does not meet the sheet's front [m].
         """
         r, origin = sheet_from_cam.rotation, sheet_from_cam.translation_m
         across, up, out = (r[k, 0] * x + r[k, 1] * y + r[k, 2] for k in range(3))

@@ -222,13 +222,8 @@ _KINDS: dict[str, type[Any]] = {
 class SurfaceErrors:
     """Sum of analytic deviations of one facet.
 
-    Parameters
-    ----------
-    terms : tuple of ErrorTerm, optional
-        What is added to the design; nothing: a perfect facet.
+    terms: What is added to the design; nothing: a perfect facet.
 
-    Examples
-    --------
     >>> errors = SurfaceErrors((Polynomial([(1, 0, 1e-3)]),))
     >>> [float(value) for value in errors.evaluate(np.array(0.5), np.array(0.0))]
     [0.0005, 0.001, 0.0]
@@ -239,15 +234,8 @@ class SurfaceErrors:
     def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
         """Return the deviation from the design.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (...)
-            Points in the facet frame [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            Height [m], slope_x, slope_y [rad].
+        x_m, y_m (...): Points in the facet frame [m].
+        Returns (...): Height [m], slope_x, slope_y [rad].
         """
         height, slope_x, slope_y = np.zeros((3, *np.shape(x_m)))
         for term in self.terms:
@@ -265,20 +253,8 @@ class SurfaceErrors:
     def from_json(cls, values: Sequence[Mapping[str, Any]]) -> "SurfaceErrors":
         """Rebuild the terms that `to_json` wrote.
 
-        Parameters
-        ----------
-        values : sequence of mapping
-            One entry per term with its kind and parameters.
-
-        Returns
-        -------
-        SurfaceErrors
-            The same deviations.
-
-        Raises
-        ------
-        InputError
-            A kind that does not exist, or a missing parameter.
+        values: One entry per term with its kind and parameters.
+        InputError: A kind that does not exist, or a missing parameter.
         """
         terms: list[ErrorTerm] = []
         for value in values:

@@ -12,18 +12,12 @@ from heliogauge.validate import FloatArray, positive
 class Wall:
     """A screen: display coordinates (u, v) in fractions of the image, from its left and its TOP edge.
 
-    Parameters
-    ----------
-    width_m, height_m : float
-        Size of the displayed image [m].
-    sag_x_m, sag_y_m : float, optional
-        How far the left and right, the top and bottom edges come towards the viewer (parabolic) [m].
-    keystone_x, keystone_y : float, optional
-        Relative change of the image's width from its middle to twice its lower half, and of its height to the right:
-        ``x = W (u - 1/2) (1 + keystone_x (v - 1/2))``, ``y = H (1/2 - v) (1 + keystone_y (u - 1/2))``.
+    width_m, height_m: Size of the displayed image [m].
+    sag_x_m, sag_y_m: How far the left and right, the top and bottom edges come towards the viewer (parabolic) [m].
+    keystone_x, keystone_y: Relative change of the image's width from its middle to twice its lower half, and of its
+        height to the right: ``x = W (u - 1/2) (1 + keystone_x (v - 1/2))``, ``y = H (1/2 - v) (1 + keystone_y (u -
+        1/2))``.
 
-    Notes
-    -----
     Frame: x to the right and y up as a viewer sees the screen, z towards the viewer, origin in the middle.
     """
 
@@ -56,15 +50,9 @@ class Wall:
     def hit(self, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
         """Find where rays meet the wall.
 
-        Parameters
-        ----------
-        origins_m, directions : ndarray, shape (..., 3)
-            Rays in the screen's frame.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            Points on the wall (also beyond its edges); NaN where a ray leaves it or comes from behind [m].
+        origins_m, directions (..., 3): Rays in the screen's frame.
+        Returns (..., 3): Points on the wall (also beyond its edges); NaN where a ray leaves it or comes from behind
+            [m].
         """
         curve = np.array([4 * self.sag_x_m / self.width_m**2, 4 * self.sag_y_m / self.height_m**2])
         # curve . (o + t d)^2 = o_z + t d_z: the root next to the flat wall, without loss of digits.

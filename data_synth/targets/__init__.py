@@ -16,18 +16,4 @@ if TYPE_CHECKING:
     from data_synth.targets.scene import image_truth as image_truth
     from data_synth.targets.scene import render_photo as render_photo
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "IsolatedTarget": "data_synth.targets.isolated_target",
-        "PhotoOptions": "data_synth.targets.dataset",
-        "board_scene": "data_synth.targets.boards",
-        "board_table": "data_synth.targets.boards",
-        "camera_content": "data_synth.targets.dataset",
-        "draw_isolated": "data_synth.targets.isolated_target",
-        "image_truth": "data_synth.targets.scene",
-        "render_photo": "data_synth.targets.scene",
-        "target_scene": "data_synth.targets.presets",
-        "write_target_dataset": "data_synth.targets.dataset",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -49,18 +49,7 @@ def board_figure(kind: str) -> Print:
 
 
 def board_table(kind: str) -> dict[str, object]:
-    """Return how measurement.toml describes the board.
-
-    Parameters
-    ----------
-    kind : str
-        The board, as for `board_figure`.
-
-    Returns
-    -------
-    dict
-        The table ``[board]``.
-    """
+    """Return how measurement.toml describes the board."""
     tables: dict[str, dict[str, object]] = {
         "chessboard": {"type": "chessboard", "columns": 9, "rows": 6, "square_mm": 30.0},
         _SYMMETRIC: {"type": "chessboard", "columns": 9, "rows": 7, "square_mm": 30.0},
@@ -88,26 +77,11 @@ def board_table(kind: str) -> dict[str, object]:
 def board_scene(kind: str, seed: int = 0, *, n_photos: int = 12, flat: bool = False) -> TargetScene:
     """Return photos of a board from all sides: tilted, rolled, at several distances, in all parts of the image.
 
-    Parameters
-    ----------
-    kind : str
-        The board, as for `board_figure`, or ``targets``.
-    seed : int, optional
-        Poses are drawn with it.
-    n_photos : int, optional
-        Number of photos.
-    flat : bool, optional
-        A flat and true print instead of a bent and sheared one.
-
-    Returns
-    -------
-    TargetScene
-        The scene; the world is the board's frame.
-
-    Raises
-    ------
-    InputError
-        No such board.
+    kind: The board, as for `board_figure`, or ``targets``.
+    seed: Poses are drawn with it.
+    flat: A flat and true print instead of a bent and sheared one.
+    Returns: The scene; the world is the board's frame.
+    InputError: No such board.
     """
     rng = np.random.default_rng(seed)
     shape = SheetShape() if flat else SheetShape(PRINTER, BENDING_PER_M, RIPPLE_PER_M2)

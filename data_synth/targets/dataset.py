@@ -34,21 +34,11 @@ IMAGE_POINTS_FILE = "image_points.csv"
 class PhotoOptions:
     """How a scene becomes a folder.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all noise; the same seed gives the same files.
-    points_sigma_px : float or None, optional
-        Write image points with this noise instead of photos [px].
-    jpeg_quality : int or None, optional
-        Write JPEG files of this quality, 1 to 100, instead of PNG.
-    force : bool, optional
-        Replace an earlier synthetic measurement.
-
-    Raises
-    ------
-    InputError
-        A quality JPEG does not have.
+    seed: Seed of all noise; the same seed gives the same files.
+    points_sigma_px: Write image points with this noise instead of photos [px].
+    jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
+    force: Replace an earlier synthetic measurement.
+    InputError: A quality JPEG does not have.
     """
 
     seed: int = 0
@@ -70,23 +60,10 @@ def write_target_dataset(
 ) -> None:
     """Write a scene as a measurement folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    scene : TargetScene
-        What to draw.
-    content : mapping
-        What measurement.toml says beside the images: `photogrammetry_content` or `camera_content`.
-    options : PhotoOptions, optional
-        Seed, kind of files.
-    progress : Progress, optional
-        Shows how far the work is.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    folder: Where to write; must be absent or empty.
+    content: What measurement.toml says beside the images: `photogrammetry_content` or `camera_content`.
+    options: Seed, kind of files.
+    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = PhotoOptions() if options is None else options
     progress = SilentProgress() if progress is None else progress
@@ -137,17 +114,8 @@ def photogrammetry_content(scene: TargetScene) -> dict[str, Any]:
 def camera_content(scene: TargetScene, board: Mapping[str, object]) -> dict[str, Any]:
     """Return what measurement.toml says of the calibration of a camera, without its images.
 
-    Parameters
-    ----------
-    scene : TargetScene
-        Photos of a board.
-    board : mapping
-        The board's own table.
-
-    Returns
-    -------
-    dict
-        Tables.
+    scene: Photos of a board.
+    board: The board's own table.
     """
     camera = scene.views[0].camera
     size = {"width_px": camera.width_px, "height_px": camera.height_px}

@@ -21,27 +21,15 @@ _DISTANCE_M = 5.0
 class IsolatedTarget:
     """How one target is photographed.
 
-    Parameters
-    ----------
-    diameter_px : float
-        Largest diameter of the dot's image [px].
-    tilt_rad : float, optional
-        Angle between the target's normal and the line of sight [rad].
-    azimuth_rad : float, optional
-        Direction of the tilt in the image [rad].
-    signal_to_noise : float, optional
-        Contrast between ink and paper over the noise of a pixel.
-    slope_dn_per_px : tuple of float, optional
-        Change of the background with x and y [DN/px].
-    blur_sigma_px : float, optional
-        Gaussian blur of the lens [px].
-    code : RingCode or None, optional
-        A code ring; a plain dot without.
-    contrast_dn : float, optional
-        Paper minus ink; negative for light on dark [DN].
+    diameter_px: Largest diameter of the dot's image [px].
+    tilt_rad: Angle between the target's normal and the line of sight [rad].
+    azimuth_rad: Direction of the tilt in the image [rad].
+    signal_to_noise: Contrast between ink and paper over the noise of a pixel.
+    slope_dn_per_px: Change of the background with x and y [DN/px].
+    blur_sigma_px: Gaussian blur of the lens [px].
+    code: A code ring; a plain dot without.
+    contrast_dn: Paper minus ink; negative for light on dark [DN].
 
-    Notes
-    -----
     The paper fills the image, so that only the dot (and its ring) has edges.
     """
 
@@ -81,19 +69,7 @@ class IsolatedImage:
 def draw_isolated(target: IsolatedTarget, rng: np.random.Generator, *, turn_rad: float = 0.0) -> IsolatedImage:
     """Draw one target with its centre anywhere within the middle pixel, and noise.
 
-    Parameters
-    ----------
-    target : IsolatedTarget
-        How it is photographed.
-    rng : numpy.random.Generator
-        Place within the pixel and noise.
-    turn_rad : float, optional
-        Turn of the target about its normal [rad].
-
-    Returns
-    -------
-    IsolatedImage
-        Image and truth.
+    turn_rad: Turn of the target about its normal [rad].
     """
     side = target.side_px
     middle = (side - 1) / 2

@@ -43,24 +43,10 @@ class PrintChoice:
 def target_scene(preset: str, seed: int = 0, prints: PrintChoice | None = None) -> TargetScene:
     """Return a ready scene.
 
-    Parameters
-    ----------
-    preset : str
-        ``small``, ``panel``, ``single``, ``retro``, ``markers``, ``busy`` or ``natural``.
-    seed : int, optional
-        Places, tilts and poses are drawn with it.
-    prints : PrintChoice, optional
-        How ring codes are printed.
-
-    Returns
-    -------
-    TargetScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset.
+    preset: ``small``, ``panel``, ``single``, ``retro``, ``markers``, ``busy`` or ``natural``.
+    seed: Places, tilts and poses are drawn with it.
+    prints: How ring codes are printed.
+    InputError: No such preset.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")

@@ -181,20 +181,7 @@ def sheet_points(sheet: Sheet) -> dict[str, FloatArray]:
 
 
 def image_truth(scene: TargetScene, view: View) -> ImageTruth:
-    """Project all points exactly, without drawing anything.
-
-    Parameters
-    ----------
-    scene : TargetScene
-        The scene.
-    view : View
-        The photo.
-
-    Returns
-    -------
-    ImageTruth
-        The points in the image.
-    """
+    """Project all points exactly, without drawing anything."""
     size = np.array([view.camera.width_px, view.camera.height_px])
     names: list[str] = []
     rows: list[tuple[float, ...]] = []
@@ -218,22 +205,8 @@ def image_truth(scene: TargetScene, view: View) -> ImageTruth:
 def render_photo(scene: TargetScene, view: View, rng: np.random.Generator) -> UnsignedArray:
     """Take one photo.
 
-    Parameters
-    ----------
-    scene : TargetScene
-        The scene.
-    view : View
-        The photo.
-    rng : numpy.random.Generator
-        Background and noise.
+    Returns (height_px, width_px): The photo as a file holds it [DN].
 
-    Returns
-    -------
-    ndarray of uint8 or uint16, shape (height_px, width_px)
-        The photo as a file holds it [DN].
-
-    Notes
-    -----
     The shading is taken at the pixel's centre: over one pixel it changes by less than 1e-3 in every scene here.
     """
     conditions, camera = scene.conditions, view.camera

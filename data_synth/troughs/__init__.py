@@ -11,13 +11,4 @@ if TYPE_CHECKING:
     from data_synth.troughs.presets import TroughChoice as TroughChoice
     from data_synth.troughs.presets import trough_scene as trough_scene
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "TroughChoice": "data_synth.troughs.presets",
-        "TroughOptions": "data_synth.troughs.dataset",
-        "read_trough_truth": "data_synth.troughs.dataset",
-        "trough_scene": "data_synth.troughs.presets",
-        "write_trough_dataset": "data_synth.troughs.dataset",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

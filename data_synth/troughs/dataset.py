@@ -48,19 +48,10 @@ _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 class TroughOptions:
     """How a scene becomes a folder.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all noise; the same seed gives the same files.
-    jpeg_quality : int or None, optional
-        Write JPEG files of this quality, 1 to 100, instead of PNG.
-    force : bool, optional
-        Replace an earlier synthetic measurement.
-
-    Raises
-    ------
-    InputError
-        A quality JPEG does not have.
+    seed: Seed of all noise; the same seed gives the same files.
+    jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
+    force: Replace an earlier synthetic measurement.
+    InputError: A quality JPEG does not have.
     """
 
     seed: int = 0
@@ -101,21 +92,9 @@ def write_trough_dataset(
 ) -> None:
     """Render a scene and write it as a measurement folder that is whole or not there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write; must be absent or empty.
-    scene : TroughScene
-        What to draw.
-    options : TroughOptions, optional
-        Seed, kind of files.
-    progress : Progress, optional
-        Shows how far the work is.
-
-    Raises
-    ------
-    InputError
-        The folder holds something, cannot be written to, or the scene cannot be drawn.
+    folder: Where to write; must be absent or empty.
+    options: Seed, kind of files.
+    InputError: The folder holds something, cannot be written to, or the scene cannot be drawn.
     """
     chosen = TroughOptions() if options is None else options
     progress = SilentProgress() if progress is None else progress
@@ -164,20 +143,7 @@ def _filled(error: FloatArray, path: Path | None = None) -> FloatArray:
 def read_trough_truth(folder: Path) -> TroughTruth:
     """Read the truth of a synthetic trough measurement.
 
-    Parameters
-    ----------
-    folder : Path
-        The measurement's folder.
-
-    Returns
-    -------
-    TroughTruth
-        Maps, absorber, parameters.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    Returns: Maps, absorber, parameters.
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE

@@ -54,22 +54,15 @@ DISTANCE_SIGMA_M = 3e-3
 class TroughChoice:
     """What may be chosen of a preset.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Draws errors, targets and wind.
-    n_photos : int or None, optional
-        Number of photos; default: from the preset.
-    dictionary : str, optional
-        Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or ``circles``.
-    orientation_deg : float or None, optional
-        Turn of the collector from zenith, by the right hand about +y; default: from the preset [deg].
-    n_ground_targets : int, optional
-        Targets on the ground beside both rims, of unknown coordinates.
-    is_shaped : bool, optional
-        Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
-    panel_height_m : float, optional
-        How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped [m].
+    seed: Draws errors, targets and wind.
+    n_photos: Number of photos; default: from the preset.
+    dictionary: Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or
+        ``circles``.
+    orientation_deg: Turn of the collector from zenith, by the right hand about +y; default: from the preset [deg].
+    n_ground_targets: Targets on the ground beside both rims, of unknown coordinates.
+    is_shaped: Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
+    panel_height_m: How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped
+        [m].
     """
 
     seed: int = 0
@@ -84,22 +77,10 @@ class TroughChoice:
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
     """Return a ready scene.
 
-    Parameters
-    ----------
-    preset : str
-        A name of `TROUGH_PRESETS`.
-    choice : TroughChoice, optional
-        Seed, number of photos, targets.
-
-    Returns
-    -------
-    TroughScene
-        The scene.
-
-    Raises
-    ------
-    InputError
-        No such preset, an orientation for a collector that turns, or heights of panels for a mirror without a shape.
+    preset: A name of `TROUGH_PRESETS`.
+    choice: Seed, number of photos, targets.
+    InputError: No such preset, an orientation for a collector that turns, or heights of panels for a mirror without
+        a shape.
     """
     if preset not in _PRESETS:
         raise InputError(f"preset {preset!r}: one of {', '.join(_PRESETS)} is needed")

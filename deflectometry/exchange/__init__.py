@@ -8,10 +8,4 @@ if TYPE_CHECKING:
     from deflectometry.exchange.opencsp_import import OpencspOptions as OpencspOptions
     from deflectometry.exchange.opencsp_import import import_opencsp as import_opencsp
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "OpencspOptions": "deflectometry.exchange.opencsp_import",
-        "import_opencsp": "deflectometry.exchange.opencsp_import",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -42,16 +42,12 @@ _MEASUREMENT = FolderKind(content="measurements", remedy="give a new folder")
 class OpencspOptions:
     """What the files leave open.
 
-    Parameters
-    ----------
-    pose_from : Path or None
-        SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the outline.
-    correct_principal_point : bool
-        Move the principal point of averaged images to where averaging put it.
-    focal_length_m : float or None
-        Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise a plane.
-    sigma_distance_mm : float
-        Standard deviation of the measured distance, which the files do not hold [mm].
+    pose_from: SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the
+        outline.
+    correct_principal_point: Move the principal point of averaged images to where averaging put it.
+    focal_length_m: Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise
+        a plane.
+    sigma_distance_mm: Standard deviation of the measured distance, which the files do not hold [mm].
     """
 
     pose_from: Path | None = None
@@ -75,29 +71,14 @@ class Imported:
 def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where there
-        are any image calibration, ensemble definition and result file. A file made for one purpose wins over the
-        copy inside a result file.
-    folder : Path
-        Where to write; it must be empty or not there yet.
-    options : OpencspOptions, optional
-        What the files leave open.
+    files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
+        there are any image calibration, ensemble definition and result file. A file made for one purpose wins over
+        the copy inside a result file.
+    folder: Where to write; it must be empty or not there yet.
+    options: What the files leave open.
+    Returns: What was taken from which file, one line each, and what is doubtful about it.
+    InputError: A kind of file is missing, given twice, not readable, or does not fit the others.
 
-    Returns
-    -------
-    Imported
-        What was taken from which file, one line each, and what is doubtful about it.
-
-    Raises
-    ------
-    InputError
-        A kind of file is missing, given twice, not readable, or does not fit the others.
-
-    Notes
-    -----
     The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
     met exactly.
     """

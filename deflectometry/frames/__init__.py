@@ -7,9 +7,4 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from deflectometry.frames.sequence_checks import check_frames as check_frames
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "check_frames": "deflectometry.frames.sequence_checks",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -62,30 +62,16 @@ def check_frames(
 ) -> list[FrameFault]:
     """Look for faults of the frames on a sample of pixels.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
-        Frames in the order of the pattern [DN].
-    pattern : FringePattern
-        What should have been shown.
-    response : LightResponse, optional
-        Makes readings linear in the display's level.
-    region : ndarray of bool, shape (h, w), optional
-        Where to look; pixels that vary between frames are found without it.
-    saturation_dn : float, optional
-        Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
+    frames (n, h, w): Frames in the order of the pattern [DN].
+    pattern: What should have been shown.
+    response: Makes readings linear in the display's level.
+    region (h, w): Where to look; pixels that vary between frames are found without it.
+    saturation_dn: Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
 
-    Returns
-    -------
-    list of FrameFault
-        Empty for good frames.
-
-    Notes
-    -----
-    What can be seen depends on the steps. Harmonics: three frames show none; four equal steps show the second (harmless
-    to the phase, but the sign of a gamma) and not the third (which disturbs it); five or more show what matters. Wrong
-    steps: from five frames within a set; with three or four frames only where a finer set of the axis gives the
-    position. With one set for an axis its frames can only be compared with each other.
+    What can be seen depends on the steps. Harmonics: three frames show none; four equal steps show the second
+    (harmless to the phase, but the sign of a gamma) and not the third (which disturbs it); five or more show what
+    matters. Wrong steps: from five frames within a set; with three or four frames only where a finer set of the axis
+    gives the position. With one set for an axis its frames can only be compared with each other.
     """
     if len(frames) != pattern.n_frames:
         return [_frame_count(len(frames), pattern)]

@@ -10,12 +10,4 @@ if TYPE_CHECKING:
     from deflectometry.fringes.screen_map import measure_screen_map as measure_screen_map
     from deflectometry.fringes.screen_map import modulation_image as modulation_image
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Observation": "deflectometry.fringes.observation",
-        "ScreenMapLimits": "deflectometry.fringes.screen_map",
-        "measure_screen_map": "deflectometry.fringes.screen_map",
-        "modulation_image": "deflectometry.fringes.screen_map",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -15,20 +15,12 @@ from heliogauge.validate import BoolArray, Float32Array
 class Observation:
     """The images of one measurement.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
-        Fringe frames in the order of the pattern [DN].
-    pattern : FringePattern
-        What was shown.
-    response : LightResponse, optional
-        Makes readings linear in the display's level.
-    lit : ndarray of float32, shape (h, w), optional
-        Bright minus dark frame: shows the mirror against its surroundings [DN].
-    noise : NoiseModel, optional
-        Noise of a reading; estimated without it.
-    limits : ScreenMapLimits, optional
-        Error probabilities and saturation.
+    frames (n, h, w): Fringe frames in the order of the pattern [DN].
+    pattern: What was shown.
+    response: Makes readings linear in the display's level.
+    lit (h, w): Bright minus dark frame: shows the mirror against its surroundings [DN].
+    noise: Noise of a reading; estimated without it.
+    limits: Error probabilities and saturation.
     """
 
     frames: npt.NDArray[Any]

@@ -35,21 +35,11 @@ _NOISE_PIXELS = 8000
 class ScreenMapLimits:
     """Error probabilities for one pixel from which every threshold follows, and the saturation level.
 
-    Parameters
-    ----------
-    no_fringe_probability : float, optional
-        Chance that a pixel without fringes passes as one with fringes, for each set.
-    wrong_order_probability : float, optional
-        Chance of a wrong fringe order up to which a pixel is accepted.
-    disagree_probability : float, optional
-        Chance that a good pixel is flagged because its frames disagree.
-    saturation_dn : float, optional
-        Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
-
-    Raises
-    ------
-    InputError
-        A probability outside (0, 0.5), a saturation that is not positive.
+    no_fringe_probability: Chance that a pixel without fringes passes as one with fringes, for each set.
+    wrong_order_probability: Chance of a wrong fringe order up to which a pixel is accepted.
+    disagree_probability: Chance that a good pixel is flagged because its frames disagree.
+    saturation_dn: Reading that counts as saturated; infinite takes the largest value of integer frames [DN].
+    InputError: A probability outside (0, 0.5), a saturation that is not positive.
     """
 
     no_fringe_probability: float = 1e-6
@@ -142,35 +132,16 @@ def measure_screen_map(
 ) -> ScreenMap:
     """Measure the display point that each pixel sees.
 
-    Parameters
-    ----------
-    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
-        Frames in the order of the pattern; any strides [DN].
-    pattern : FringePattern
-        What was shown.
-    response : LightResponse, optional
-        Makes readings linear in the display's level.
-    region : ndarray of bool, shape (h, w), optional
-        Pixels to measure; the others are flagged as outside the mirror.
-    noise : NoiseModel, optional
-        Noise of a reading; estimated from the fit's residuals without it.
-    limits : ScreenMapLimits, optional
-        Error probabilities and saturation.
+    frames (n, h, w): Frames in the order of the pattern; any strides [DN].
+    pattern: What was shown.
+    response: Makes readings linear in the display's level.
+    region (h, w): Pixels to measure; the others are flagged as outside the mirror.
+    noise: Noise of a reading; estimated from the fit's residuals without it.
+    limits: Error probabilities and saturation.
+    Returns: Positions with sigmas; every doubtful pixel is NaN, with its reason in the flags.
+    InputError: Frames, region or noise that do not fit the pattern.
+    EstimationError: No region, three-step sets without a given noise, or periods whose order cannot be searched.
 
-    Returns
-    -------
-    ScreenMap
-        Positions with sigmas; every doubtful pixel is NaN, with its reason in the flags.
-
-    Raises
-    ------
-    InputError
-        Frames, region or noise that do not fit the pattern.
-    EstimationError
-        No region, three-step sets without a given noise, or periods whose order cannot be searched.
-
-    Notes
-    -----
     For each pixel and set: sinusoid by least squares (`deflectometry.fringes.phase.solve_steps`), its variance that
     of the noise model times the squared slope of the response; the sets of an axis are combined by
     `deflectometry.fringes.fringe_orders`. A set is left out where its amplitude is below what noise alone reaches
@@ -212,25 +183,12 @@ def modulation_image(
 ) -> Float32Array:
     """Return the fringes' mean amplitude, cheaply and before any region is known (a mirror stands out by it).
 
-    Parameters
-    ----------
-    frames : ndarray of uint8, uint16 or float, shape (n, h, w)
-        Frames in the order of the pattern; any strides [DN].
-    pattern : FringePattern
-        What was shown.
-    response : LightResponse, optional
-        Makes readings linear in the display's level.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        Root of the mean squared amplitude of the coarsest set of each axis, which blur weakens least
+    frames (n, h, w): Frames in the order of the pattern; any strides [DN].
+    pattern: What was shown.
+    response: Makes readings linear in the display's level.
+    Returns (h, w): Root of the mean squared amplitude of the coarsest set of each axis, which blur weakens least
         [DN, or the response's unit].
-
-    Raises
-    ------
-    InputError
-        Frames that do not fit the pattern.
+    InputError: Frames that do not fit the pattern.
     """
     _check_frames(frames, pattern, None)
     light_table, _ = _tables(frames.dtype, response, NoiseModel(1.0))

@@ -14,16 +14,4 @@ if TYPE_CHECKING:
     from deflectometry.pose.find_pose import MirrorInput as MirrorInput
     from deflectometry.shape.smooth_shape import Align as Align
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Align": "deflectometry.shape.smooth_shape",
-        "Choices": "deflectometry.pipeline.choices",
-        "DeflectometryMeasurement": "deflectometry.keys",
-        "Evaluation": "deflectometry.pipeline.evaluate",
-        "MirrorInput": "deflectometry.pose.find_pose",
-        "build_setup": "deflectometry.pipeline.inputs",
-        "describe_mirror": "deflectometry.pipeline.inputs",
-        "evaluate_frames": "deflectometry.pipeline.evaluate",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -34,14 +34,9 @@ class Options:
 class Choices:
     """How the slopes are to be reported.
 
-    Parameters
-    ----------
-    align : Align
-        Orientation the slopes refer to.
-    grid_step_m : float
-        Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
-    removal : Removal
-        What is taken out of the maps.
+    align: Orientation the slopes refer to.
+    grid_step_m: Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
+    removal: What is taken out of the maps.
     """
 
     align: Align = Align.NORMAL

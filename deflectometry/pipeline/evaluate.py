@@ -29,24 +29,14 @@ MODE_PIXELS = 400
 class Evaluation:
     """Everything a measurement gave.
 
-    Parameters
-    ----------
-    located : LocatedMirror
-        Pose before alignment and its evidence.
-    screen_map : ScreenMap
-        Display point of each pixel.
-    facet_index : ndarray of int16, shape (h, w)
-        Facet of each pixel, -1 elsewhere.
-    solution : ShapeSolution
-        Aligned pose and smooth shapes of the facets that were measured.
-    images : dict of str to SlopeImage
-        Pixels of each measured facet.
-    maps : dict of str to SlopeMap
-        Slope map of each measured facet, with nothing taken out but by the alignment.
-    choices : Choices
-        How the slopes are reported.
-    doubts : tuple of Doubt
-        What makes pose, facets or maps doubtful.
+    located: Pose before alignment and its evidence.
+    screen_map: Display point of each pixel.
+    facet_index (h, w): Facet of each pixel, -1 elsewhere.
+    solution: Aligned pose and smooth shapes of the facets that were measured.
+    images: Pixels of each measured facet.
+    maps: Slope map of each measured facet, with nothing taken out but by the alignment.
+    choices: How the slopes are reported.
+    doubts: What makes pose, facets or maps doubtful.
     """
 
     located: LocatedMirror
@@ -64,30 +54,10 @@ def evaluate_frames(
 ) -> Evaluation:
     """Evaluate the frames of one measurement.
 
-    Parameters
-    ----------
-    observation : Observation
-        Frames and pattern.
-    setup : Setup
-        Camera and screen.
-    mirror : MirrorInput
-        Mirror with its design.
-    choices : Choices
-        How to report.
-    progress : Progress
-        Reports each stage.
-
-    Returns
-    -------
-    Evaluation
-        Slopes of pixels and maps.
-
-    Raises
-    ------
-    InputError
-        Frames that do not fit camera or pattern.
-    EstimationError
-        No mirror found, or none of its facets shows fringes.
+    setup: Camera and screen.
+    Returns: Slopes of pixels and maps.
+    InputError: Frames that do not fit camera or pattern.
+    EstimationError: No mirror found, or none of its facets shows fringes.
     """
     check_size(observation.frames, setup.camera, "frames")
     with progress.stage("find mirror"):

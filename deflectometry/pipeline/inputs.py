@@ -36,20 +36,8 @@ LEAST_SPAN_DEG = 30.0
 def build_setup(measurement: DeflectometryMeasurement) -> Setup:
     """Build camera and screen of a measurement.
 
-    Parameters
-    ----------
-    measurement : DeflectometryMeasurement
-        The checked measurement.
-
-    Returns
-    -------
-    Setup
-        Camera, screen, their relative pose and its covariance.
-
-    Raises
-    ------
-    InputError
-        A camera file or screen table that cannot be read, or a rotation of more than a turn.
+    Returns: Camera, screen, their relative pose and its covariance.
+    InputError: A camera file or screen table that cannot be read, or a rotation of more than a turn.
     """
     section = measurement.model.screen
     known = _known_pose(section)

@@ -19,18 +19,10 @@ from heliogauge.validate import Float32Array
 class MirrorInput:
     """What is known of the mirror before it is measured.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    facets : tuple of Facet
-        Facets with outline and design; empty where the outline is not known.
-    design : Quadric
-        Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
-    known_pose : UncertainPose or None
-        The pose, where it was measured otherwise.
-    knowledge : Knowledge
-        Distances, known points and roll that help to find the pose.
+    facets: Facets with outline and design; empty where the outline is not known.
+    design: Design of a mirror without outline, in the frame whose origin is the middle of what is seen.
+    known_pose: The pose, where it was measured otherwise.
+    knowledge: Distances, known points and roll that help to find the pose.
     """
 
     name: str

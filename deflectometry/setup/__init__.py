@@ -11,13 +11,4 @@ if TYPE_CHECKING:
     from deflectometry.setup.patterns import FringeSet as FringeSet
     from deflectometry.setup.patterns import make_pattern as make_pattern
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Axis": "deflectometry.setup.patterns",
-        "FringePattern": "deflectometry.setup.patterns",
-        "FringeSet": "deflectometry.setup.patterns",
-        "Setup": "deflectometry.setup.camera_and_screen",
-        "make_pattern": "deflectometry.setup.patterns",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

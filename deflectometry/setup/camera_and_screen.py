@@ -177,18 +177,11 @@ def _thin_plate_kernel(points: FloatArray, nodes: FloatArray) -> FloatArray:
 class Setup:
     """Camera and screen in one frame.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera with the covariance of its parameters.
-    screen : Screen
-        The screen in its own frame.
-    cam_from_screen : RigidTransform
-        Screen frame to camera frame.
-    covariance_cam_from_screen : array_like, shape (6, 6)
-        Covariance of the steps of `RigidTransform.moved`: rotation [rad], then translation [m]. Zero: exact.
-    sigma_screen_points_m : float
-        Standard deviation of the screen's shape [m].
+    camera: The camera with the covariance of its parameters.
+    screen: The screen in its own frame.
+    covariance_cam_from_screen (6, 6): Covariance of the steps of `RigidTransform.moved`: rotation [rad], then
+        translation [m]. Zero: exact.
+    sigma_screen_points_m: Standard deviation of the screen's shape [m].
     """
 
     camera: Camera

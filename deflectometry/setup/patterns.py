@@ -52,19 +52,10 @@ def determines_phase(steps_rad: npt.ArrayLike) -> bool:
 class FringeSet:
     """Frames of one fringe period in one direction: ``I_k = a + b cos(2 pi periods w - steps_k)``, w = u or v.
 
-    Parameters
-    ----------
-    axis : Axis
-        Direction in which the fringes vary.
-    periods : float
-        Number of periods over the whole displayed image; need not be whole, may be below 1.
-    steps_rad : array_like, shape (n,), n >= 3
-        Phase steps in the order of the frames, any values that determine the phase [rad].
-
-    Raises
-    ------
-    InputError
-        Periods not positive, or steps that do not determine the phase.
+    axis: Direction in which the fringes vary.
+    periods: Number of periods over the whole displayed image; need not be whole, may be below 1.
+    steps_rad (n,): Phase steps in the order of the frames, any values that determine the phase [rad].
+    InputError: Periods not positive, or steps that do not determine the phase.
     """
 
     axis: Axis
@@ -92,15 +83,8 @@ class FringeSet:
 class FringePattern:
     """All frames of a measurement, in the order in which they were taken.
 
-    Parameters
-    ----------
-    sets : tuple of FringeSet
-        The sets in the order of their frames; both axes occur, in any order.
-
-    Raises
-    ------
-    InputError
-        No set for one of the axes.
+    sets: The sets in the order of their frames; both axes occur, in any order.
+    InputError: No set for one of the axes.
     """
 
     sets: tuple[FringeSet, ...]
@@ -161,27 +145,11 @@ def make_pattern(
 ) -> FringePattern:
     """Make a pattern with equal steps of 2 pi / n for every period.
 
-    Parameters
-    ----------
-    periods_x, periods_y : sequence of float
-        Periods over the width and over the height of the displayed image.
-    steps : int, optional
-        Frames of each set, at least 3.
-    first : Axis, optional
-        Which axis comes first.
+    periods_x, periods_y: Periods over the width and over the height of the displayed image.
+    steps: Frames of each set, at least 3.
+    Returns: All sets of the first axis, then all of the other.
+    InputError: An axis without periods, periods not positive, fewer than 3 steps.
 
-    Returns
-    -------
-    FringePattern
-        All sets of the first axis, then all of the other.
-
-    Raises
-    ------
-    InputError
-        An axis without periods, periods not positive, fewer than 3 steps.
-
-    Examples
-    --------
     >>> make_pattern([0.9, 3.9], [0.9, 3.9]).n_frames
     16
     """

@@ -27,32 +27,16 @@ def enu_from_geodetic(
 ) -> FloatArray:
     """Return east, north, up about an origin.
 
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : array_like, shape (...)
-        Geodetic coordinates (north, east positive) [degree].
-    altitude_m : array_like, shape (...)
-        Altitude above the ellipsoid, or above sea level if the origin's is too [m].
-    origin : sequence of float
-        Latitude [degree], longitude [degree], altitude [m] of the point (0, 0, 0).
+    latitude_deg, longitude_deg (...): Geodetic coordinates (north, east positive) [degree].
+    altitude_m (...): Altitude above the ellipsoid, or above sea level if the origin's is too [m].
+    origin: Latitude [degree], longitude [degree], altitude [m] of the point (0, 0, 0).
+    Returns (..., 3): East, north, up in the plane that touches the ellipsoid below the origin [m].
+    InputError: A latitude beyond the poles (latitude and longitude exchanged?), or an origin that is not three
+        numbers.
 
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        East, north, up in the plane that touches the ellipsoid below the origin [m].
-
-    Raises
-    ------
-    InputError
-        A latitude beyond the poles (latitude and longitude exchanged?), or an origin that is not three numbers.
-
-    Notes
-    -----
     Exact through earth-centred coordinates: at 1 km the ground has dropped 78 mm below the plane, which a map of
     degrees times metres per degree does not know.
 
-    Examples
-    --------
     >>> enu_from_geodetic(50.9134, 6.3878, 87.0, (50.9134, 6.3878, 87.0)) + 0.0
     array([0., 0., 0.])
     """
@@ -65,25 +49,10 @@ def enu_from_geodetic(
 def geodetic_from_enu(points_m: npt.ArrayLike, origin: Sequence[float]) -> Geodetic:
     """Return latitude, longitude and altitude of points given east, north, up about an origin.
 
-    Parameters
-    ----------
-    points_m : array_like, shape (..., 3)
-        East, north, up [m].
-    origin : sequence of float
-        Latitude [degree], longitude [degree], altitude [m] of the point (0, 0, 0).
+    Shapes: points_m (..., 3).
+    origin: Latitude [degree], longitude [degree], altitude [m] of the point (0, 0, 0).
+    InputError: An origin that is not three numbers, or beyond the poles.
 
-    Returns
-    -------
-    Geodetic
-        Coordinates, each of shape (...).
-
-    Raises
-    ------
-    InputError
-        An origin that is not three numbers, or beyond the poles.
-
-    Notes
-    -----
     Fixed point on the latitude: each pass gains a factor of 150, five reach rounding.
     """
     place = float_array("origin", origin, (3,))

@@ -9,25 +9,13 @@ from heliogauge.validate import FloatArray
 def reflect(directions: npt.ArrayLike, normals: npt.ArrayLike) -> FloatArray:
     """Reflect directions at a mirror.
 
-    Parameters
-    ----------
-    directions : array_like, shape (..., 3)
-        Directions of travel, of any length.
-    normals : array_like, shape (..., 3)
-        Mirror normals, of any length and either side; broadcast against the directions.
+    directions (..., 3): Directions of travel, of any length.
+    normals (..., 3): Mirror normals, of any length and either side; broadcast against the directions.
+    Returns (..., 3): Reflected directions, of the same length as the incoming ones.
 
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Reflected directions, of the same length as the incoming ones.
-
-    Notes
-    -----
     ``r = d - 2 (d.n) n / (n.n)``. Dividing by n.n instead of normalising n keeps the length to round-off and lets
     slopes be used as they are: ``n = (-dz/dx, -dz/dy, 1)``.
 
-    Examples
-    --------
     >>> reflect([0.0, 0.0, -1.0], [0.0, 0.0, 5.0])
     array([0., 0., 1.])
     """
@@ -42,21 +30,12 @@ def intersect_plane(
 ) -> FloatArray:
     """Intersect lines with a plane.
 
-    Parameters
-    ----------
-    origins_m : array_like, shape (..., 3)
-        A point of each line [m].
-    directions : array_like, shape (..., 3)
-        Directions of any length.
-    point_m : array_like, shape (..., 3)
-        A point of the plane [m].
-    normal : array_like, shape (..., 3)
-        The plane's normal, of any length and either side.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        t with ``origin + t * direction`` on the plane, in lengths of the direction; NaN where the line is parallel.
+    Shapes: point_m (..., 3).
+    origins_m (..., 3): A point of each line [m].
+    directions (..., 3): Directions of any length.
+    normal (..., 3): The plane's normal, of any length and either side.
+    Returns (...): t with ``origin + t * direction`` on the plane, in lengths of the direction; NaN where the line
+        is parallel.
     """
     plane_normal = np.asarray(normal, dtype=np.float64)
     offset = np.asarray(point_m, dtype=np.float64) - np.asarray(origins_m, dtype=np.float64)

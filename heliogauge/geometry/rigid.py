@@ -137,15 +137,8 @@ def skew(vectors: npt.ArrayLike) -> FloatArray:
 def rotation_from_vector(rotation_vector_rad: npt.ArrayLike) -> FloatArray:
     """Return the rotation matrix of a rotation vector (Rodrigues), exact to round-off also near zero.
 
-    Parameters
-    ----------
-    rotation_vector_rad : array_like, shape (3,)
-        Axis times angle [rad].
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        The rotation matrix.
+    Shapes: result (3, 3).
+    rotation_vector_rad (3,): Axis times angle [rad].
     """
     vector = np.asarray(rotation_vector_rad, dtype=np.float64)
     angle = float(np.linalg.norm(vector))
@@ -159,15 +152,8 @@ def rotation_from_vector(rotation_vector_rad: npt.ArrayLike) -> FloatArray:
 def vector_from_rotation(rotation: npt.ArrayLike) -> FloatArray:
     """Return the rotation vector of a rotation matrix, through the quaternion (stable up to an angle of pi).
 
-    Parameters
-    ----------
-    rotation : array_like, shape (3, 3)
-        The rotation matrix.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Axis times angle, angle in [0, pi] [rad].
+    Shapes: rotation (3, 3).
+    Returns (3,): Axis times angle, angle in [0, pi] [rad].
     """
     matrix = np.asarray(rotation, dtype=np.float64)
     diagonal = np.diag(matrix)
@@ -206,20 +192,9 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 def rotation_between(direction_a: npt.ArrayLike, direction_b: npt.ArrayLike) -> FloatArray:
     """Return the smallest rotation that turns one direction into another.
 
-    Parameters
-    ----------
-    direction_a, direction_b : array_like, shape (3,)
-        Directions of any length.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Rotation matrix with ``R @ a`` parallel to ``b``.
-
-    Raises
-    ------
-    InputError
-        A direction has no length, or the two are opposite (the axis is not determined).
+    direction_a, direction_b (3,): Directions of any length.
+    Returns (3, 3): Rotation matrix with ``R @ a`` parallel to ``b``.
+    InputError: A direction has no length, or the two are opposite (the axis is not determined).
     """
     first = np.asarray(direction_a, dtype=np.float64)
     second = np.asarray(direction_b, dtype=np.float64)
@@ -236,15 +211,8 @@ def rotation_between(direction_a: npt.ArrayLike, direction_b: npt.ArrayLike) -> 
 def rotation_from_omega_phi_kappa(omega_rad: float, phi_rad: float, kappa_rad: float) -> FloatArray:
     """Return the photogrammetric rotation ``M = R3(kappa) R2(phi) R1(omega)`` (object to image axes).
 
-    Parameters
-    ----------
-    omega_rad, phi_rad, kappa_rad : float
-        Angles about X, Y and Z [rad].
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Rotation matrix of Owkes (2012) eq. 5.25; the camera of that convention looks along its own -z.
+    omega_rad, phi_rad, kappa_rad: Angles about X, Y and Z [rad].
+    Returns (3, 3): Rotation matrix of Owkes (2012) eq. 5.25; the camera of that convention looks along its own -z.
     """
     (co, cp, ck), (so, sp, sk) = np.cos([omega_rad, phi_rad, kappa_rad]), np.sin([omega_rad, phi_rad, kappa_rad])
     about_x = np.array([[1, 0, 0], [0, co, so], [0, -so, co]])
@@ -264,15 +232,7 @@ class OmegaPhiKappa(NamedTuple):
 def omega_phi_kappa_from_rotation(rotation: npt.ArrayLike) -> OmegaPhiKappa:
     """Return omega, phi, kappa [rad] of a rotation matrix; at phi = +-pi/2, where only a sum counts, kappa is 0.
 
-    Parameters
-    ----------
-    rotation : array_like, shape (3, 3)
-        ``M = R3(kappa) R2(phi) R1(omega)``.
-
-    Returns
-    -------
-    OmegaPhiKappa
-        The three angles [rad].
+    rotation (3, 3): ``M = R3(kappa) R2(phi) R1(omega)``.
     """
     matrix = np.asarray(rotation, dtype=np.float64)
     cosine = float(np.hypot(matrix[0, 0], matrix[1, 0]))

@@ -20,24 +20,12 @@ _HORIZON_REFRACTION_DEG = 0.5667
 class Site:
     """A place on earth and the air over it.
 
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : float
-        Geodetic latitude (north positive) and longitude (east positive) [degree].
-    altitude_m : float, optional
-        Height above sea level [m].
-    pressure_hpa : float or None, optional
-        Air pressure at the site, not reduced to sea level; the standard atmosphere's at that altitude if None [hPa].
-    temperature_c : float, optional
-        Air temperature [degree Celsius].
+    latitude_deg, longitude_deg: Geodetic latitude (north positive) and longitude (east positive) [degree].
+    altitude_m: Height above sea level [m].
+    pressure_hpa: Air pressure at the site, not reduced to sea level; the standard atmosphere's at that altitude if
+        None [hPa].
+    InputError: Numbers that cannot be.
 
-    Raises
-    ------
-    InputError
-        Numbers that cannot be.
-
-    Notes
-    -----
     At 10 degrees of elevation refraction is 1.6 mrad; 10 hPa change it by 0.016 mrad, 10 K by 0.055 mrad.
     """
 
@@ -72,23 +60,11 @@ class Site:
 def utc_times(times: Sequence[str | datetime]) -> TimeArray:
     """Read instants that say their time zone.
 
-    Parameters
-    ----------
-    times : sequence of str or datetime
-        ISO 8601 with zone, such as ``2023-09-11T09:56:19Z`` or ``2023-09-11 11:56:19+02:00``, or aware datetimes.
+    Shapes: result (n,).
+    times: ISO 8601 with zone, such as ``2023-09-11T09:56:19Z`` or ``2023-09-11 11:56:19+02:00``, or aware
+        datetimes.
+    InputError: An instant cannot be read or has no zone; the message names the row, counted from 0.
 
-    Returns
-    -------
-    ndarray of datetime64[ms], shape (n,)
-        The instants in UTC.
-
-    Raises
-    ------
-    InputError
-        An instant cannot be read or has no zone; the message names the row, counted from 0.
-
-    Examples
-    --------
     >>> utc_times(["2023-09-11T11:56:19+02:00"])
     array(['2023-09-11T09:56:19.000'], dtype='datetime64[ms]')
     """
@@ -111,27 +87,11 @@ def _instant(row: int, time: str | datetime) -> np.datetime64:
 def sun_angles(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> tuple[FloatArray, FloatArray]:
     """Return azimuth and elevation of the sun's centre.
 
-    Parameters
-    ----------
-    times : array_like of datetime64, shape (n,)
-        Instants in UTC.
-    site : Site
-        The place.
-    refracted : bool, optional
-        Apparent elevation, as the mirror sees the sun; False for the geometric one.
+    times (n,): Instants in UTC.
+    refracted: Apparent elevation, as the mirror sees the sun; False for the geometric one.
+    azimuth, elevation (n,): Azimuth from north, clockwise, in [0, 2 pi); elevation above the horizon [rad].
+    InputError: Not instants, or one is missing.
 
-    Returns
-    -------
-    azimuth, elevation : ndarray, shape (n,)
-        Azimuth from north, clockwise, in [0, 2 pi); elevation above the horizon [rad].
-
-    Raises
-    ------
-    InputError
-        Not instants, or one is missing.
-
-    Notes
-    -----
     The solar position algorithm of Reda and Andreas (2004), as pvlib computes it: 0.005 mrad from -2000 to 6000.
     """
     from pvlib.spa import calculate_deltat, solar_position
@@ -161,24 +121,10 @@ def sun_angles(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> t
 def sun_directions(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> FloatArray:
     """Return unit vectors toward the sun's centre in the frame east, north, up.
 
-    Parameters
-    ----------
-    times : array_like of datetime64, shape (n,)
-        Instants in UTC.
-    site : Site
-        The place.
-    refracted : bool, optional
-        As the mirror sees the sun; False without the air.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Unit vectors.
-
-    Raises
-    ------
-    InputError
-        Not instants, or one is missing.
+    Shapes: result (n, 3).
+    times (n,): Instants in UTC.
+    refracted: As the mirror sees the sun; False without the air.
+    InputError: Not instants, or one is missing.
     """
     return direction_from_angles(*sun_angles(times, site, refracted=refracted))
 
@@ -211,17 +157,9 @@ def azimuth_from_south_east(azimuth_rad: npt.ArrayLike) -> FloatArray:
 def below_horizon(directions: npt.ArrayLike, lowest_rad: float = 0.0) -> BoolArray:
     """Return where the sun stands too low to be in an observation (wrong time, zone or sign), shape (n,).
 
-    Parameters
-    ----------
-    directions : array_like, shape (n, 3)
-        Directions to the sun, of any length.
-    lowest_rad : float, optional
-        Elevation below which it cannot have been seen [rad].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True where the elevation is below that or not a number.
+    directions (n, 3): Directions to the sun, of any length.
+    lowest_rad: Elevation below which it cannot have been seen [rad].
+    Returns (n,): True where the elevation is below that or not a number.
     """
     vectors = float_array("directions", directions, (None, 3), finite=False)
     return np.asarray(~(angles_from_direction(vectors)[1] >= lowest_rad))

@@ -35,28 +35,16 @@ class HeightAndSlopes(NamedTuple):
 class Quadric:
     """A surface ``F(p) = p^T Q p = 0`` in homogeneous coordinates ``p = (x, y, z, 1)``, seen as a sheet z(x, y).
 
-    Parameters
-    ----------
-    matrix : array_like, shape (4, 4)
-        Symmetric matrix Q, coordinates in metres. Its scale is free; its sign is chosen here so that dF/dz >= 0 at
-        the frame's origin.
-    name : str
-        The shape in words with its numbers.
+    matrix (4, 4): Symmetric matrix Q, coordinates in metres. Its scale is free; its sign is chosen here so that
+        dF/dz >= 0 at the frame's origin.
+    name: The shape in words with its numbers.
+    InputError: The matrix is not symmetric, or the surface has no sheet z(x, y) at the origin.
 
-    Raises
-    ------
-    InputError
-        The matrix is not symmetric, or the surface has no sheet z(x, y) at the origin.
-
-    Notes
-    -----
     Of the two sheets of a quadric the one nearer the plane z = 0 at the origin is meant (the one with dF/dz > 0).
     Concave mirrors open to +z: a focal length or radius above zero is concave, below zero convex, infinite flat.
     Roots are written ``2 c / (b + sqrt(b^2 - 4 a c))``, which has no cancellation when the curvature vanishes: planes
     and paraboloids of any focal length share one code path to round-off.
 
-    Examples
-    --------
     >>> dish = paraboloid(10.0)
     >>> float(dish.height(2.0, 0.0)), [float(slope) for slope in dish.gradient(2.0, 0.0)]
     (0.1, [0.1, 0.0])
@@ -77,15 +65,8 @@ class Quadric:
     def transformed(self, b_from_a: RigidTransform) -> "Quadric":
         """Return the same surface in frame b.
 
-        Parameters
-        ----------
-        b_from_a : RigidTransform
-            From this surface's frame to the new one.
-
-        Returns
-        -------
-        Quadric
-            The surface in frame b, exact to round-off.
+        b_from_a: From this surface's frame to the new one.
+        Returns: The surface in frame b, exact to round-off.
         """
         a_from_b = np.eye(4)
         inverse = b_from_a.inverse()
@@ -96,60 +77,32 @@ class Quadric:
     def height(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Return the height of the sheet.
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Positions [m], broadcast against each other.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            z [m]; NaN where the surface does not reach.
+        x_m, y_m (...): Positions [m], broadcast against each other.
+        Returns (...): z [m]; NaN where the surface does not reach.
         """
         return self._sheet(x_m, y_m, with_gradient=False)[0]
 
     def gradient(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the slopes of the sheet.
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Positions [m], broadcast against each other.
-
-        Returns
-        -------
-        tuple of ndarray, each of shape (...)
-            dz/dx and dz/dy (dimensionless).
+        x_m, y_m (...): Positions [m], broadcast against each other.
+        Returns (...): dz/dx and dz/dy (dimensionless).
         """
         return self._sheet(x_m, y_m)[1:]
 
     def height_and_gradient(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> HeightAndSlopes:
         """Return z [m], dz/dx and dz/dy, at the cost of one of them.
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Positions [m], broadcast against each other.
-
-        Returns
-        -------
-        HeightAndSlopes
-            Height [m] and both slopes, each of shape (...); NaN where the surface does not reach.
+        x_m, y_m (...): Positions [m], broadcast against each other.
+        Returns: Height [m] and both slopes, each of shape (...); NaN where the surface does not reach.
         """
         return self._sheet(x_m, y_m)
 
     def normal(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Return the unit normal on the +z side.
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Positions [m], broadcast against each other.
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            Unit vectors.
+        Shapes: result (..., 3).
+        x_m, y_m (...): Positions [m], broadcast against each other.
         """
         slope_x, slope_y = self.gradient(x_m, y_m)
         normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
@@ -158,21 +111,11 @@ class Quadric:
     def intersect(self, origins_m: npt.ArrayLike, directions: npt.ArrayLike) -> FloatArray:
         """Intersect lines with the sheet.
 
-        Parameters
-        ----------
-        origins_m : array_like, shape (..., 3)
-            A point of each line [m], broadcast against the directions.
-        directions : array_like, shape (..., 3)
-            Directions of any length.
+        origins_m (..., 3): A point of each line [m], broadcast against the directions.
+        directions (..., 3): Directions of any length.
+        Returns (...): t with ``origin + t * direction`` on the surface, in lengths of the direction; may be
+            negative; NaN where the line misses.
 
-        Returns
-        -------
-        ndarray, shape (...)
-            t with ``origin + t * direction`` on the surface, in lengths of the direction; may be negative; NaN where
-            the line misses.
-
-        Notes
-        -----
         A line that runs towards -z meets the sheet's +z side, one that runs towards +z its back; so turning a
         direction round turns only the sign of t. A ray that rises and still meets the front (from low inside a deep
         trough towards its rim) is outside this rule.
@@ -283,22 +226,9 @@ def _blocks(size: int) -> Iterator[slice]:
 def quadric(coefficients: npt.ArrayLike, name: str | None = None) -> Quadric:
     """Return ``z = A x^2 + B y^2 + C x + D y + E x y + F``.
 
-    Parameters
-    ----------
-    coefficients : array_like, shape (6,)
-        A, B [1/m], C, D, E [1/m], F [m], in this order.
-    name : str, optional
-        The shape in words.
-
-    Returns
-    -------
-    Quadric
-        The surface.
-
-    Raises
-    ------
-    InputError
-        Not six finite numbers.
+    Shapes: coefficients (6,).
+    name: The shape in words.
+    InputError: Not six finite numbers.
     """
     a, b, c, d, e, f = float_array("coefficients", coefficients, (6,)).tolist()
     words = f"z = {a:.6g} x^2 + {b:.6g} y^2 + {c:.6g} x + {d:.6g} y + {e:.6g} x y + {f:.6g} (metres)"
@@ -359,23 +289,13 @@ def _nonzero(name: str, length_m: float) -> float:
 class Facet:
     """One mirror: its outline and design in its own frame, and where it sits in an ensemble.
 
-    Parameters
-    ----------
-    name : str
-        Name in files and messages.
-    outline_m : array_like, shape (n, 2)
-        Corners in facet x and y, counter-clockwise seen from the front [m].
-    design : Quadric
-        Design surface in the facet's frame.
-    ensemble_from_facet : RigidTransform, optional
-        Place of the facet; the identity for a single mirror.
-    reference_point_m : array_like, shape (2,), optional
-        Point whose normal stands for the facet (canting) [m]; the outline's centroid when left out.
-
-    Raises
-    ------
-    InputError
-        Fewer than three corners, a corner twice, sides that cross, no area, or clockwise corners.
+    name: Name in files and messages.
+    outline_m (n, 2): Corners in facet x and y, counter-clockwise seen from the front [m].
+    design: Design surface in the facet's frame.
+    ensemble_from_facet: Place of the facet; the identity for a single mirror.
+    reference_point_m (2,): Point whose normal stands for the facet (canting) [m]; the outline's centroid when left
+        out.
+    InputError: Fewer than three corners, a corner twice, sides that cross, no area, or clockwise corners.
     """
 
     name: str
@@ -412,16 +332,9 @@ class Facet:
     def contains(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> BoolArray:
         """Tell which points lie inside the outline (even-odd rule).
 
-        Parameters
-        ----------
-        x_m, y_m : array_like, shape (...)
-            Positions in the facet frame [m], broadcast against each other.
-
-        Returns
-        -------
-        ndarray of bool, shape (...)
-            True inside. Of a point on the edge, left and lower edges count as inside: facets that share an edge
-            share no point.
+        x_m, y_m (...): Positions in the facet frame [m], broadcast against each other.
+        Returns (...): True inside. Of a point on the edge, left and lower edges count as inside: facets that share
+            an edge share no point.
         """
         grid_x, grid_y = np.broadcast_arrays(np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64))
         flat_x, flat_y = grid_x.reshape(-1), grid_y.reshape(-1)
@@ -480,24 +393,12 @@ def facet_on_optic(
 ) -> RigidTransform:
     """Place a facet's frame on the surface of a larger optic.
 
-    Parameters
-    ----------
-    design_in_optic : Quadric
-        The optic's surface, in the optic's frame.
-    center_xy_m : array_like, shape (2,)
-        Where the facet's origin sits, x and y in the optic's frame [m].
-    orientation : {"normal", "axis"}, optional
-        Facet z along the surface normal there (the smallest turn from the optic's axes), or along the optic's z.
-
-    Returns
-    -------
-    RigidTransform
-        ``optic_from_facet``; the facet's own design is ``design_in_optic.transformed(optic_from_facet.inverse())``.
-
-    Raises
-    ------
-    InputError
-        The surface does not reach that point, or the orientation is unknown.
+    center_xy_m (2,): Where the facet's origin sits, x and y in the optic's frame [m].
+    orientation: Facet z along the surface normal there (the smallest turn from the optic's axes), or along the
+        optic's z.
+    Returns: ``optic_from_facet``; the facet's own design is
+        ``design_in_optic.transformed(optic_from_facet.inverse())``.
+    InputError: The surface does not reach that point, or the orientation is unknown.
     """
     x, y = float_array("center_xy_m", center_xy_m, (2,)).tolist()
     height = float(design_in_optic.height(x, y))

@@ -21,16 +21,10 @@ class InstrumentResult(ABC):
     An instrument's result adds what it measured, names its `kind`, and says how that becomes files, headline numbers
     and lines on a terminal.
 
-    Parameters
-    ----------
-    name : str
-        Name of what was measured.
-    doubts : tuple of Doubt
-        What makes the result doubtful.
-    durations_s : mapping of str to float
-        Wall time of each stage [s].
-    input_sha256 : mapping of str to str
-        Hash of each file that was read.
+    name: Name of what was measured.
+    doubts: What makes the result doubtful.
+    durations_s: Wall time of each stage [s].
+    input_sha256: Hash of each file that was read.
     """
 
     kind: ClassVar[str]

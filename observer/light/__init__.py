@@ -16,18 +16,4 @@ if TYPE_CHECKING:
     from observer.light.trace import Sunlight as Sunlight
     from observer.light.trace import trace_intercept as trace_intercept
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Case": "observer.light.cases",
-        "Sunlight": "observer.light.trace",
-        "beam_profile": "observer.light.beam",
-        "beam_spread": "observer.light.spread",
-        "gaussian_short_form": "observer.light.spread",
-        "intercept_at_offsets": "observer.light.cases",
-        "measured_trough": "observer.light.cases",
-        "optics_of": "observer.light.cases",
-        "sun_profile": "observer.light.beam",
-        "trace_intercept": "observer.light.trace",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -88,18 +88,9 @@ class BeamProfile:
 def sun_profile(sun: SunShape) -> BeamProfile:
     """Look at a sun shape edge on.
 
-    Parameters
-    ----------
-    sun : SunShape
-        Radiance about the sun's centre.
+    sun: Radiance about the sun's centre.
+    Returns: Its share below each angle.
 
-    Returns
-    -------
-    BeamProfile
-        Its share below each angle.
-
-    Notes
-    -----
     The sun is cut into rings of even radiance, each the difference of two discs. Of a disc of radius R the share
     ``1/2 + (t sqrt(1 - t^2) + asin t) / pi`` lies below ``t = u / R``. That is exact for a pillbox; rings of 1/600 of
     the limit make errors below 1e-6 for the other shapes.
@@ -126,29 +117,12 @@ def beam_profile(
 ) -> BeamProfile:
     """Widen a sun by scatter and tracking, and by its incidence along the trough.
 
-    Parameters
-    ----------
-    sun : BeamProfile
-        From `sun_profile`.
-    specularity_rad : float, optional
-        Gaussian scatter of the reflected beam in one direction, 1 sigma [rad].
-    tracking_error_rad : float, optional
-        Gaussian error of the collector's rotation about its length, 1 sigma [rad].
-    incidence_rad : float, optional
-        Angle between the sun and the plane across the trough [rad].
+    specularity_rad: Gaussian scatter of the reflected beam in one direction, 1 sigma [rad].
+    tracking_error_rad: Gaussian error of the collector's rotation about its length, 1 sigma [rad].
+    incidence_rad: Angle between the sun and the plane across the trough [rad].
+    Returns: The light's angles across the trough.
+    InputError: A negative scatter, or a sun that stands along the trough.
 
-    Returns
-    -------
-    BeamProfile
-        The light's angles across the trough.
-
-    Raises
-    ------
-    InputError
-        A negative scatter, or a sun that stands along the trough.
-
-    Notes
-    -----
     A sun at the incidence angle i is seen from the plane across the trough with ``tan(angle) = deviation / cos i``:
     sun shape and specularity are widened by 1 / cos i. Tracking and the mirror's slope errors across are not, for
     reflection at a normal without part along the trough keeps the length of the rays' part along it.

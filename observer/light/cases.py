@@ -108,30 +108,13 @@ def measured_trough(
 ) -> MeasuredTrough:
     """Put mirror and absorber together.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror.
-    absorber : AbsorberPath
-        The tube's axis with its covariance.
-    collector : Collector
-        The design.
-    slope_covariance : callable, optional
-        Covariance of weighted sums of slopes, the absorber held where they come from its reflection; by default what
-        the map states.
-    from_reflection : bool, optional
-        Whether the slopes come from the absorber's reflection. Then theta_ra was measured and an error of the
-        absorber's place is in the slopes too, where it cancels; otherwise slopes and absorber err apart.
-
-    Returns
-    -------
-    MeasuredTrough
-        What `intercept_of` and the other functions here take.
-
-    Raises
-    ------
-    EstimationError
-        No node was measured.
+    absorber: The tube's axis with its covariance.
+    slope_covariance: Covariance of weighted sums of slopes, the absorber held where they come from its reflection;
+        by default what the map states.
+    from_reflection: Whether the slopes come from the absorber's reflection. Then theta_ra was measured and an error
+        of the absorber's place is in the slopes too, where it cancels; otherwise slopes and absorber err apart.
+    Returns: What `intercept_of` and the other functions here take.
+    EstimationError: No node was measured.
     """
     from scipy.sparse import hstack
 
@@ -184,21 +167,8 @@ def joined(parts: Sequence[Sensitivity]) -> Sensitivity:
 def optics_of(trough: MeasuredTrough, case: Case, profile: BeamProfile, incidence_rad: float = 0.0) -> TroughOptics:
     """Return the optics of a trough with some of its errors left out.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        Which errors are left in.
-    profile : BeamProfile
-        The light, for the same incidence.
-    incidence_rad : float, optional
-        Angle between the sun and the plane across the trough [rad].
-
-    Returns
-    -------
-    TroughOptics
-        For `TroughOptics.ratio`.
+    profile: The light, for the same incidence.
+    incidence_rad: Angle between the sun and the plane across the trough [rad].
     """
     nodes, absorber = trough.nodes, trough.absorber
     if case is Case.MIRROR_PERFECT:
@@ -238,21 +208,7 @@ def intercept_at_offsets(
 ) -> Intercept:
     """Return the intercept factor for a sun beside the optical axis.
 
-    Parameters
-    ----------
-    trough : MeasuredTrough
-        The trough.
-    case : Case
-        What of it is left in.
-    optics : TroughOptics
-        From `optics_of`.
-    offsets_rad : sequence of float, optional
-        Angles by which the sun stands towards +x of the optical axis [rad].
-
-    Returns
-    -------
-    Intercept
-        For each angle.
+    offsets_rad: Angles by which the sun stands towards +x of the optical axis [rad].
     """
     ratio, rest = np.empty(len(offsets_rad)), np.full(len(offsets_rad), _TABLE_ERROR**2)
     for i, offset in enumerate(offsets_rad):

@@ -43,15 +43,7 @@ class BeamSpread:
 def beam_spread(optics: TroughOptics) -> BeamSpread:
     """Pool the errors of the whole aperture.
 
-    Parameters
-    ----------
-    optics : TroughOptics
-        Mirror, tube and light.
-
-    Returns
-    -------
-    BeamSpread
-        Distributions and acceptance.
+    optics: Mirror, tube and light.
     """
     windows, light, profile = optics.windows, optics.light(0.0), optics.profile
     error = 0.5 * (windows.upper_rad + windows.lower_rad)
@@ -81,29 +73,14 @@ def gaussian_short_form(
 ) -> float:
     """Return the intercept factor of a design with Gaussian errors.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    sun : BeamProfile
-        The sun, from `observer.light.beam.sun_profile`.
-    sigma_r_rad : float
-        Slope error of the mirror's normal across, RMS [rad].
-    sigma_a_rad : float, optional
-        Absorber displacement as a slope error (theta_a), RMS [rad].
-    specularity_rad, tracking_error_rad : float, optional
-        Of the beam, 1 sigma [rad].
+    sun: The sun, from `observer.light.beam.sun_profile`.
+    sigma_r_rad: Slope error of the mirror's normal across, RMS [rad].
+    sigma_a_rad: Absorber displacement as a slope error (theta_a), RMS [rad].
+    specularity_rad, tracking_error_rad: Of the beam, 1 sigma [rad].
 
-    Returns
-    -------
-    float
-        The intercept factor.
-
-    Notes
-    -----
-    ``sigma_tot^2 = 4 sigma_r^2 + 4 sigma_a^2 + sigma_spec^2 + sigma_track^2`` (Owkes 2012, eq. 5.16) widens the sun; at
-    each distance from the vertex the share within the acceptance ``asin(a / R)`` (5.4) counts, and the mean over the
-    aperture is taken.
+    ``sigma_tot^2 = 4 sigma_r^2 + 4 sigma_a^2 + sigma_spec^2 + sigma_track^2`` (Owkes 2012, eq. 5.16) widens the sun;
+    at each distance from the vertex the share within the acceptance ``asin(a / R)`` (5.4) counts, and the mean over
+    the aperture is taken.
     """
     total = float(np.sqrt(4 * sigma_r_rad**2 + 4 * sigma_a_rad**2 + specularity_rad**2 + tracking_error_rad**2))
     profile = beam_profile(sun, specularity_rad=total)

@@ -19,18 +19,11 @@ _PATH_STEPS = 1024
 class Sunlight:
     """The light on a trough.
 
-    Parameters
-    ----------
-    sun : SunShape
-        Radiance about the sun's centre.
-    specularity_rad : float, optional
-        Gaussian scatter of the reflected beam in one direction, 1 sigma [rad].
-    tracking_error_rad : float, optional
-        Gaussian error of the rotation about the trough's length, 1 sigma [rad].
-    offset_rad : float, optional
-        Angle by which the sun stands towards +x of the optical axis [rad].
-    incidence_rad : float, optional
-        Angle between the sun and the plane across the trough, positive towards +y [rad].
+    sun: Radiance about the sun's centre.
+    specularity_rad: Gaussian scatter of the reflected beam in one direction, 1 sigma [rad].
+    tracking_error_rad: Gaussian error of the rotation about the trough's length, 1 sigma [rad].
+    offset_rad: Angle by which the sun stands towards +x of the optical axis [rad].
+    incidence_rad: Angle between the sun and the plane across the trough, positive towards +y [rad].
     """
 
     sun: SunShape
@@ -70,39 +63,18 @@ def trace_intercept(
 ) -> TracedIntercept:
     """Count the rays that meet the tube.
 
-    Parameters
-    ----------
-    slope_map : SlopeMap
-        The mirror; where heights or slopes along the trough are missing, the design's are taken.
-    absorber : AbsorberPath
-        The tube's axis; it goes on beyond its ends.
-    diameter_m : float
-        The tube's diameter [m].
-    light : Sunlight
-        The light.
-    rays : int
-        How many rays.
-    rng : numpy.random.Generator
-        Source of randomness; SFC64 is the fastest.
+    slope_map: The mirror; where heights or slopes along the trough are missing, the design's are taken.
+    absorber: The tube's axis; it goes on beyond its ends.
+    rng: Source of randomness; SFC64 is the fastest.
+    Returns: The share with the sampling error.
+    EstimationError: No measured node is lit.
+    InputError: No rays.
 
-    Returns
-    -------
-    TracedIntercept
-        The share with the sampling error.
-
-    Raises
-    ------
-    EstimationError
-        No measured node is lit.
-    InputError
-        No rays.
-
-    Notes
-    -----
-    The rays are those of `heliogauge.beam_rays`: uniform over each node's cell, the design's slope following the place.
-    A tracking error turns the reflected ray about the trough's length, the other way round than it turns the sun.
-    Columns of the map with nodes that were not measured count with the whole column's area, as in `observer.intercept`.
-    The sampling error is that of independent rays; that each node sends its fixed number makes it smaller.
+    The rays are those of `heliogauge.beam_rays`: uniform over each node's cell, the design's slope following the
+    place. A tracking error turns the reflected ray about the trough's length, the other way round than it turns the
+    sun. Columns of the map with nodes that were not measured count with the whole column's area, as in
+    `observer.intercept`. The sampling error is that of independent rays; that each node sends its fixed number makes
+    it smaller.
     """
     shares = column_shares(slope_map)
     columns = _Columns(slope_map, _Tube(absorber, diameter_m / 2))

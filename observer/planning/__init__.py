@@ -16,18 +16,4 @@ if TYPE_CHECKING:
     from observer.planning.simulated_flight import error_theta_ra as error_theta_ra
     from observer.planning.simulated_flight import simulate as simulate
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Believed": "observer.planning.photo_network",
-        "EdgeNoise": "observer.planning.simulated_edges",
-        "Evaluation": "observer.planning.simulated_flight",
-        "ObserverPlanModel": "observer.planning.keys",
-        "Scene": "observer.planning.simulated_edges",
-        "drawn_network": "observer.planning.photo_network",
-        "error_theta_ra": "observer.planning.simulated_flight",
-        "planned_network": "observer.planning.plan",
-        "planned_passes": "observer.planning.plan",
-        "simulate": "observer.planning.simulated_flight",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -43,12 +43,8 @@ class PlannedNetwork:
 class Believed:
     """Cameras and poses as the photo network of one measurement finds them.
 
-    Parameters
-    ----------
-    views : tuple of (Camera, RigidTransform)
-        Camera and ``cam_from_frame`` of each photo.
-    covariance : ndarray, shape (6 n, 6 n)
-        Joint covariance of the poses' steps [rad, m].
+    views: Camera and ``cam_from_frame`` of each photo.
+    covariance (6 n, 6 n): Joint covariance of the poses' steps [rad, m].
     """
 
     views: tuple[View, ...]
@@ -71,22 +67,8 @@ class Believed:
 def drawn_network(network: PlannedNetwork, rng: np.random.Generator | None) -> BundleResult:
     """Adjust the photo network, with everything that is known disturbed by its sigma.
 
-    Parameters
-    ----------
-    network : PlannedNetwork
-        The truth.
-    rng : numpy.random.Generator or None
-        Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
-
-    Returns
-    -------
-    BundleResult
-        The adjustment.
-
-    Raises
-    ------
-    EstimationError
-        The network is not determined.
+    rng: Draws the errors of image points, coordinates, distances and the camera's prior; None for none.
+    EstimationError: The network is not determined.
     """
     points = _image_points(network, rng)
     present = {points.targets[i] for i in np.unique(points.target_index)}

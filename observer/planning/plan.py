@@ -202,20 +202,7 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
 def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:
     """Return the passes that measurement.toml plans.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What it says.
-
-    Returns
-    -------
-    tuple of Pass
-        The passes.
-
-    Raises
-    ------
-    InputError
-        A pass that cannot be flown.
+    InputError: A pass that cannot be flown.
     """
     return tuple(Pass(one.height_m, one.reach_m, one.photos, one.y_m, one.look_y_m) for one in model.flight)
 
@@ -225,26 +212,11 @@ def planned_network(
 ) -> tuple[PlannedNetwork, tuple[Doubt, ...]]:
     """Build the photo network of a plan.
 
-    Parameters
-    ----------
-    model : ObserverPlanModel
-        What measurement.toml says.
-    folder : Path
-        Where its files are.
-    poses : tuple of RigidTransform
-        ``cam_from_frame`` of each planned photo.
-
-    Returns
-    -------
-    PlannedNetwork, tuple of Doubt
-        The network, and why photos were left out.
-
-    Raises
-    ------
-    InputError
-        A list of targets or a camera that cannot be used.
-    EstimationError
-        Fewer than two photos see four targets.
+    model: What measurement.toml says.
+    poses: ``cam_from_frame`` of each planned photo.
+    Returns: The network, and why photos were left out.
+    InputError: A list of targets or a camera that cannot be used.
+    EstimationError: Fewer than two photos see four targets.
     """
     planned = planned_targets(model, folder)
     photogrammetry = PhotogrammetryModel(

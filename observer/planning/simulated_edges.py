@@ -34,12 +34,8 @@ END_MARGIN_M = 0.04
 class EdgeNoise:
     """How well edges are found in photos.
 
-    Parameters
-    ----------
-    reflection_px : float, optional
-        Standard deviation of an edge of the reflection [px].
-    absorber_px : float, optional
-        Standard deviation of the tube's middle [px].
+    reflection_px: Standard deviation of an edge of the reflection [px].
+    absorber_px: Standard deviation of the tube's middle [px].
     """
 
     reflection_px: float = 0.05
@@ -50,14 +46,9 @@ class EdgeNoise:
 class Scene:
     """What is looked at, without error.
 
-    Parameters
-    ----------
-    truth : Expectation
-        Collector, true axis of the tube, rows of the map.
-    mirror : Mirror
-        True slope errors.
-    views : tuple of (Camera, RigidTransform)
-        True camera and ``cam_from_frame`` of each photo.
+    truth: Collector, true axis of the tube, rows of the map.
+    mirror: True slope errors.
+    views: True camera and ``cam_from_frame`` of each photo.
     """
 
     truth: Expectation

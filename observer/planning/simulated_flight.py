@@ -23,16 +23,10 @@ from observer.trough.visibility import Visibility, visibility
 class Evaluation:
     """How a measurement is evaluated.
 
-    Parameters
-    ----------
-    column_step_m : float
-        Distance of the nodes across the trough [m].
-    station_step_m : float
-        Distance of the absorber's stations [m].
-    along_rad : float
-        Standard deviation of the slope along the trough, as prior [rad].
-    measures_absorber : bool
-        Whether the absorber's place is measured in the photos; it is known otherwise.
+    column_step_m: Distance of the nodes across the trough [m].
+    station_step_m: Distance of the absorber's stations [m].
+    along_rad: Standard deviation of the slope along the trough, as prior [rad].
+    measures_absorber: Whether the absorber's place is measured in the photos; it is known otherwise.
     """
 
     column_step_m: float = 0.02
@@ -77,19 +71,8 @@ class Simulated:
 def error_theta_ra(simulated: Simulated, focal_length_m: float, true_absorber: AbsorberPath) -> FloatArray:
     """Return estimated less true reflector-absorber angle at the nodes.
 
-    Parameters
-    ----------
-    simulated : Simulated
-        A simulated measurement.
-    focal_length_m : float
-        Focal length of the design [m].
-    true_absorber : AbsorberPath
-        The tube's true axis.
-
-    Returns
-    -------
-    ndarray, shape (r, nx)
-        Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
+    true_absorber: The tube's true axis.
+    Returns (r, nx): Error of theta_ra = theta_r + theta_a; NaN where nothing was measured [rad].
     """
     x, y = np.meshgrid(simulated.slope_map.x_m, simulated.slope_map.y_m)
     z = x**2 / (4 * focal_length_m)
@@ -106,28 +89,9 @@ def simulate(
 ) -> Simulated:
     """Simulate one measurement and evaluate it by the instrument's own estimators.
 
-    Parameters
-    ----------
-    scene : Scene
-        The truth.
-    believed : Believed
-        Cameras and poses as the photo network finds them.
-    noise : EdgeNoise
-        How well edges are found.
-    evaluation : Evaluation
-        How the measurement is evaluated.
-    rng : numpy.random.Generator
-        Draws the noise of the edges.
-
-    Returns
-    -------
-    Simulated
-        Estimates and truth.
-
-    Raises
-    ------
-    EstimationError
-        The photos show too little of the reflection or of the absorber.
+    believed: Cameras and poses as the photo network finds them.
+    noise: How well edges are found.
+    EstimationError: The photos show too little of the reflection or of the absorber.
     """
     truth = scene.truth
     collector, y = truth.collector, truth.y_m

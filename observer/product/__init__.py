@@ -8,10 +8,4 @@ if TYPE_CHECKING:
     from observer.product.figures_of_merit import flight_figures as flight_figures
     from observer.product.longitudinal import error_of_theta_ra as error_of_theta_ra
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "error_of_theta_ra": "observer.product.longitudinal",
-        "flight_figures": "observer.product.figures_of_merit",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -31,27 +31,10 @@ class FlightFigures:
 def flight_figures(collector: Collector, pixel_rad: float, eyes_m: FloatArray) -> FlightFigures:
     """Work out the figures of a pass.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    pixel_rad : float
-        Pitch of the pixels over the focal length [rad].
-    eyes_m : ndarray, shape (n, 3)
-        Where the camera is, photo by photo, at least two [m].
+    pixel_rad: Pitch of the pixels over the focal length [rad].
+    eyes_m (n, 3): Where the camera is, photo by photo, at least two [m].
+    InputError: Fewer than two cameras, or one that is not above the rim.
 
-    Returns
-    -------
-    FlightFigures
-        The figures.
-
-    Raises
-    ------
-    InputError
-        Fewer than two cameras, or one that is not above the rim.
-
-    Notes
-    -----
     Eq. 7.14 is the mean absolute difference of atan(X_c / Z_c) between neighbours across the trough.
     """
     positive("pixel_rad", pixel_rad, "radians")

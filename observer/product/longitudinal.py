@@ -21,24 +21,11 @@ _HEIGHT_M = 100.0
 def error_of_theta_ra(collector: Collector, incidence_rad: float, slope_y_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return by how much a slope error along the trough falsifies theta_ra, across the aperture.
 
-    Parameters
-    ----------
-    collector : Collector
-        The collector.
-    incidence_rad : float
-        Angle of the line of sight along the trough from the optical axis [rad].
-    slope_y_rad : float
-        Error of dz/dy that the evaluation takes to be zero [rad].
+    Shapes: x_m (101,).
+    incidence_rad: Angle of the line of sight along the trough from the optical axis [rad].
+    slope_y_rad: Error of dz/dy that the evaluation takes to be zero [rad].
+    error_rad (101,): Error of theta_ra where the camera looks down at the place [rad].
 
-    Returns
-    -------
-    x_m : ndarray, shape (101,)
-        Places across the aperture [m].
-    error_rad : ndarray, shape (101,)
-        Error of theta_ra where the camera looks down at the place [rad].
-
-    Notes
-    -----
     Exact reflection. To first order the error is ``-1/2 sin(2 alpha) tan(incidence) slope_y`` with
     ``tan(alpha) = X / (2 f)``: none at the vertex, most where the mirror stands at 45 degrees (Owkes 2012, sec. 5.2,
     eq. 5.11 and Fig. 5.14).

@@ -9,11 +9,4 @@ if TYPE_CHECKING:
     from observer.report.pictures import overlay_figure as overlay_figure
     from observer.report.results import open_trough as open_trough
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "open_trough": "observer.report.results",
-        "overlay_figure": "observer.report.pictures",
-        "theta_r_map": "observer.report.maps",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -67,17 +67,7 @@ def _shares(results: TroughResults) -> Html:
 def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
     """Draw the mirror's slope error.
 
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-    limit : float, optional
-        Where the colours end [mrad].
-
-    Returns
-    -------
-    Figure
-        A map [mrad].
+    limit: Where the colours end [mrad].
     """
     return _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit)
 

@@ -47,18 +47,7 @@ def overlay(results: TroughResults) -> Html:
 
 
 def overlay_figure(results: TroughResults) -> "Figure":
-    """Draw the photo that gave most edges with both outlines.
-
-    Parameters
-    ----------
-    results : TroughResults
-        The results.
-
-    Returns
-    -------
-    Figure
-        The photo.
-    """
+    """Draw the photo that gave most edges with both outlines."""
     from matplotlib.lines import Line2D
 
     image, nodes, name = read_overlay(results.base.folder)

@@ -96,20 +96,7 @@ class TroughResults:
 def open_trough(folder: str | Path = ".") -> TroughResults:
     """Read a folder of results.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        The folder; the working directory without it.
-
-    Returns
-    -------
-    TroughResults
-        Its content.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    folder: The folder; the working directory without it.
     """
     folder = Path(folder)
     names = ("theta_ra", "theta_r", "theta_a", "sigma_theta_r", "sigma_theta_a", "sigma_theta_ra")

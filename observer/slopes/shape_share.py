@@ -1,9 +1,9 @@
 """Whether the mirror itself deviates as its slopes say, or only its normals are turned: estimated from the reflection.
 
 A point of the mirror that is higher by h is passed by both edges of the tube under slightly other angles: one mirror
-point is seen by two cameras 0.6 m apart, and a height of a millimetre makes 0.03 mrad of difference between them. That
-is below the noise of an edge, but the heights of the whole mirror, integrated from its slopes, are one pattern with one
-factor: 1 for real mirrors, 0 for pictures whose normals alone were turned.
+point is seen by two cameras 0.6 m apart, and a height of a millimetre makes 0.03 mrad of difference between them.
+That is below the noise of an edge, but the heights of the whole mirror, integrated from its slopes, are one pattern
+with one factor: 1 for real mirrors, 0 for pictures whose normals alone were turned.
 """
 
 from dataclasses import dataclass, replace

@@ -14,16 +14,4 @@ if TYPE_CHECKING:
     from observer.trough.typical_mirror import TypicalMirror as TypicalMirror
     from observer.trough.visibility import seeable_shares as seeable_shares
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "AbsorberPath": "observer.trough.absorber_path",
-        "Collector": "observer.trough.collector",
-        "Expectation": "observer.trough.expectation",
-        "GlassTube": "observer.trough.collector",
-        "TypicalMirror": "observer.trough.typical_mirror",
-        "ls2": "observer.trough.collector",
-        "ls3": "observer.trough.collector",
-        "seeable_shares": "observer.trough.visibility",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -14,19 +14,10 @@ from observer.trough.collector import Collector
 class AbsorberPath:
     """Axis of the absorber tube: a polyline through stations along the trough.
 
-    Parameters
-    ----------
-    y_m : ndarray, shape (n,)
-        Ascending stations along the trough [m].
-    x_m, z_m : ndarray, shape (n,)
-        Position of the axis at the stations [m].
-    covariance_m2 : ndarray, shape (2 n, 2 n)
-        Joint covariance of (x_1 .. x_n, z_1 .. z_n) [m^2].
-
-    Raises
-    ------
-    InputError
-        Stations that do not ascend, or arrays that do not belong together.
+    y_m (n,): Ascending stations along the trough [m].
+    x_m, z_m (n,): Position of the axis at the stations [m].
+    covariance_m2 (2 n, 2 n): Joint covariance of (x_1 .. x_n, z_1 .. z_n) [m^2].
+    InputError: Stations that do not ascend, or arrays that do not belong together.
     """
 
     y_m: FloatArray

@@ -16,12 +16,8 @@ BOROSILICATE_INDEX = 1.47
 class GlassTube:
     """The envelope around the absorber tube, concentric with the design's focal line.
 
-    Parameters
-    ----------
-    outer_diameter_m, inner_diameter_m : float
-        Diameters of the two faces [m].
-    index : float, optional
-        Refractive index.
+    outer_diameter_m, inner_diameter_m: Diameters of the two faces [m].
+    index: Refractive index.
     """
 
     outer_diameter_m: float
@@ -47,29 +43,18 @@ class Collector:
     Frame: origin at the vertex in the middle of the length, x across the aperture, y along the trough, z along the
     optical axis to the absorber.
 
-    Parameters
-    ----------
-    aperture_width_m, length_m, focal_length_m : float
-        Aperture width, length along the trough and focal length of the design parabola [m].
-    absorber_diameter_m : float
-        Outer diameter of the absorber (metal) tube [m].
-    glass : GlassTube or None, optional
-        The glass envelope; None for a bare tube.
-    panel_edges_x_m, panel_edges_y_m : ndarray, shape (n,), optional
-        Ascending positions of all edges between and around the mirror panels; empty for one single panel [m].
-    panel_gap_m : float, optional
-        Width of the gap between neighbouring panels [m].
-    support_y_m : ndarray, shape (n,), optional
-        Positions of the receiver supports (with bellows and shields) along the trough [m].
-    support_width_m : float, optional
-        Length along the trough that a support with its bellows hides [m].
-    panel_height_sigma_m : float, optional
-        How well each panel's mean height is the design's, as a standard deviation; 0: exactly [m].
-
-    Raises
-    ------
-    InputError
-        Dimensions that cannot be.
+    aperture_width_m, length_m, focal_length_m: Aperture width, length along the trough and focal length of the
+        design parabola [m].
+    absorber_diameter_m: Outer diameter of the absorber (metal) tube [m].
+    glass: The glass envelope; None for a bare tube.
+    panel_edges_x_m, panel_edges_y_m (n,): Ascending positions of all edges between and around the mirror panels;
+        empty for one single panel [m].
+    panel_gap_m: Width of the gap between neighbouring panels [m].
+    support_y_m (n,): Positions of the receiver supports (with bellows and shields) along the trough [m].
+    support_width_m: Length along the trough that a support with its bellows hides [m].
+    panel_height_sigma_m: How well each panel's mean height is the design's, as a standard deviation; 0: exactly
+        [m].
+    InputError: Dimensions that cannot be.
     """
 
     aperture_width_m: float
@@ -172,10 +157,7 @@ class Collector:
 def ls2() -> Collector:
     """Return Luz's LS-2 module (Owkes 2012, Table 2.1).
 
-    Returns
-    -------
-    Collector
-        The design, its mirror one panel.
+    Returns: The design, its mirror one panel.
     """
     return Collector(5.0, 7.89, 1.49, 0.070, GlassTube(0.115, 0.109))
 
@@ -183,9 +165,6 @@ def ls2() -> Collector:
 def ls3() -> Collector:
     """Return Luz's LS-3 module (Owkes 2012, Table 2.1).
 
-    Returns
-    -------
-    Collector
-        The design, its mirror one panel.
+    Returns: The design, its mirror one panel.
     """
     return Collector(5.76, 11.9, 1.71, 0.070, GlassTube(0.115, 0.109))

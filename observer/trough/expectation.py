@@ -11,16 +11,10 @@ from observer.trough.collector import Collector
 class Expectation:
     """Where reflections are expected.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design.
-    absorber : AbsorberPath
-        The tube's axis, as well as it is known.
-    y_m : ndarray, shape (r,)
-        Equally spaced rows of the map [m].
-    slope_error_rad : float, optional
-        Largest slope error of the mirror that is searched for [rad].
+    collector: The design.
+    absorber: The tube's axis, as well as it is known.
+    y_m (r,): Equally spaced rows of the map [m].
+    slope_error_rad: Largest slope error of the mirror that is searched for [rad].
     """
 
     collector: Collector

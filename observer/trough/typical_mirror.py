@@ -61,16 +61,10 @@ class _Waves:
 class TypicalMirror:
     """A mirror whose panels are turned and bent, with waves over all of them.
 
-    Parameters
-    ----------
-    collector : Collector
-        The design with its panels.
-    tilts_rad : ndarray, shape (2, n)
-        Turn of each panel: error of dz/dx and of dz/dy [rad].
-    bends_rad : ndarray, shape (2, n)
-        Slope error at the panel's edge from its bending, across and along [rad].
-    waves : tuple
-        Waves of both slopes.
+    collector: The design with its panels.
+    tilts_rad (2, n): Turn of each panel: error of dz/dx and of dz/dy [rad].
+    bends_rad (2, n): Slope error at the panel's edge from its bending, across and along [rad].
+    waves: Waves of both slopes.
     """
 
     collector: Collector

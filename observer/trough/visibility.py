@@ -188,19 +188,9 @@ def _intervals(columns_m: FloatArray) -> str:
 def seeable_shares(found: Visibility, aperture: BoolArray, valid: BoolArray) -> tuple[float, float]:
     """Return the share of the mirror that can show the tube, and how much of that was measured.
 
-    Parameters
-    ----------
-    found : Visibility
-        What the cameras can see.
-    aperture : ndarray of bool, shape (r, nx)
-        Nodes on panels.
-    valid : ndarray of bool, shape (r, nx)
-        Nodes with a value.
-
-    Returns
-    -------
-    seeable_share, seeable_measured_share : float
-        Both between 0 and 1.
+    aperture (r, nx): Nodes on panels.
+    valid (r, nx): Nodes with a value.
+    seeable_share, seeable_measured_share: Both between 0 and 1.
     """
     can = aperture & found.seeable
     count = max(int(np.count_nonzero(can)), 1)

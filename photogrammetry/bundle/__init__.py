@@ -21,18 +21,4 @@ if TYPE_CHECKING:
     from photogrammetry.bundle.problem import ResidualSpace as ResidualSpace
     from photogrammetry.bundle.state import BundleState as BundleState
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "BundleProblem": "photogrammetry.bundle.problem",
-        "BundleResult": "photogrammetry.bundle.adjustment",
-        "BundleState": "photogrammetry.bundle.state",
-        "CameraModel": "photogrammetry.bundle.problem",
-        "ResidualSpace": "photogrammetry.bundle.problem",
-        "adjust": "photogrammetry.bundle.adjustment",
-        "alignment": "photogrammetry.bundle.alignment",
-        "constraints": "photogrammetry.bundle.constraints",
-        "eccentricity": "photogrammetry.bundle.eccentricity",
-        "statistics": "photogrammetry.bundle.statistics",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -42,36 +42,20 @@ class BundleOptions:
 class BundleResult(VarianceFactorTests):
     """An adjusted network.
 
-    Parameters
-    ----------
-    problem : BundleProblem
-        What was asked.
-    state : BundleState
-        The estimate.
-    datum : str
-        The datum in words, to print with every sigma.
-    covariance : BundleCovariance
-        Joint covariance of everything, under the datum.
-    options : BundleOptions
-        How it was adjusted.
-    converged : bool
-        Whether the estimate is a minimum.
-    reason : str
-        Why the iteration ended.
-    iterations : int
-        Steps tried.
-    rank : int
-        Number of determined directions on top of the datum.
-    defect : int
-        Number of directions that nothing determines, beyond the datum's.
-    redundancy : int
-        Residuals less rank.
-    variance_factor : float
-        Squared residuals over redundancy, 1 if the sigmas are right; NaN without redundancy.
-    rows : BundleRows
-        Residuals and derivatives at the estimate.
-    system : SchurSystem
-        The normal equations there.
+    problem: What was asked.
+    state: The estimate.
+    datum: The datum in words, to print with every sigma.
+    covariance: Joint covariance of everything, under the datum.
+    options: How it was adjusted.
+    converged: Whether the estimate is a minimum.
+    reason: Why the iteration ended.
+    iterations: Steps tried.
+    rank: Number of determined directions on top of the datum.
+    defect: Number of directions that nothing determines, beyond the datum's.
+    redundancy: Residuals less rank.
+    variance_factor: Squared residuals over redundancy, 1 if the sigmas are right; NaN without redundancy.
+    rows: Residuals and derivatives at the estimate.
+    system: The normal equations there.
     """
 
     problem: BundleProblem
@@ -166,30 +150,13 @@ class BundleResult(VarianceFactorTests):
 def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions | None = None) -> BundleResult:
     """Adjust a photo network.
 
-    Parameters
-    ----------
-    problem : BundleProblem
-        What is observed and what is sought.
-    start : BundleState
-        Start values of everything; `photogrammetry.start_values.build_network` finds them.
-    options : BundleOptions, optional
-        How to adjust.
-
-    Returns
-    -------
-    BundleResult
-        ``converged`` is False with the reason where the iteration did not end in a minimum. Whatever is not
+    problem: What is observed and what is sought.
+    start: Start values of everything; `photogrammetry.start_values.build_network` finds them.
+    Returns: ``converged`` is False with the reason where the iteration did not end in a minimum. Whatever is not
         determined has covariance NaN; `BundleResult.require` names it in an error.
+    InputError: The start does not fit the problem.
+    EstimationError: A target is behind its camera at the start, or the datum's targets do not define it.
 
-    Raises
-    ------
-    InputError
-        The start does not fit the problem.
-    EstimationError
-        A target is behind its camera at the start, or the datum's targets do not define it.
-
-    Notes
-    -----
     Minimises ``1/2 sum rho(|L^-1 r|) + 1/2 |extra|^2`` with L the Cholesky factor of each image point's covariance.
     Targets that no constraint links to another are eliminated; the reduced system of poses, intrinsics and linked
     targets is dense. Without constraints that define them, position, rotation and scale stay those of the start

@@ -26,19 +26,8 @@ _NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z", "stretc
 def transformed(state: BundleState, world_from_old: RigidTransform, scale: float = 1.0) -> BundleState:
     """Move a network to another frame, ``X' = scale R X + t``; every photo sees every target where it saw it.
 
-    Parameters
-    ----------
-    state : BundleState
-        The network.
-    world_from_old : RigidTransform
-        Rotation R and translation t.
-    scale : float, optional
-        New length of what was 1.
-
-    Returns
-    -------
-    BundleState
-        The network in the new frame.
+    world_from_old: Rotation R and translation t.
+    scale: New length of what was 1.
     """
     rotation, shift = world_from_old.rotation, world_from_old.translation_m
     rotations = state.rotations @ rotation.T
@@ -49,24 +38,10 @@ def transformed(state: BundleState, world_from_old: RigidTransform, scale: float
 def aligned_to_control(state: BundleState, targets: Sequence[str], control_m: Mapping[str, FloatArray]) -> BundleState:
     """Put a network where control points are, and the control points exactly there.
 
-    Parameters
-    ----------
-    state : BundleState
-        The network, in any frame and scale.
-    targets : sequence of str
-        Names of its targets.
-    control_m : mapping of str to array_like of shape (3,)
-        Coordinates of at least three of them, not on one line [m].
-
-    Returns
-    -------
-    BundleState
-        The network, moved by the best-fit similarity; targets of the control have the control's coordinates.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three of the control points are in the network, or all are on one line.
+    state: The network, in any frame and scale.
+    control_m (3,): Coordinates of at least three of them, not on one line [m].
+    Returns: The network, moved by the best-fit similarity; targets of the control have the control's coordinates.
+    EstimationError: Fewer than three of the control points are in the network, or all are on one line.
     """
     moved = best_fit(state, targets, control_m)
     place = {name: i for i, name in enumerate(targets)}
@@ -80,29 +55,12 @@ def best_fit(
 ) -> BundleState:
     """Move a network as a whole to where coordinates are wanted.
 
-    Parameters
-    ----------
-    state : BundleState
-        The network, in any frame and scale.
-    targets : sequence of str
-        Names of its targets.
-    wanted_m : mapping of str to array_like of shape (3,)
-        Coordinates of at least three of them, not on one line [m].
-    with_scale : bool, optional
-        Whether the scale may change too.
+    state: The network, in any frame and scale.
+    wanted_m (3,): Coordinates of at least three of them, not on one line [m].
+    with_scale: Whether the scale may change too.
+    Returns: The network with the smallest sum of squared distances.
+    EstimationError: Fewer than three of the targets are in the network, or all are on one line.
 
-    Returns
-    -------
-    BundleState
-        The network with the smallest sum of squared distances.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than three of the targets are in the network, or all are on one line.
-
-    Notes
-    -----
     Umeyama, IEEE Trans. PAMI 13 (1991) 376.
     """
     place = {name: i for i, name in enumerate(targets)}
@@ -116,21 +74,12 @@ def best_fit(
 def aligned_to_constraints(state: BundleState, targets: Sequence[str], known: Sequence[Constraint]) -> BundleState:
     """Put a network where constraints want it, as far as they say.
 
-    Parameters
-    ----------
-    state : BundleState
-        The network, in any frame and scale.
-    targets : sequence of str
-        Names of its targets.
-    known : sequence of Constraint
-        Scale bars, coordinates, planes, weighted control points; those of targets outside the network do not count.
-
-    Returns
-    -------
-    BundleState
-        The network with the scale of its distances (their median) and the place and attitude that fit best, from 24
-        attitudes to start with. Handedness is never changed. Where two attitudes fit alike (a trough turned end for
-        end fits its rims as well), it is the one whose z axis points to the side of the photos.
+    state: The network, in any frame and scale.
+    known: Scale bars, coordinates, planes, weighted control points; those of targets outside the network do not
+        count.
+    Returns: The network with the scale of its distances (their median) and the place and attitude that fit best,
+        from 24 attitudes to start with. Handedness is never changed. Where two attitudes fit alike (a trough turned
+        end for end fits its rims as well), it is the one whose z axis points to the side of the photos.
     """
     place = {name: i for i, name in enumerate(targets)}
     usable = [one for one in known if all(name in place for name in one.targets)]

@@ -34,23 +34,11 @@ class Constraint(Protocol):
 class Distance:
     """A known distance between two targets: a scale bar, a taped length.
 
-    Parameters
-    ----------
-    target_a, target_b : str
-        The two targets.
-    distance_m : float
-        Their distance [m].
-    sigma_m : float
-        Its standard deviation [m].
+    sigma_m: Its standard deviation [m].
+    InputError: A number is not positive or the targets are the same.
 
-    Raises
-    ------
-    InputError
-        A number is not positive or the targets are the same.
-
-    Notes
-    -----
-    Residual ``|P_a - P_b| - d`` (Owkes 2012, eq. 5.36, whose printed right side subtracts lengths from their squares).
+    Residual ``|P_a - P_b| - d`` (Owkes 2012, eq. 5.36, whose printed right side subtracts lengths from their
+    squares).
     """
 
     target_a: str
@@ -87,19 +75,9 @@ class Distance:
 class Coordinate:
     """A known coordinate of one target, ``X - X_p = 0`` (Owkes 2012, eq. 5.35, whose printed sign is wrong).
 
-    Parameters
-    ----------
-    target : str
-        The target.
-    axis : str
-        "x", "y" or "z" of the world frame.
-    value_m, sigma_m : float
-        The coordinate and its standard deviation [m].
-
-    Raises
-    ------
-    InputError
-        No such axis, or a sigma that is not positive.
+    axis: "x", "y" or "z" of the world frame.
+    value_m, sigma_m: The coordinate and its standard deviation [m].
+    InputError: No such axis, or a sigma that is not positive.
     """
 
     target: str
@@ -134,19 +112,9 @@ class Coordinate:
 class ControlPoint:
     """Known coordinates of a target, with their covariance.
 
-    Parameters
-    ----------
-    target : str
-        The target.
-    xyz_m : array_like, shape (3,)
-        Its coordinates [m].
-    covariance_m2 : array_like, shape (3, 3)
-        Their covariance [m^2]. For a point without error, list it as ``fixed`` of the problem.
-
-    Raises
-    ------
-    InputError
-        The covariance is not positive definite.
+    xyz_m (3,): Its coordinates [m].
+    covariance_m2 (3, 3): Their covariance [m^2]. For a point without error, list it as ``fixed`` of the problem.
+    InputError: The covariance is not positive definite.
     """
 
     target: str
@@ -180,21 +148,10 @@ class ControlPoint:
 class KnownPlane:
     """Targets on a plane that is known, normal times X equal to ``offset_m``.
 
-    Parameters
-    ----------
-    targets : tuple of str
-        The targets.
-    normal : array_like, shape (3,)
-        Normal of the plane, of any length.
-    offset_m : float
-        Distance of the plane from the origin along the unit normal [m].
-    sigma_m : float
-        Standard deviation of each target's distance from the plane [m].
-
-    Raises
-    ------
-    InputError
-        No length of the normal, or a sigma that is not positive.
+    normal (3,): Normal of the plane, of any length.
+    offset_m: Distance of the plane from the origin along the unit normal [m].
+    sigma_m: Standard deviation of each target's distance from the plane [m].
+    InputError: No length of the normal, or a sigma that is not positive.
     """
 
     targets: tuple[str, ...]
@@ -223,20 +180,10 @@ class KnownPlane:
 class CommonPlane:
     """Targets on one plane that is not known otherwise.
 
-    Parameters
-    ----------
-    targets : tuple of str
-        At least four targets, not on one line.
-    sigma_m : float
-        Standard deviation of each target's distance from the plane [m].
+    targets: At least four targets, not on one line.
+    sigma_m: Standard deviation of each target's distance from the plane [m].
+    InputError: Fewer than four targets or a sigma that is not positive.
 
-    Raises
-    ------
-    InputError
-        Fewer than four targets or a sigma that is not positive.
-
-    Notes
-    -----
     The plane's three parameters are eliminated: the residuals are the distances from the best-fit plane, projected on
     an orthonormal basis of what no plane can take up, so k targets count as k - 3 observations.
     """

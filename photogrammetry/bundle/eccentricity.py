@@ -21,12 +21,8 @@ _ROWS_AT_ONCE = 20_000
 class Discs:
     """The targets as flat discs, from the ellipses they show.
 
-    Parameters
-    ----------
-    shapes_m2 : ndarray, shape (n, 3, 3)
-        ``radius^2 (I - normal normal^T)`` of each target in the world frame [m^2].
-    known : ndarray of bool, shape (n,)
-        False where too few ellipses or no flat disc fits.
+    shapes_m2 (n, 3, 3): ``radius^2 (I - normal normal^T)`` of each target in the world frame [m^2].
+    known (n,): False where too few ellipses or no flat disc fits.
     """
 
     shapes_m2: FloatArray
@@ -49,29 +45,15 @@ def estimate_discs(
 ) -> Discs:
     """Find size and attitude of each target from its ellipses in all photos.
 
-    Parameters
-    ----------
-    observations : ImagePoints
-        The image points.
-    ellipses_px2 : ndarray, shape (m, 2, 2)
-        Shape of each target's ellipse, ``x^T S^-1 x = 1``; NaN where it has none [px^2].
-    state : BundleState
-        The adjusted network.
-    camera_of_photo : ndarray of int
-        Camera of each photo.
-    one_size : bool, optional
-        Whether all targets are equally large: then the size is the median of those seen in three photos and more, and
-        two photos are enough for the attitude of the others; what shows a size 15 % off keeps its own.
+    observations: The image points.
+    ellipses_px2 (m, 2, 2): Shape of each target's ellipse, ``x^T S^-1 x = 1``; NaN where it has none [px^2].
+    state: The adjusted network.
+    one_size: Whether all targets are equally large: then the size is the median of those seen in three photos and
+        more, and two photos are enough for the attitude of the others; what shows a size 15 % off keeps its own.
 
-    Returns
-    -------
-    Discs
-        Size and attitude.
-
-    Notes
-    -----
     A disc small against its distance shows the ellipse ``S = J M J^T`` with J the derivative of pixels by world
-    coordinates and ``M = r^2 (I - n n^T)``: linear in M, three equations for each photo. The radius needs not be known.
+    coordinates and ``M = r^2 (I - n n^T)``: linear in M, three equations for each photo. The radius needs not be
+    known.
     """
     n = len(observations.targets)
     normal, right, rays = np.zeros((n, 6, 6)), np.zeros((n, 6)), np.zeros(n, dtype=np.intp)
@@ -140,24 +122,10 @@ def eccentricities_px(
 ) -> FloatArray:
     """Return centre of the ellipse minus image of the centre, for each image point; 0 where the disc is not known.
 
-    Parameters
-    ----------
-    observations : ImagePoints
-        The image points.
-    discs : Discs
-        Size and attitude of the targets.
-    state : BundleState
-        The adjusted network.
-    camera_of_photo : ndarray of int
-        Camera of each photo.
+    discs: Size and attitude of the targets.
+    state: The adjusted network.
+    Returns (m, 2): To be subtracted from measured centres [px].
 
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        To be subtracted from measured centres [px].
-
-    Notes
-    -----
     The image of the disc has the dual conic ``R M R^T - P P^T`` (P the centre in the camera's frame), whose last
     column is its centre, exact for any size.
     """

@@ -26,27 +26,15 @@ class ResidualSpace(StrEnum):
 class CameraModel:
     """What is estimated of one physical camera; the rest is held at the values of the start.
 
-    Parameters
-    ----------
-    name : str
-        Name of the camera.
-    free : tuple of str, optional
-        Names from `INTRINSIC_NAMES` that are estimated.
-    priors : tuple of Prior, optional
-        Values of free intrinsics known before, each with its sigma.
-    prior_covariance : array_like, shape (10, 10), optional
-        Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
-    prior_values : array_like, shape (10,), optional
-        What that calibration found; the values of the start by default, which only then are right when nothing has
-        been adjusted before.
-    residual : ResidualSpace, optional
-        Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
-        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal length.
-
-    Raises
-    ------
-    InputError
-        An unknown or repeated name, or a prior of an intrinsic that is held.
+    free: Names from `INTRINSIC_NAMES` that are estimated.
+    priors: Values of free intrinsics known before, each with its sigma.
+    prior_covariance (10, 10): Joint covariance of `INTRINSIC_NAMES` from an earlier calibration.
+    prior_values (10,): What that calibration found; the values of the start by default, which only then are right
+        when nothing has been adjusted before.
+    residual: Where residuals are formed; the covariance of the image points is taken in that image. DBAT's backward
+        (photogrammetric) models use CORRECTED: an image without lens and with square pixels of the rows' focal
+        length.
+    InputError: An unknown or repeated name, or a prior of an intrinsic that is held.
     """
 
     name: str
@@ -85,25 +73,13 @@ class CameraModel:
 class BundleProblem:
     """What is observed and what is sought.
 
-    Parameters
-    ----------
-    observations : ImagePoints
-        The image points.
-    cameras : tuple of CameraModel
-        The physical cameras.
-    camera_of_photo : array_like of int, shape (p,), optional
-        Camera of each photo; the first one by default.
-    constraints : tuple of Constraint, optional
-        Scale bars, distances, coordinates, control points with sigma, planes.
-    fixed : tuple of str, optional
-        Targets whose coordinates are those of the start, without error.
-    datum : Datum, optional
-        How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
-
-    Raises
-    ------
-    InputError
-        An unknown target or camera, or a photo without camera.
+    observations: The image points.
+    cameras: The physical cameras.
+    camera_of_photo (p,): Camera of each photo; the first one by default.
+    constraints: Scale bars, distances, coordinates, control points with sigma, planes.
+    fixed: Targets whose coordinates are those of the start, without error.
+    datum: How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
+    InputError: An unknown target or camera, or a photo without camera.
     """
 
     observations: ImagePoints

@@ -41,16 +41,10 @@ def d_parameters_d_intrinsics(camera: Camera) -> FloatArray:
 class BundleState:
     """Cameras, poses and points.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        One for each physical camera.
-    rotations : ndarray, shape (p, 3, 3)
-        Rotation of ``cam_from_world`` for each photo.
-    translations_m : ndarray, shape (p, 3)
-        Its translation [m].
-    points_m : ndarray, shape (n, 3)
-        Targets in the world frame [m].
+    cameras: One for each physical camera.
+    rotations (p, 3, 3): Rotation of ``cam_from_world`` for each photo.
+    translations_m (p, 3): Its translation [m].
+    points_m (n, 3): Targets in the world frame [m].
     """
 
     cameras: tuple[Camera, ...]

@@ -20,18 +20,13 @@ _UNCONTROLLED = 1e-6
 class ImagePointTests:
     """Tests of the image points, in the order of the observations.
 
-    Parameters
-    ----------
-    redundancy : ndarray, shape (m, 2, 2)
-        Share of an error of each whitened image point that shows in its residual.
-    baarda : ndarray, shape (m, 2)
-        Whitened residuals over their own sigma, standard normal if the stated sigmas are right; NaN where nothing
-        controls them.
-    length_squared : ndarray, shape (m,)
-        Both components together, ``r^T R^-1 r``, chi-square with two degrees of freedom if the sigmas are right.
-    probability : ndarray, shape (m,)
-        Probability of a larger value for a good image point: Baarda's test for stated sigmas, Pope's for sigmas known
-        up to a factor.
+    redundancy (m, 2, 2): Share of an error of each whitened image point that shows in its residual.
+    baarda (m, 2): Whitened residuals over their own sigma, standard normal if the stated sigmas are right; NaN
+        where nothing controls them.
+    length_squared (m,): Both components together, ``r^T R^-1 r``, chi-square with two degrees of freedom if the
+        sigmas are right.
+    probability (m,): Probability of a larger value for a good image point: Baarda's test for stated sigmas, Pope's
+        for sigmas known up to a factor.
     """
 
     redundancy: FloatArray
@@ -42,15 +37,8 @@ class ImagePointTests:
     def outliers(self, family_significance: float = 0.05) -> BoolArray:
         """Mark image points that are too far off.
 
-        Parameters
-        ----------
-        family_significance : float, optional
-            Probability of marking any good image point of all.
-
-        Returns
-        -------
-        ndarray of bool, shape (m,)
-            Marks.
+        Shapes: result (m,).
+        family_significance: Probability of marking any good image point of all.
         """
         return np.asarray(self.probability < family_significance / max(self.probability.size, 1))
 
@@ -58,20 +46,10 @@ class ImagePointTests:
 def examine_image_points(result: BundleResult) -> ImagePointTests:
     """Compute redundancy numbers and outlier tests of all image points.
 
-    Parameters
-    ----------
-    result : BundleResult
-        An adjusted network.
+    result: An adjusted network.
 
-    Returns
-    -------
-    ImagePointTests
-        The tests.
-
-    Notes
-    -----
-    With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance
-    ``I - H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
+    With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance ``I -
+    H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
     probability is ``(1 - T / total)^((redundancy - 2) / 2)``.
     """
     count = result.problem.observations.n
@@ -132,20 +110,11 @@ def _leverages_at_once(rows: CameraRows, dense: FloatArray, coupling: FloatArray
 class Rejected:
     """An image point that was left out.
 
-    Parameters
-    ----------
-    row : int
-        Its place in the observations that were given.
-    label : str
-        Target and photo.
-    residual_px : float
-        Length of its residual when it was left out [px].
-    reason : str
-        Why.
-    target : str
-        The target.
-    is_outlier : bool
-        Whether it contradicts the others; else it was left alone by those that do.
+    row: Its place in the observations that were given.
+    label: Target and photo.
+    residual_px: Length of its residual when it was left out [px].
+    reason: Why.
+    is_outlier: Whether it contradicts the others; else it was left alone by those that do.
     """
 
     row: int
@@ -167,29 +136,13 @@ def adjust_and_reject(
 ) -> tuple[BundleResult, tuple[Rejected, ...]]:
     """Adjust, leave out the worst image points, adjust again, until none is too far off.
 
-    Parameters
-    ----------
-    problem : BundleProblem
-        What is observed and what is sought.
-    start : BundleState
-        Start values.
-    options : BundleOptions, optional
-        How to adjust.
-    family_significance : float, optional
-        Probability of leaving out any good image point of all.
-    most_rounds : int, optional
-        Rounds after which the search ends.
-    suspects : ndarray of bool, shape (m,), optional
-        Image points that take no part until the others are clean; then those that agree come in.
-
-    Returns
-    -------
-    result : BundleResult
-        The adjustment of what is left.
-    rejected : tuple of Rejected
-        What was left out, in order. In each round only the worst image point of a photo and of a target goes, because
-        one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What turns out to
-        agree in the end comes back. Suspects that stay out are not among them.
+    problem: What is observed and what is sought.
+    family_significance: Probability of leaving out any good image point of all.
+    most_rounds: Rounds after which the search ends.
+    suspects (m,): Image points that take no part until the others are clean; then those that agree come in.
+    rejected: What was left out, in order. In each round only the worst image point of a photo and of a target goes,
+        because one bad image point makes its neighbours look bad. Targets left with one ray lose that too. What
+        turns out to agree in the end comes back. Suspects that stay out are not among them.
     """
     options = options or BundleOptions()
     outside = np.zeros(problem.observations.n, dtype=np.bool_) if suspects is None else suspects
@@ -278,18 +231,10 @@ def _left_alone(result: BundleResult, gone: BoolArray) -> BoolArray:
 class IntrinsicTest:
     """One estimated intrinsic.
 
-    Parameters
-    ----------
-    camera, name : str
-        Which.
-    value, sigma : float
-        Estimate and standard deviation, in the unit of the name.
-    significance : float
-        Probability with which it differs from zero (1: certainly); NaN for focal length and principal point.
-    rival : str
-        The other intrinsic it is correlated with most.
-    correlation : float
-        That correlation.
+    value, sigma: Estimate and standard deviation, in the unit of the name.
+    significance: Probability with which it differs from zero (1: certainly); NaN for focal length and principal
+        point.
+    rival: The other intrinsic it is correlated with most.
     """
 
     camera: str
@@ -304,15 +249,8 @@ class IntrinsicTest:
 def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
     """Test every estimated intrinsic against zero and against the others.
 
-    Parameters
-    ----------
-    result : BundleResult
-        An adjusted network.
-
-    Returns
-    -------
-    tuple of IntrinsicTest
-        In the order of cameras and `INTRINSIC_NAMES`.
+    result: An adjusted network.
+    Returns: In the order of cameras and `INTRINSIC_NAMES`.
     """
     covariance = result.covariance.intrinsics
     sigmas = np.sqrt(np.diag(covariance))

@@ -15,14 +15,4 @@ if TYPE_CHECKING:
     from photogrammetry.centers.template import measure_center as measure_center
     from photogrammetry.centers.template import measure_centers as measure_centers
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Ellipse": "photogrammetry.centers.ellipse",
-        "NamedEllipses": "photogrammetry.centers.ellipse",
-        "TargetCenter": "photogrammetry.centers.target_center",
-        "eccentricity_px": "photogrammetry.centers.ellipse",
-        "measure_center": "photogrammetry.centers.template",
-        "measure_centers": "photogrammetry.centers.template",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -21,20 +21,10 @@ _LENS_POINTS = 12
 class Ellipse:
     """An ellipse in the image.
 
-    Parameters
-    ----------
-    center_px : ndarray, shape (2,)
-        Its centre (x, y) [px].
-    shape_px2 : ndarray, shape (2, 2)
-        Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
+    center_px (2,): Its centre (x, y) [px].
+    shape_px2 (2, 2): Symmetric, positive definite: eigenvalues are the squared semi-axes [px^2].
+    InputError: The shape is not symmetric or not positive definite.
 
-    Raises
-    ------
-    InputError
-        The shape is not symmetric or not positive definite.
-
-    Examples
-    --------
     >>> circle = Ellipse(np.array([5.0, 4.0]), 9.0 * np.eye(2))
     >>> circle.radius_px
     3.0
@@ -76,17 +66,9 @@ class Ellipse:
     def points_px(self, angles_rad: npt.ArrayLike, scale: npt.ArrayLike = 1.0) -> FloatArray:
         """Return points of the ellipse, or of an ellipse of the same centre and form.
 
-        Parameters
-        ----------
-        angles_rad : array_like, shape (...)
-            Parameter t of c + scale R (cos t, sin t) [rad].
-        scale : array_like, broadcastable to the angles
-            Size relative to this ellipse.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            The points [px].
+        Shapes: result (..., 2).
+        angles_rad (...): Parameter t of c + scale R (cos t, sin t) [rad].
+        scale: Size relative to this ellipse.
         """
         angles = np.asarray(angles_rad, dtype=np.float64)
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * np.asarray(scale, dtype=np.float64)[..., None]
@@ -95,15 +77,7 @@ class Ellipse:
     def moved(self, offset_px: npt.ArrayLike) -> "Ellipse":
         """Return the same ellipse elsewhere.
 
-        Parameters
-        ----------
-        offset_px : array_like, shape (2,)
-            Added to the centre [px].
-
-        Returns
-        -------
-        Ellipse
-            The ellipse moved.
+        offset_px (2,): Added to the centre [px].
         """
         return Ellipse(self.center_px + np.asarray(offset_px, dtype=np.float64), self.shape_px2)
 
@@ -112,14 +86,9 @@ class Ellipse:
 class NamedEllipses:
     """Ellipses of named targets in one photo.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        The targets.
-    centers_px : ndarray, shape (n, 2)
-        Centres (x, y) [px].
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Shapes as of `Ellipse` [px^2].
+    names length n: The targets.
+    centers_px (n, 2): Centres (x, y) [px].
+    shapes_px2 (n, 2, 2): Shapes as of `Ellipse` [px^2].
     """
 
     names: tuple[str, ...]
@@ -137,19 +106,7 @@ class NamedEllipses:
     def renewed(self, names: tuple[str, ...], centers_px: FloatArray, shapes_px2: FloatArray) -> "NamedEllipses":
         """Return them with other ellipses of some of the targets.
 
-        Parameters
-        ----------
-        names : tuple of str, length m
-            Some of the targets.
-        centers_px : ndarray, shape (m, 2)
-            Their centres [px].
-        shapes_px2 : ndarray, shape (m, 2, 2)
-            Their shapes [px^2].
-
-        Returns
-        -------
-        NamedEllipses
-            All targets.
+        Shapes: names length m, centers_px (m, 2), shapes_px2 (m, 2, 2).
         """
         place = {name: k for k, name in enumerate(self.names)}
         rows = [place[name] for name in names]
@@ -221,24 +178,11 @@ def eccentricity_px(
 ) -> FloatArray:
     """Return centre of the ellipse minus image of the circle's centre.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera with its lens.
-    centers_cam_m : array_like, shape (n, 3)
-        Centres of the circles in the camera's frame [m].
-    normals_cam : array_like, shape (n, 3)
-        Unit normals of their planes in the camera's frame; the sign does not matter.
-    radius_m : array_like, shape (n,) or a number
-        Radii [m].
+    Shapes: radius_m (n,).
+    centers_cam_m (n, 3): Centres of the circles in the camera's frame [m].
+    normals_cam (n, 3): Unit normals of their planes in the camera's frame; the sign does not matter.
+    Returns (n, 2): To be subtracted from measured centres, or added to projected points [px].
 
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        To be subtracted from measured centres, or added to projected points [px].
-
-    Notes
-    -----
     About 0.005 px at 12 px diameter, 0.03 px at 30 px and 0.09 px at 50 px: worth correcting above 15 px.
     """
     return freeze(

@@ -29,22 +29,13 @@ class UnmeasuredTargetError(EstimationError):
 class TargetCenter:
     """Centre of one target.
 
-    Parameters
-    ----------
-    ellipse : Ellipse
-        The target's outline; its centre is the result.
-    covariance_px2 : ndarray, shape (2, 2)
-        Covariance of the centre [px^2].
-    contrast_dn : float
-        Inside minus outside level; negative for a dark target [DN].
-    inside_dn : float
-        Level inside [DN].
-    blur_px : float
-        Width of the edge as the standard deviation of a Gaussian, without the pixel's own width [px].
-    residual_dn : float
-        Rms of what the model leaves, per degree of freedom [DN].
-    n_samples : int
-        Pixels used.
+    ellipse: The target's outline; its centre is the result.
+    covariance_px2 (2, 2): Covariance of the centre [px^2].
+    contrast_dn: Inside minus outside level; negative for a dark target [DN].
+    inside_dn: Level inside [DN].
+    blur_px: Width of the edge as the standard deviation of a Gaussian, without the pixel's own width [px].
+    residual_dn: Rms of what the model leaves, per degree of freedom [DN].
+    n_samples: Pixels used.
     """
 
     ellipse: Ellipse

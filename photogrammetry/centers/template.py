@@ -82,27 +82,12 @@ _QUICK = _Effort(np.dtype(np.float32), 8, 1e-3, False, 80_000)
 def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, reach: float = REACH) -> TargetCenter:
     """Measure a target's centre by fitting a blurred elliptic disc on a plane to the pixels.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    start : Ellipse
-        The outline to half a pixel or so.
-    reach : float, optional
-        How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
+    image_dn (h, w): Grey values [DN].
+    start: The outline to half a pixel or so.
+    reach: How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
+    Returns: Centre with covariance, outline, blur, contrast.
+    EstimationError: The target touches the border, too few pixels, no contrast, or the fit ran away from its start.
 
-    Returns
-    -------
-    TargetCenter
-        Centre with covariance, outline, blur, contrast.
-
-    Raises
-    ------
-    EstimationError
-        The target touches the border, too few pixels, no contrast, or the fit ran away from its start.
-
-    Notes
-    -----
     Levels inside and outside are planes of their own, so neither shading nor a slope of the ground shifts the centre.
     Used are the pixels within 1.65 radii (a code ring begins at 2) and not far inside. Dust and glare are left out: 5
     robust sigmas and 5 % of the contrast. The covariance takes the residuals' variance, that of the inside and of the
@@ -119,19 +104,10 @@ def measure_centers(
 ) -> tuple[TargetCenter | EstimationError, ...]:
     """Measure the centres of all targets of a photo, many at a time: the same numbers as one by one, but faster.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    starts : sequence of Ellipse
-        The outlines to half a pixel or so, in the photo's pixels.
-    reach : float, optional
-        How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
-
-    Returns
-    -------
-    tuple of TargetCenter or EstimationError
-        One for each start; why there is no centre otherwise.
+    image_dn (h, w): Grey values [DN].
+    starts: The outlines to half a pixel or so, in the photo's pixels.
+    reach: How far from the centre pixels are used, in radii of the dot: code rings must begin beyond.
+    Returns: One for each start; why there is no centre otherwise.
     """
     found: list[TargetCenter | EstimationError | None] = [_cut_by_border(image_dn, start) for start in starts]
     begun = list(starts)

@@ -18,16 +18,4 @@ if TYPE_CHECKING:
     from photogrammetry.detection.photo_targets import measure_at as measure_at
     from photogrammetry.detection.photo_targets import measure_targets as measure_targets
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Detections": "photogrammetry.detection.detections",
-        "SearchLimits": "photogrammetry.detection.detect",
-        "TargetSearch": "photogrammetry.detection.photo_targets",
-        "board_corners": "photogrammetry.detection.board_corners",
-        "find_candidates": "photogrammetry.detection.detect",
-        "find_markers": "photogrammetry.detection.markers",
-        "measure_at": "photogrammetry.detection.photo_targets",
-        "measure_targets": "photogrammetry.detection.photo_targets",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

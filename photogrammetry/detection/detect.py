@@ -51,23 +51,12 @@ _MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
 class SearchLimits:
     """What is searched for.
 
-    Parameters
-    ----------
-    smallest_px, largest_px : float, optional
-        Diameters of targets seen square on [px].
-    least_contrast_dn : float, optional
-        Difference of target and ground, in grey values of 255 [DN].
-    most_tilt_rad : float, optional
-        Tilt against the line of sight [rad].
-    polarities : tuple of Polarity, optional
-        Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
-    gap_radius : float, optional
-        Where the next ink may begin, in radii of the dot: the inner radius of code rings.
-
-    Raises
-    ------
-    InputError
-        Sizes, contrast or tilt that no target has.
+    smallest_px, largest_px: Diameters of targets seen square on [px].
+    least_contrast_dn: Difference of target and ground, in grey values of 255 [DN].
+    most_tilt_rad: Tilt against the line of sight [rad].
+    polarities: Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
+    gap_radius: Where the next ink may begin, in radii of the dot: the inner radius of code rings.
+    InputError: Sizes, contrast or tilt that no target has.
     """
 
     smallest_px: float = 6.0
@@ -111,22 +100,9 @@ class Candidate:
 def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
     """Find all spots of a photo that may be circular targets.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    limits : SearchLimits, optional
-        What is searched for.
-
-    Returns
-    -------
-    tuple of Candidate
-        Spots with an elliptic edge, each once, from top to bottom.
-
-    Raises
-    ------
-    InputError
-        Not an image of one colour.
+    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    Returns: Spots with an elliptic edge, each once, from top to bottom.
+    InputError: Not an image of one colour.
     """
     return find_in_pyramid(make_pyramid(image_dn), limits or SearchLimits())
 

@@ -16,29 +16,16 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, floa
 class Detections:
     """Image points of one photo.
 
-    Parameters
-    ----------
-    photo : str
-        Name of the photo.
-    names : tuple of str, length n
-        Ring-coded targets by their number ("65"), corners of square markers by marker and corner in the marker's own
-        order ("23.0" to "23.3"), targets without a code by a count in this photo ("u7") until they are matched.
-    pixels_px : ndarray, shape (n, 2)
-        Centres (x, y); (0, 0) is the centre of the top-left pixel [px].
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Covariance of each centre [px^2].
-    radius_px : ndarray, shape (n,)
-        Geometric mean of the semi-axes of the target's ellipse; NaN for corners [px].
-    flags : ndarray of uint32, shape (n,)
-        Bit masks of `SampleFlag`.
+    photo: Name of the photo.
+    names length n: Ring-coded targets by their number ("65"), corners of square markers by marker and corner in the
+        marker's own order ("23.0" to "23.3"), targets without a code by a count in this photo ("u7") until they are
+        matched.
+    pixels_px (n, 2): Centres (x, y); (0, 0) is the centre of the top-left pixel [px].
+    covariance_px2 (n, 2, 2): Covariance of each centre [px^2].
+    radius_px (n,): Geometric mean of the semi-axes of the target's ellipse; NaN for corners [px].
+    flags (n,): Bit masks of `SampleFlag`.
+    InputError: Lengths differ, or a point without a rejecting flag has no finite place and covariance.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, or a point without a rejecting flag has no finite place and covariance.
-
-    Examples
-    --------
     >>> one = Detections("a.jpg", ("65",), np.array([[4.0, 3.0]]), np.eye(2)[None] * 1e-4, np.array([6.0]),
     ...                  np.zeros(1, dtype=np.uint32))
     >>> one.sigma_px
@@ -91,15 +78,7 @@ class Detections:
     def chosen(self, which: npt.NDArray[np.bool_] | IntArray | Sequence[int]) -> "Detections":
         """Return some of the points.
 
-        Parameters
-        ----------
-        which : ndarray of bool, shape (n,), or sequence of int
-            A mask or indices.
-
-        Returns
-        -------
-        Detections
-            The points chosen, in the order of the indices.
+        which (n,): A mask or indices.
         """
         index = np.arange(len(self))[np.asarray(which)]
         return Detections(

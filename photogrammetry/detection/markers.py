@@ -73,26 +73,11 @@ def find_markers(
 ) -> PhotoMarkers:
     """Find the square markers of a photo and measure their corners.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16, or float on the scale of one of them [DN].
-    photo : str
-        Name of the photo.
-    dictionary : str
-        OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
-    limits : MarkerLimits, optional
-        How good a marker must be.
-
-    Returns
-    -------
-    PhotoMarkers
-        Corners with covariances, and what was refused. No marker is no error.
-
-    Raises
-    ------
-    InputError
-        Not a grey image, or no such dictionary.
+    image_dn (h, w): Grey values: uint8, uint16, or float on the scale of one of them [DN].
+    dictionary: OpenCV's name: ``DICT_4X4_1000``, ``DICT_APRILTAG_36h11``...
+    limits: How good a marker must be.
+    Returns: Corners with covariances, and what was refused. No marker is no error.
+    InputError: Not a grey image, or no such dictionary.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: a grey image is needed, not shape {image_dn.shape}")

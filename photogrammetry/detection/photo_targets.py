@@ -27,18 +27,11 @@ _CLIPPED_SHARE = 0.99
 class TargetSearch:
     """What is searched for in photos, and how it is measured.
 
-    Parameters
-    ----------
-    dictionary : RingDictionary or None, optional
-        The ring codes that may occur; None for targets without code only.
-    limits : SearchLimits, optional
-        Sizes, contrast, tilt, polarity.
-    ring_limits : RingLimits, optional
-        How good a code ring must be.
-    with_uncoded : bool, optional
-        Also return dots without a code ring.
-    most_misfit : float, optional
-        Residual of a dot without code as a share of its contrast, above which it is none.
+    dictionary: The ring codes that may occur; None for targets without code only.
+    limits: Sizes, contrast, tilt, polarity.
+    ring_limits: How good a code ring must be.
+    with_uncoded: Also return dots without a code ring.
+    most_misfit: Residual of a dot without code as a share of its contrast, above which it is none.
     """
 
     dictionary: RingDictionary | None = None
@@ -90,19 +83,8 @@ class PhotoTargets:
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
     """Find, read and centre all circular targets of a photo.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values: uint8, uint16 or float32 [DN].
-    photo : str
-        Name of the photo.
-    search : TargetSearch
-        What is searched for.
-
-    Returns
-    -------
-    PhotoTargets
-        Detections with covariances, and what was noticed. No target is no error.
+    image_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
+    Returns: Detections with covariances, and what was noticed. No target is no error.
     """
     pyramid = make_pyramid(image_dn)
     dictionary = search.dictionary
@@ -149,21 +131,8 @@ def measure_at(
 ) -> list[tuple[Detections, FloatArray]]:
     """Centre targets whose places are known to half a pixel or so, without a search, in several photos at once.
 
-    Parameters
-    ----------
-    images_dn : sequence of ndarray, shape (h, w)
-        Grey values: uint8, uint16 or float32 [DN].
-    photos : sequence of str
-        Names of the photos.
-    starts : sequence of NamedEllipses
-        Where the dot of each target of each photo is.
-    search : TargetSearch
-        How targets are measured.
-
-    Returns
-    -------
-    list of (Detections, ndarray of shape (n, 2, 2))
-        Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
+    images_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
+    Returns (n, 2, 2): Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
     reach = _template_reach(search)
     photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])

@@ -18,17 +18,4 @@ if TYPE_CHECKING:
     from photogrammetry.keys.measurement import ScaleBarSection as ScaleBarSection
     from photogrammetry.keys.targets import TargetsSection as TargetsSection
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "CameraSections": "photogrammetry.keys.cameras",
-        "CoordinateSection": "photogrammetry.keys.measurement",
-        "DatumSection": "photogrammetry.keys.measurement",
-        "DistanceSection": "photogrammetry.keys.measurement",
-        "NetworkCameraSection": "photogrammetry.keys.cameras",
-        "PhotogrammetryMeasurement": "photogrammetry.keys.load",
-        "PhotogrammetryModel": "photogrammetry.keys.measurement",
-        "ScaleBarSection": "photogrammetry.keys.measurement",
-        "TargetsSection": "photogrammetry.keys.targets",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -15,14 +15,4 @@ if TYPE_CHECKING:
     from photogrammetry.matching.target_following import provisional_pose as provisional_pose
     from photogrammetry.matching.target_following import start_following as start_following
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "KnownTargets": "photogrammetry.matching.target_following",
-        "Track": "photogrammetry.matching.target_following",
-        "agrees_with_list": "photogrammetry.matching.target_following",
-        "follow": "photogrammetry.matching.target_following",
-        "provisional_pose": "photogrammetry.matching.target_following",
-        "start_following": "photogrammetry.matching.target_following",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -56,14 +56,9 @@ _START_SIGMA_PX = 2.0
 class KnownTargets:
     """Targets whose three coordinates are listed.
 
-    Parameters
-    ----------
-    names : tuple of str, length n
-        Their names.
-    points_m : ndarray, shape (n, 3)
-        Coordinates [m].
-    sigma_m : ndarray, shape (n,)
-        Largest standard deviation of the coordinates of each [m].
+    names length n: Their names.
+    points_m (n, 3): Coordinates [m].
+    sigma_m (n,): Largest standard deviation of the coordinates of each [m].
     """
 
     names: tuple[str, ...]
@@ -87,20 +82,12 @@ class Pattern:
 class Track:
     """What following knows after a photo.
 
-    Parameters
-    ----------
-    pose : RigidTransform
-        ``cam_from_frame`` of the photo, to a pixel or so.
-    patterns : mapping of str to (Pattern, Pattern)
-        What each target looks like, much reduced and less.
-    ellipses : NamedEllipses
-        Where targets should be, and how large.
-    radius_px : float
-        Radius of the dots [px].
-    motion : RigidTransform, optional
-        This pose from that of the photo before.
-    steady : bool, optional
-        Whether the movement before predicted that of this photo.
+    pose: ``cam_from_frame`` of the photo, to a pixel or so.
+    patterns: What each target looks like, much reduced and less.
+    ellipses: Where targets should be, and how large.
+    radius_px: Radius of the dots [px].
+    motion: This pose from that of the photo before.
+    steady: Whether the movement before predicted that of this photo.
     """
 
     pose: RigidTransform
@@ -114,19 +101,7 @@ class Track:
 def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> RigidTransform | None:
     """Find a photo's pose from the listed coordinates as they are.
 
-    Parameters
-    ----------
-    found : Detections
-        The photo's targets.
-    known : KnownTargets
-        The list.
-    camera : Camera
-        The camera, to start with.
-
-    Returns
-    -------
-    RigidTransform or None
-        ``cam_from_frame``; None where too few listed targets are seen or agree with each other.
+    Returns: ``cam_from_frame``; None where too few listed targets are seen or agree with each other.
     """
     place = {name: k for k, name in enumerate(known.names)}
     rows = [k for k, name in enumerate(found.names) if name in place and found.usable[k]]
@@ -145,21 +120,9 @@ def provisional_pose(found: Detections, known: KnownTargets, camera: Camera) -> 
 def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pose: RigidTransform) -> bool:
     """Return whether all targets that were read are listed, and are where the list has them.
 
-    Parameters
-    ----------
-    found : Detections
-        A photo's targets, named by their codes.
-    known : KnownTargets
-        The list.
-    camera : Camera
-        The camera.
-    pose : RigidTransform
-        ``cam_from_frame``.
-
-    Returns
-    -------
-    bool
-        Whether following may name targets by their places; with a wrong list only codes may.
+    found: A photo's targets, named by their codes.
+    pose: ``cam_from_frame``.
+    Returns: Whether following may name targets by their places; with a wrong list only codes may.
     """
     place = {name: k for k, name in enumerate(known.names)}
     if not set(found.names) <= set(place):
@@ -172,21 +135,8 @@ def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pos
 def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pose: RigidTransform) -> Track:
     """Begin with a photo whose targets were measured.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    found : Detections
-        Its targets.
-    shapes_px2 : ndarray, shape (n, 2, 2)
-        Their ellipses [px^2].
-    pose : RigidTransform
-        ``cam_from_frame``.
-
-    Returns
-    -------
-    Track
-        Ready for the next photo.
+    Shapes: image (height, width), shapes_px2 (n, 2, 2).
+    pose: ``cam_from_frame``.
     """
     radius = float(np.median(found.radius_px))
     half = int(np.ceil(_PATTERN_RADII * radius))
@@ -206,21 +156,9 @@ def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pos
 def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> Track | None:
     """Find the next photo's pose from the patterns of its targets.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    track : Track
-        After the photo before.
-    known : KnownTargets
-        The list.
-    camera : Camera
-        The camera.
-
-    Returns
-    -------
-    Track or None
-        After this photo; None where it is lost: too few dots are where a common pose has them.
+    Shapes: image (height, width).
+    track: After the photo before.
+    Returns: After this photo; None where it is lost: too few dots are where a common pose has them.
     """
     if track.motion is not None and track.steady:
         ahead = track.motion @ track.pose

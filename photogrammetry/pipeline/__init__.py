@@ -19,17 +19,4 @@ if TYPE_CHECKING:
     from photogrammetry.pipeline.photos import measure_photo as measure_photo
     from photogrammetry.pipeline.result import Result as Result
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "OnePhoto": "photogrammetry.pipeline.photos",
-        "Options": "photogrammetry.pipeline.measure",
-        "Result": "photogrammetry.pipeline.result",
-        "build_cameras": "photogrammetry.pipeline.cameras",
-        "build_constraints": "photogrammetry.pipeline.inputs",
-        "build_search": "photogrammetry.pipeline.inputs",
-        "collect_photos": "photogrammetry.pipeline.photos",
-        "measure_photo": "photogrammetry.pipeline.photos",
-        "run": "photogrammetry.pipeline.measure",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

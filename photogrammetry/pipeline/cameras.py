@@ -33,25 +33,11 @@ def build_cameras(
 ) -> NetworkCameras:
     """Build the cameras to start from.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        The checked measurement.
-    photos : sequence of str
-        Names of the photos.
-    sizes_px : mapping of str to (int, int) or None
-        Width and height of each photo; None with image points [px].
-
-    Returns
-    -------
-    NetworkCameras
-        Cameras from their files, from measurement.toml, from EXIF or guessed; those without photos are left out.
-
-    Raises
-    ------
-    InputError
-        A camera file that cannot be read, photos of another size than their camera or of no camera, or a camera named
-        by patterns that fit no photo.
+    sizes_px: Width and height of each photo; None with image points [px].
+    Returns: Cameras from their files, from measurement.toml, from EXIF or guessed; those without photos are left
+        out.
+    InputError: A camera file that cannot be read, photos of another size than their camera or of no camera, or a
+        camera named by patterns that fit no photo.
     """
     sections = measurement.model.camera
     try:

@@ -40,22 +40,9 @@ _DATUMS = {
 def build_search(section: TargetsSection, folder: Path) -> TargetSearch:
     """Say what circular targets are searched for.
 
-    Parameters
-    ----------
-    section : TargetsSection
-        What measurement.toml says.
-    folder : Path
-        Where a file with ring codes of one's own is.
-
-    Returns
-    -------
-    TargetSearch
-        The search.
-
-    Raises
-    ------
-    InputError
-        No such dictionary, a file of ring codes with faults, or impossible sizes.
+    section: What measurement.toml says.
+    folder: Where a file with ring codes of one's own is.
+    InputError: No such dictionary, a file of ring codes with faults, or impossible sizes.
     """
     polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
     limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
@@ -71,15 +58,8 @@ def build_search(section: TargetsSection, folder: Path) -> TargetSearch:
 def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:
     """Collect scale bars, distances, coordinates, planes and weighted control points.
 
-    Parameters
-    ----------
-    model : PhotogrammetryModel
-        What measurement.toml says.
-
-    Returns
-    -------
-    tuple of Constraint
-        In the order of the file; scale bars for checks only are left out.
+    model: What measurement.toml says.
+    Returns: In the order of the file; scale bars for checks only are left out.
     """
     found: list[Constraint] = [
         Distance(bar.a, bar.b, bar.length_m, 1e-3 * bar.sigma_mm) for bar in model.scale_bar if not bar.check_only

@@ -41,10 +41,7 @@ from photogrammetry.start_values.network import StartValues
 class Options:
     """Choices of the evaluation.
 
-    Parameters
-    ----------
-    jobs : int or None
-        Photos that are measured side by side; None for all processors.
+    jobs: Photos that are measured side by side; None for all processors.
     """
 
     jobs: int | None = None
@@ -60,30 +57,12 @@ def run(
 ) -> Result:
     """Evaluate a measurement.
 
-    Parameters
-    ----------
-    measurement : PhotogrammetryMeasurement
-        Folder, what its measurement.toml says, and its photos.
-    options : Options, optional
-        Choices.
-    progress : Progress, optional
-        Shows each stage.
-    measured : MeasuredPhotos, optional
-        Image points, where the photos were measured already; files are then neither read nor hashed.
-    start : StartValues, optional
-        Poses and targets to start from instead of those that measurement.toml names.
-
-    Returns
-    -------
-    Result
-        Points, poses and camera with their covariances, and what is doubtful.
-
-    Raises
-    ------
-    InputError
-        Photos, image points or camera that cannot be used.
-    EstimationError
-        The photos do not hang together, or something is not determined.
+    measurement: Folder, what its measurement.toml says, and its photos.
+    measured: Image points, where the photos were measured already; files are then neither read nor hashed.
+    start: Poses and targets to start from instead of those that measurement.toml names.
+    Returns: Points, poses and camera with their covariances, and what is doubtful.
+    InputError: Photos, image points or camera that cannot be used.
+    EstimationError: The photos do not hang together, or something is not determined.
     """
     options, progress = options or Options(), progress or SilentProgress()
     model = measurement.model

@@ -56,22 +56,13 @@ class MeasuredPhotos:
 class OnePhoto:
     """What one photo shows.
 
-    Parameters
-    ----------
-    detections : Detections
-        Targets with a name.
-    ellipses_px2 : ndarray, shape (n, 2, 2)
-        Shape of each target's ellipse; NaN for corners [px^2].
-    size_px : (int, int)
-        Width and height [px].
-    refused : tuple of LeftOut
-        What was not used.
-    dots : Detections
-        Dots without a code.
-    dot_ellipses_px2 : ndarray, shape (k, 2, 2)
-        Their ellipses [px^2].
-    unread : UnreadRings, optional
-        Code rings that are not in the dictionary as they are seen.
+    detections: Targets with a name.
+    ellipses_px2 (n, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].
+    size_px: Width and height [px].
+    refused: What was not used.
+    dots: Dots without a code.
+    dot_ellipses_px2 (k, 2, 2): Their ellipses [px^2].
+    unread: Code rings that are not in the dictionary as they are seen.
     """
 
     detections: Detections
@@ -131,21 +122,7 @@ def measure_each(
 def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
     """Find and measure the targets of one photo.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width)
-        The photo, grey [DN].
-    name : str
-        Its name.
-    section : TargetsSection
-        What targets it shows.
-    search : TargetSearch
-        How circular ones are searched for.
-
-    Returns
-    -------
-    OnePhoto
-        Its targets and dots.
+    Shapes: image (height, width).
     """
     found = _measure_markers(image, name, section) if section.has_markers else None
     if found is not None and not search.with_uncoded:
@@ -223,20 +200,8 @@ def _collect_dots(found: Sequence[OnePhoto]) -> LooseDots:
 def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """Put the targets of all photos together; those that are twice in a photo are not used there.
 
-    Parameters
-    ----------
-    found : sequence of OnePhoto
-        What each photo shows.
-
-    Returns
-    -------
-    MeasuredPhotos
-        Image points with covariances, and what was refused.
-
-    Raises
-    ------
-    EstimationError
-        No photo shows a target.
+    Returns: Image points with covariances, and what was refused.
+    EstimationError: No photo shows a target.
     """
     photos, names, parts, shapes = [], [], [], []
     refused = [bad for one in found for bad in one.refused]

@@ -41,20 +41,12 @@ from photogrammetry.start_values.network import LeftOut
 class Result(InstrumentResult):
     """Everything a measurement gave, ready to be written.
 
-    Parameters
-    ----------
-    measured : MeasuredPhotos
-        All image points, and what in the photos was refused.
-    solved : Solved
-        The adjusted network.
-    checks : tuple of Distance
-        Scale bars that were not used, to check against.
-    lengths : LengthStatement
-        Known lengths against a network that did not use them.
-    sensors : dict of str to Sensor
-        Of the cameras that were given in millimetres.
-    surface : SurfaceResult or None
-        The surface under the targets, where ``[surface]`` asks for it.
+    measured: All image points, and what in the photos was refused.
+    solved: The adjusted network.
+    checks: Scale bars that were not used, to check against.
+    lengths: Known lengths against a network that did not use them.
+    sensors: Of the cameras that were given in millimetres.
+    surface: The surface under the targets, where ``[surface]`` asks for it.
     """
 
     kind: ClassVar[str] = "photogrammetry"

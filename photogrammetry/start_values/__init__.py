@@ -14,13 +14,4 @@ if TYPE_CHECKING:
     from photogrammetry.start_values.resection import LEAST_TARGETS as LEAST_TARGETS
     from photogrammetry.start_values.resection import resect as resect
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "LEAST_TARGETS": "photogrammetry.start_values.resection",
-        "StartValues": "photogrammetry.start_values.network",
-        "build_network": "photogrammetry.start_values.network",
-        "guessed_camera": "photogrammetry.start_values.network",
-        "resect": "photogrammetry.start_values.resection",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -56,12 +56,8 @@ class LeftOut:
 class StartValues:
     """Poses and targets known about, by name; empty where nothing is.
 
-    Parameters
-    ----------
-    cam_from_world : mapping of str to RigidTransform, optional
-        Poses of photos.
-    points_m : mapping of str to ndarray of shape (3,), optional
-        Coordinates of targets, in the frame of the poses [m].
+    cam_from_world: Poses of photos.
+    points_m (3,): Coordinates of targets, in the frame of the poses [m].
     """
 
     cam_from_world: Mapping[str, RigidTransform] = field(default_factory=dict)
@@ -101,32 +97,15 @@ def build_network(
 ) -> Network:
     """Find start values of poses and targets, from those given or without any.
 
-    Parameters
-    ----------
-    observations : ImagePoints
-        All image points, false ones among them.
-    cameras : sequence of Camera
-        The cameras, calibrated or guessed (`guessed_camera`).
-    models : sequence of CameraModel, optional
-        Intrinsics that are free; they are estimated as soon as the network bears it. Known cameras by default.
-    camera_of_photo : ndarray of int, optional
-        Camera of each photo; the first by default.
-    start : StartValues, optional
-        Poses of at least two photos to go on from, instead of choosing a pair; frame and scale of the network are
-        theirs. Photos and targets without start values are tied in as always.
+    observations: All image points, false ones among them.
+    cameras: The cameras, calibrated or guessed (`guessed_camera`).
+    models: Intrinsics that are free; they are estimated as soon as the network bears it. Known cameras by default.
+    camera_of_photo: Camera of each photo; the first by default.
+    start: Poses of at least two photos to go on from, instead of choosing a pair; frame and scale of the network
+        are theirs. Photos and targets without start values are tied in as always.
+    Returns: Start values; photos and targets that could not be tied in are named with the reason.
+    EstimationError: No two photos have six common targets seen from different places.
 
-    Returns
-    -------
-    Network
-        Start values; photos and targets that could not be tied in are named with the reason.
-
-    Raises
-    ------
-    EstimationError
-        No two photos have six common targets seen from different places.
-
-    Notes
-    -----
     The pair with many common targets and a wide parallax starts (see `RelativePose`); where it has two
     solutions (targets in one plane), the one that a third photo agrees with better is taken. Then photos follow by
     resection, those whose position becomes most certain first; targets by intersection; an adjustment with Cauchy's
@@ -174,20 +153,10 @@ def _with_focal(camera: Camera, factor: float) -> Camera:
 def guessed_camera(width_px: int, height_px: int, *, focal_length_35mm: float | None = None) -> Camera:
     """Return a camera to start a self-calibration from.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        Size of the image [px].
-    focal_length_35mm : float, optional
-        Focal length as EXIF gives it, for a film of 36 mm x 24 mm [mm].
+    width_px, height_px: Size of the image [px].
+    focal_length_35mm: Focal length as EXIF gives it, for a film of 36 mm x 24 mm [mm].
+    Returns: Principal point in the middle, no distortion; a focal length of 28 mm where nothing is known.
 
-    Returns
-    -------
-    Camera
-        Principal point in the middle, no distortion; a focal length of 28 mm where nothing is known.
-
-    Examples
-    --------
     >>> guessed_camera(3600, 2400, focal_length_35mm=50.0).focal_x_px
     5000.0
     """

@@ -13,12 +13,4 @@ if TYPE_CHECKING:
     from photogrammetry.surface.fitted import SurfacePoints as SurfacePoints
     from photogrammetry.surface.start import find_start as find_start
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "FitChoices": "photogrammetry.surface.fitted",
-        "SurfacePoints": "photogrammetry.surface.fitted",
-        "find_start": "photogrammetry.surface.start",
-        "fit_surface": "photogrammetry.surface.fit",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

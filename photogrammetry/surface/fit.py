@@ -49,31 +49,13 @@ def fit_surface(
 ) -> SurfaceFit:
     """Fit a surface to points by weighted orthogonal distances.
 
-    Parameters
-    ----------
-    points : SurfacePoints
-        The points in their own frame.
-    reference : Reference
-        The surface in its frame; its curvatures are the start.
-    start : RigidTransform
-        ``design_from_world`` to start from; the surface's symmetries stay there.
-    choices : FitChoices, optional
-        What is free.
+    points: The points in their own frame.
+    reference: The surface in its frame; its curvatures are the start.
+    start: ``design_from_world`` to start from; the surface's symmetries stay there.
+    Returns: Pose, curvature, deviations and outliers with covariances.
+    InputError: The surface has no length to estimate, or points are beyond its centre of curvature.
+    EstimationError: Too few points, or points that do not determine the pose.
 
-    Returns
-    -------
-    SurfaceFit
-        Pose, curvature, deviations and outliers with covariances.
-
-    Raises
-    ------
-    InputError
-        The surface has no length to estimate, or points are beyond its centre of curvature.
-    EstimationError
-        Too few points, or points that do not determine the pose.
-
-    Notes
-    -----
     Distances d along the unit normals N at the feet have the covariance ``N C N^T``, so that least squares with its
     inverse is the Gauss-Helmert adjustment of the points onto the surface (Mikhail and Ackermann 1976, ch. 9). To it
     ``s^2 I`` is added: s is the surface's own roughness, estimated from the same distances by restricted maximum

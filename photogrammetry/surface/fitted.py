@@ -14,19 +14,10 @@ from photogrammetry.surface.design import Reference
 class SurfacePoints:
     """Points of a surface with their joint covariance.
 
-    Parameters
-    ----------
-    ids : tuple of str, length n
-        Names.
-    points_m : array_like, shape (n, 3)
-        Coordinates [m].
-    covariance_m2 : array_like, shape (3 n, 3 n)
-        Joint covariance; singular under an inner datum, which is fine [m^2].
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or values that are not finite.
+    ids length n: Names.
+    points_m (n, 3): Coordinates [m].
+    covariance_m2 (3 n, 3 n): Joint covariance; singular under an inner datum, which is fine [m^2].
+    InputError: Shapes that do not fit, or values that are not finite.
     """
 
     ids: tuple[str, ...]
@@ -55,16 +46,10 @@ class SurfacePoints:
 class FitChoices:
     """What is fitted.
 
-    Parameters
-    ----------
-    pose : bool, optional
-        Whether the surface may move; otherwise the start's frame is the design's.
-    curvature : bool, optional
-        Whether the lengths of the design (focal lengths, radius) are free.
-    robust : bool, optional
-        Whether points far from the rest are left out, with their reason.
-    family_significance : float, optional
-        Probability that any good point is left out.
+    pose: Whether the surface may move; otherwise the start's frame is the design's.
+    curvature: Whether the lengths of the design (focal lengths, radius) are free.
+    robust: Whether points far from the rest are left out, with their reason.
+    family_significance: Probability that any good point is left out.
     """
 
     pose: bool = True

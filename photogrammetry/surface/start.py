@@ -34,25 +34,11 @@ class Start:
 def find_start(points_m: FloatArray, reference: Reference, viewer_m: FloatArray) -> Start:
     """Find where a surface lies among points.
 
-    Parameters
-    ----------
-    points_m : ndarray, shape (n, 3)
-        Points of the surface in their own frame [m].
-    reference : Reference
-        The surface in its frame.
-    viewer_m : ndarray, shape (3,)
-        A point in front of the surface, where the cameras were; +z is on its side [m].
-
-    Returns
-    -------
-    Start
-        The frame of the points itself where it fits as well as any other; otherwise the best of the attitudes along
-        the principal curvatures, with a word on those that fit equally well.
-
-    Raises
-    ------
-    EstimationError
-        Fewer than four points, or none of the attitudes can be fitted.
+    points_m (n, 3): Points of the surface in their own frame [m].
+    viewer_m (3,): A point in front of the surface, where the cameras were; +z is on its side [m].
+    Returns: The frame of the points itself where it fits as well as any other; otherwise the best of the attitudes
+        along the principal curvatures, with a word on those that fit equally well.
+    EstimationError: Fewer than four points, or none of the attitudes can be fitted.
     """
     if len(points_m) < 4:
         raise EstimationError(f"surface: {len(points_m)} points do not show where the surface is; 4 or more are needed")

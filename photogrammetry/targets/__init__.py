@@ -16,14 +16,4 @@ if TYPE_CHECKING:
     from photogrammetry.targets.ring_codes import RingCode as RingCode
     from photogrammetry.targets.store_ring_codes import load_dictionary as load_dictionary
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Polarity": "photogrammetry.targets.ring_codes",
-        "RingCode": "photogrammetry.targets.ring_codes",
-        "RingDictionary": "photogrammetry.targets.coded_targets",
-        "load_dictionary": "photogrammetry.targets.store_ring_codes",
-        "refuse_mirrored_codes": "photogrammetry.targets.mirrored_codes",
-        "ring_dictionary": "photogrammetry.targets.coded_targets",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -43,33 +43,18 @@ class CodeReading:
 class RingDictionary:
     """The codes that may occur, with a fast look-up of words read in any rotation and sense.
 
-    Parameters
-    ----------
-    name : str
-        Name of the dictionary: ``aicon-12``, ``metashape-14`` or a user's.
-    n_bits : int
-        Number of sectors, 8 to 20.
-    words : sequence of int
-        The words; any rotation is taken for the smallest one.
-    names : sequence of str
-        The codes' names, as many as words.
-    sense : Sense, optional
-        Sense in which the bits follow each other on the target, highest bit first.
-    radii : RingRadii, optional
-        Where the code rings lie.
+    name: Name of the dictionary: ``aicon-12``, ``metashape-14`` or a user's.
+    n_bits: Number of sectors, 8 to 20.
+    words: The words; any rotation is taken for the smallest one.
+    sense: Sense in which the bits follow each other on the target, highest bit first.
+    radii: Where the code rings lie.
+    InputError: A number of bits that no target has, no or repeated words or names, or a word too long.
 
-    Raises
-    ------
-    InputError
-        A number of bits that no target has, no or repeated words or names, or a word too long.
-
-    Notes
-    -----
-    With 12 bit, Schneider's rule (patent DE 197 33 466 A1; AICON, Scanreference) admits 147 codes, with 14 bit 516. The
-    vendor numbers them 1, 2, 3... by increasing word, the highest bit first and clockwise, ink being 1. Metashape's
-    (161, 561, 2001 and 26,013 with 12, 14, 16 and 20 bit) are numbered likewise. Of the 12-bit codes 146 are common,
-    and only one of them has the same number in both: the dictionary must be given. Programs that count the *lowest* bit
-    first, clockwise, name a target by the word of its mirror image: `Sense.COUNTERCLOCKWISE` here.
+    With 12 bit, Schneider's rule (patent DE 197 33 466 A1; AICON, Scanreference) admits 147 codes, with 14 bit 516.
+    The vendor numbers them 1, 2, 3... by increasing word, the highest bit first and clockwise, ink being 1.
+    Metashape's (161, 561, 2001 and 26,013 with 12, 14, 16 and 20 bit) are numbered likewise. Of the 12-bit codes 146
+    are common, and only one of them has the same number in both: the dictionary must be given. Programs that count
+    the *lowest* bit first, clockwise, name a target by the word of its mirror image: `Sense.COUNTERCLOCKWISE` here.
     """
 
     name: str
@@ -112,20 +97,8 @@ class RingDictionary:
     def code(self, name: str | int) -> RingCode:
         """Return a code by its name.
 
-        Parameters
-        ----------
-        name : str or int
-            The vendor's number or the user's name.
-
-        Returns
-        -------
-        RingCode
-            The code.
-
-        Raises
-        ------
-        InputError
-            The dictionary has no such code.
+        name: The vendor's number or the user's name.
+        InputError: The dictionary has no such code.
         """
         try:
             return self._code(self._by_name[str(name)])
@@ -137,20 +110,7 @@ class RingDictionary:
     def subset(self, names: Iterable[str | int]) -> "RingDictionary":
         """Return the dictionary of the codes that were really used; fewer codes admit fewer false ones.
 
-        Parameters
-        ----------
-        names : iterable of str or int
-            The names.
-
-        Returns
-        -------
-        RingDictionary
-            Those codes, with their names.
-
-        Raises
-        ------
-        InputError
-            The dictionary has no such code, or none is named.
+        InputError: The dictionary has no such code, or none is named.
         """
         chosen = [self.code(name) for name in names]
         words, texts = tuple(code.word for code in chosen), tuple(code.name for code in chosen)
@@ -159,17 +119,9 @@ class RingDictionary:
     def as_printed(self, sense: Sense | None = None, radii: RingRadii | None = None) -> "RingDictionary":
         """Return the dictionary of prints that count the bits in another sense or have other radii.
 
-        Parameters
-        ----------
-        sense : Sense or None, optional
-            Sense in which the bits follow each other; the dictionary's own if absent.
-        radii : RingRadii or None, optional
-            Where the code rings lie; the dictionary's own if absent.
-
-        Returns
-        -------
-        RingDictionary
-            The same words under the same names.
+        sense: Sense in which the bits follow each other; the dictionary's own if absent.
+        radii: Where the code rings lie; the dictionary's own if absent.
+        Returns: The same words under the same names.
         """
         kept = self.sense if sense is None else sense
         return RingDictionary(self.name, self.n_bits, self.words, self.names, kept, radii or self.radii)
@@ -182,38 +134,18 @@ class RingDictionary:
     def lookup(self, words: npt.ArrayLike) -> CodeArray:
         """Look up many words at once.
 
-        Parameters
-        ----------
-        words : array_like of int, shape (...)
-            Words read in the dictionary's own sense, highest bit first, in any rotation.
-
-        Returns
-        -------
-        ndarray of int32, shape (...)
-            Index into `codes`, -1 for a word that is none.
+        words (...): Words read in the dictionary's own sense, highest bit first, in any rotation.
+        Returns (...): Index into `codes`, -1 for a word that is none.
         """
         return np.asarray(self._index[np.asarray(words, dtype=np.int64)])
 
     def read(self, sectors: Sequence[bool]) -> CodeReading:
         """Read the sectors of a target.
 
-        Parameters
-        ----------
-        sectors : sequence of bool, length n_bits
-            Ink of the sectors, clockwise in the image, from anywhere.
+        sectors length n_bits: Ink of the sectors, clockwise in the image, from anywhere.
+        Returns: The code, and the code of the mirror image.
+        InputError: Another number of sectors.
 
-        Returns
-        -------
-        CodeReading
-            The code, and the code of the mirror image.
-
-        Raises
-        ------
-        InputError
-            Another number of sectors.
-
-        Examples
-        --------
         >>> reading = aicon_dictionary(12).read([b == "1" for b in "110100100000"])
         >>> reading.code.word, reading.mirrored.word
         (105, 75)
@@ -294,20 +226,8 @@ def metashape_dictionary(n_bits: int) -> RingDictionary:
 def ring_dictionary(name: str) -> RingDictionary:
     """Return a vendor's dictionary by its name.
 
-    Parameters
-    ----------
-    name : str
-        ``aicon-N``, ``schneider-N`` (the same) or ``metashape-N``, N the number of bits: even, 8 to 20.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary.
-
-    Raises
-    ------
-    InputError
-        No such dictionary.
+    name: ``aicon-N``, ``schneider-N`` (the same) or ``metashape-N``, N the number of bits: even, 8 to 20.
+    InputError: No such dictionary.
     """
     makers = {"aicon": aicon_dictionary, "schneider": aicon_dictionary, "metashape": metashape_dictionary}
     vendor, _, bits = name.lower().partition("-")

@@ -13,28 +13,16 @@ _LEAST_MORE = 2
 def refuse_mirrored_codes(read: Collection[str], listed: Collection[str], dictionary: RingDictionary) -> None:
     """Refuse photos whose codes are the mirror images of those listed.
 
-    Parameters
-    ----------
-    read : collection of str
-        Names of the codes that were read.
-    listed : collection of str
-        Names of the targets in the list.
-    dictionary : RingDictionary
-        The codes.
+    read: Names of the codes that were read.
+    listed: Names of the targets in the list.
+    InputError: The mirror images of the codes read are those of the list, the codes themselves are not.
 
-    Raises
-    ------
-    InputError
-        The mirror images of the codes read are those of the list, the codes themselves are not.
-
-    Examples
-    --------
     >>> from photogrammetry.targets.coded_targets import aicon_dictionary
     >>> refuse_mirrored_codes({"1", "13", "11", "16"}, {"1", "2", "3", "8"}, aicon_dictionary(12))
     Traceback (most recent call last):
         ...
-    heliogauge.errors.InputError: targets: of 4 codes read 1 is in the list, of their mirror images 4 are; prints or \
-photos are mirrored, or the dictionary counts the bits in the other sense ([targets] sense)
+    heliogauge.errors.InputError: targets: of 4 codes read 1 is in the list, of their mirror images 4 are; prints or
+    photos are mirrored, or the dictionary counts the bits in the other sense ([targets] sense)
     """
     codes = set(read) & set(dictionary.names)
     turned = set()

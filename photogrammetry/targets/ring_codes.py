@@ -98,18 +98,11 @@ def mirrored_word(word: int, n_bits: int) -> int:
 class RingCode:
     """One ring code.
 
-    Parameters
-    ----------
-    name : str
-        What is printed beside the target and names the point: the vendor's number, or a user's own text.
-    word : int
-        The bits as a number, smallest of all rotations.
-    n_bits : int
-        Number of sectors.
-    sense : Sense, optional
-        Sense in which the bits follow each other on the target.
-    radii : RingRadii, optional
-        Where the ring lies.
+    name: What is printed beside the target and names the point: the vendor's number, or a user's own text.
+    word: The bits as a number, smallest of all rotations.
+    n_bits: Number of sectors.
+    sense: Sense in which the bits follow each other on the target.
+    radii: Where the ring lies.
     """
 
     name: str

@@ -43,24 +43,9 @@ class CodePrint:
 def load_dictionary(named: str, folder: Path, printed: CodePrint | None = None) -> RingDictionary:
     """Return a vendor's dictionary, or that of a user's file.
 
-    Parameters
-    ----------
-    named : str
-        ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
-    folder : Path
-        Where the file is, if its path is relative.
-    printed : CodePrint, optional
-        What is known of the print beside it.
-
-    Returns
-    -------
-    RingDictionary
-        The dictionary.
-
-    Raises
-    ------
-    InputError
-        No such dictionary or file, or a file with faults.
+    named: ``aicon-12``, ``metashape-14``..., or a file that ends in ``.csv`` or ``.toml``.
+    printed: What is known of the print beside it.
+    InputError: No such dictionary or file, or a file with faults.
     """
     is_file = Path(named).suffix.lower() in _SUFFIXES
     found = read_ring_codes(folder / named) if is_file else ring_dictionary(named)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from heliogauge.faces import face_homes
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibration", "data_synth")
 
@@ -141,21 +143,7 @@ def _imports(nodes: list[ast.stmt], *, at_import_time: bool) -> Iterator[Import]
                 yield from _imports(handler.body, at_import_time=inner)
 
 
-def face_names(tree: ast.Module) -> dict[str, str]:
-    """Return the names of a face with their homes: the dictionary that its ``lazy_face`` is called with."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "lazy_face":
-            homes = node.args[1]
-            if isinstance(homes, ast.Dict):
-                return {
-                    ast.literal_eval(key): ast.literal_eval(value)
-                    for key, value in zip(homes.keys, homes.values, strict=True)
-                    if key
-                }
-    return {}
-
-
 @cache
 def faces() -> dict[str, dict[str, str]]:
     """Return the names of every package and room that has a face."""
-    return {module.name: names for module in all_modules() if module.is_face and (names := face_names(module.tree))}
+    return {module.name: names for module in all_modules() if module.is_face and (names := face_homes(module.source))}

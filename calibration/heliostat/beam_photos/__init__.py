@@ -20,18 +20,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFrame as TargetFrame
     from calibration.heliostat.beam_photos.pipeline.target_frames import WholeImage as WholeImage
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "ArucoMarkers": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "BeamMeasurements": "calibration.heliostat.beam_photos.pipeline.beams",
-        "BeamPainter": "calibration.heliostat.beam_photos.pipeline.figures",
-        "CornerPixels": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "DarkMarks": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "MarkerTemplates": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "TargetFrame": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "WholeImage": "calibration.heliostat.beam_photos.pipeline.target_frames",
-        "measure_beams": "calibration.heliostat.beam_photos.pipeline.beams",
-        "write_beams": "calibration.heliostat.beam_photos.pipeline.beams",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -7,4 +7,4 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from calibration.heliostat.diagnosis.full_diagnosis import diagnose as diagnose
 
-__getattr__, __dir__, __all__ = lazy_face(__name__, {"diagnose": "calibration.heliostat.diagnosis.full_diagnosis"})
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -33,37 +33,19 @@ def diagnose(
 ) -> Diagnosis:
     """Judge a heliostat and its records.
 
-    Parameters
-    ----------
-    fit : HeliostatFit
-        Its fit.
-    targets : mapping, optional
-        Targets by name; without, names and places of targets are not questioned.
-    site : Site, optional
-        Where the plant is; without, times are not questioned.
-    records : Records, optional
-        Verdicts, photos and times of all rows of the table.
-    significance : float, optional
-        Chance that a healthy heliostat gets any finding.
+    targets: Targets by name; without, names and places of targets are not questioned.
+    site: Where the plant is; without, times are not questioned.
+    records: Verdicts, photos and times of all rows of the table.
+    significance: Chance that a healthy heliostat gets any finding.
+    Returns: Findings, the gravest first, and all that was looked at.
+    InputError: `significance` is no probability.
 
-    Returns
-    -------
-    Diagnosis
-        Findings, the gravest first, and all that was looked at.
-
-    Raises
-    ------
-    InputError
-        `significance` is no probability.
-
-    Notes
-    -----
     In this order, because each step would be misled by what the one before it finds: readings and columns that cannot
     be; records that are wrong as a whole, where the fit is far off; rows that are right when read otherwise; terms in
     the residuals of the rest; what is left of the outliers. The chance is shared between numbers and residuals, and
-    there by Bonferroni's bound between all terms, dates and periods. A term whose significance is beyond doubt but that
-    explains less than 60 % of what is unexplained is a hint, no fault: real heliostats follow no rigid model to better
-    than a milliradian of the beam. Unless, with the term, the rows scatter no more than their stated sigmas.
+    there by Bonferroni's bound between all terms, dates and periods. A term whose significance is beyond doubt but
+    that explains less than 60 % of what is unexplained is a hint, no fault: real heliostats follow no rigid model to
+    better than a milliradian of the beam. Unless, with the term, the rows scatter no more than their stated sigmas.
     """
     if not 0 < significance < 1:
         raise InputError(f"significance: a probability between 0 and 1 is needed, not {significance:g}")

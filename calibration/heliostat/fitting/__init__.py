@@ -19,17 +19,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.fitting.robust_fit import fit as fit
     from calibration.heliostat.fitting.splits import make_split as make_split
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "FitOptions": "calibration.heliostat.fitting.fit_result",
-        "PRIORS": "calibration.heliostat.fitting.priors",
-        "Population": "calibration.heliostat.fitting.population",
-        "fit": "calibration.heliostat.fitting.robust_fit",
-        "make_split": "calibration.heliostat.fitting.splits",
-        "predict_aim": "calibration.heliostat.fitting.prediction",
-        "sun_positions_of_year": "calibration.heliostat.fitting.prediction",
-        "with_population": "calibration.heliostat.fitting.population",
-        "with_priors": "calibration.heliostat.fitting.priors",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

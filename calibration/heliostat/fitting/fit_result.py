@@ -23,26 +23,14 @@ SigmaPolicy: TypeAlias = Literal["auto", "stated", "estimated"]
 class FitOptions:
     """How to fit.
 
-    Parameters
-    ----------
-    loss : {"huber", "squares", "tukey"}, optional
-        What a row far off may pull; "squares" rejects nothing.
-    sigma : {"auto", "stated", "estimated"}, optional
-        Whether the stated sigmas of the observations are believed, or estimated from the residuals, kind by kind;
-        "auto" believes them unless the residuals refute them.
-    significance : float, optional
-        Chance that any good row is rejected at all.
-    refuted_below : float, optional
-        Probability of the residuals under the stated sigmas below which "auto" estimates.
-    restarts : int, optional
-        Further starts, tried only where the first ends in no minimum or far from the observations.
-    max_iterations : int, optional
-        Steps of one descent.
-
-    Raises
-    ------
-    InputError
-        A choice that does not exist or a number out of its range.
+    loss: What a row far off may pull; "squares" rejects nothing.
+    sigma: Whether the stated sigmas of the observations are believed, or estimated from the residuals, kind by
+        kind; "auto" believes them unless the residuals refute them.
+    significance: Chance that any good row is rejected at all.
+    refuted_below: Probability of the residuals under the stated sigmas below which "auto" estimates.
+    restarts: Further starts, tried only where the first ends in no minimum or far from the observations.
+    max_iterations: Steps of one descent.
+    InputError: A choice that does not exist or a number out of its range.
     """
 
     loss: LossName = "huber"

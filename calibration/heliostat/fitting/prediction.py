@@ -103,28 +103,12 @@ def predict_aim(
 ) -> Prediction:
     """Predict how well the heliostat hits aim points at any suns: a map over the sky, a day, a year.
 
-    Parameters
-    ----------
-    found : HeliostatFit
-        The fit.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    aim_points_m : array_like, shape (3,) or (n, 3)
-        Where the beam shall go [m].
-    inflation : float, optional
-        Of `blocked_inflation`; found here if not given.
-    options : FitOptions, optional
-        How the fit was made.
-
-    Returns
-    -------
-    Prediction
-        One entry per sun; ``usable`` is False where the drives cannot point.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
+    Shapes: sun (n, 3).
+    aim_points_m (3,) or (n, 3): Where the beam shall go [m].
+    inflation: Of `blocked_inflation`; found here if not given.
+    options: How the fit was made.
+    Returns: One entry per sun; ``usable`` is False where the drives cannot point.
+    InputError: Shapes that do not fit.
     """
     suns = np.atleast_2d(np.asarray(sun, dtype=np.float64))
     points = np.broadcast_to(np.asarray(aim_points_m, dtype=np.float64), suns.shape)
@@ -279,25 +263,8 @@ def sun_positions_of_year(
 ) -> tuple[FloatArray, IntArray]:
     """Return suns spread evenly over the daylight of one day of each month.
 
-    Parameters
-    ----------
-    site : Site
-        Where.
-    year : int
-        Which year.
-    day_of_month : int, optional
-        Which day.
-    per_day : int, optional
-        Positions a day.
-    least_elevation_rad : float, optional
-        Lowest sun [rad].
-
-    Returns
-    -------
-    sun : ndarray, shape (n, 3)
-        Directions to the sun.
-    day : ndarray of int, shape (n,)
-        Month of each, 1 to 12.
+    Shapes: sun (n, 3).
+    day (n,): Month of each, 1 to 12.
     """
     from heliogauge.geometry.sun import sun_directions
 

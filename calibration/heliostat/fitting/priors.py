@@ -51,24 +51,11 @@ PARTS = ("initial_angle_2", *(name for name, prior in PRIORS.items() if prior in
 def with_priors(design: HeliostatDesign, names: tuple[str, ...] | None = None) -> HeliostatDesign:
     """Return the same heliostat with what is known before as the sigmas of its parameters.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    names : tuple of str, optional
-        Only these parameters become free within their priors, all others are held; all that have one but the parts of
-        the drives (`PARTS`) if not given.
-
-    Returns
-    -------
-    HeliostatDesign
-        With `PRIORS` as sigmas; a finite sigma of its own (a survey's) takes their place. A heliostat with linear
-        actuators gets the bending of its first axis.
-
-    Raises
-    ------
-    InputError
-        A name that the design does not have.
+    names: Only these parameters become free within their priors, all others are held; all that have one but the
+        parts of the drives (`PARTS`) if not given.
+    Returns: With `PRIORS` as sigmas; a finite sigma of its own (a survey's) takes their place. A heliostat with
+        linear actuators gets the bending of its first axis.
+    InputError: A name that the design does not have.
     """
     design = with_bending(design)
     known = tuple(name for name in PRIORS if name in design.parameters.names and name not in PARTS)

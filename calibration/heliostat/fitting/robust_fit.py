@@ -31,29 +31,12 @@ _ON_THE_WAY, _AT_THE_END = 0.1, 1e-3
 def fit(design: HeliostatDesign, observations: Observations, options: FitOptions | None = None) -> HeliostatFit:
     """Fit a heliostat's free parameters to observations.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat; the sigmas of its parameters: held (0), known before (prior) and free (inf).
-    observations : Observations
-        Any mixture of kinds.
-    options : FitOptions, optional
-        How to fit.
+    design: The heliostat; the sigmas of its parameters: held (0), known before (prior) and free (inf).
+    observations: Any mixture of kinds.
+    Returns: Estimates with covariance, residuals of all rows, what was rejected and why, what was not observable.
+    InputError: Observations and design do not fit each other.
+    EstimationError: No reading can be computed, or a free parameter is determined by nothing.
 
-    Returns
-    -------
-    HeliostatFit
-        Estimates with covariance, residuals of all rows, what was rejected and why, what was not observable.
-
-    Raises
-    ------
-    InputError
-        Observations and design do not fit each other.
-    EstimationError
-        No reading can be computed, or a free parameter is determined by nothing.
-
-    Notes
-    -----
     One descent from the design's own numbers: the cost has one basin, and other starts are tried only where the first
     ends in no minimum or more than 10 mrad from the observations. Rows are weighted by Huber's loss on the length of
     their residual, whose scale starts at the median and settles with the fit; rows beyond the chi-square limit of the

@@ -102,36 +102,17 @@ def make_split(
 ) -> Split:
     """Split observations.
 
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    name : str
-        One of `SPLIT_NAMES`, or "column".
-    share : float, optional
-        Share of training rows of the random and chronological splits.
-    count : int, optional
-        Rows in each part of the azimuth and high-variance splits, at most half of all.
-    seed : int, optional
-        Of the random split.
-    column : sequence of str, length n, optional
-        "train", "test", "validation" or anything else (in neither part) for each row.
+    observations: What was seen.
+    name: One of `SPLIT_NAMES`, or "column".
+    share: Share of training rows of the random and chronological splits.
+    count: Rows in each part of the azimuth and high-variance splits, at most half of all.
+    column length n: "train", "test", "validation" or anything else (in neither part) for each row.
+    Returns: Masks over the rows.
+    InputError: The split does not exist, or the observations lack suns or rows for it.
 
-    Returns
-    -------
-    Split
-        Masks over the rows.
-
-    Raises
-    ------
-    InputError
-        The split does not exist, or the observations lack suns or rows for it.
-
-    Notes
-    -----
     Azimuth (0 = north, clockwise): the ``count`` smallest train and the largest are predicted; reversed the other way
-    round, as the PAINT benchmark's azimuth split (its azimuth counts from south to east). High variance: the ``count``
-    suns farthest from their three neighbours are predicted from the ``count`` that are nearest to theirs.
+    round, as the PAINT benchmark's azimuth split (its azimuth counts from south to east). High variance: the
+    ``count`` suns farthest from their three neighbours are predicted from the ``count`` that are nearest to theirs.
     """
     n = len(observations)
     if n < _FEWEST:

@@ -20,18 +20,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.kinematic_model.presets import linear_actuators as linear_actuators
     from calibration.heliostat.kinematic_model.presets import with_drive_terms as with_drive_terms
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "ActuatorNumbers": "calibration.heliostat.kinematic_model.presets",
-        "HeliostatDesign": "calibration.heliostat.kinematic_model.design",
-        "PlaneTarget": "calibration.heliostat.kinematic_model.design",
-        "aim": "calibration.heliostat.kinematic_model.aiming",
-        "azimuth_elevation": "calibration.heliostat.kinematic_model.presets",
-        "drone_heliostat": "calibration.heliostat.kinematic_model.presets",
-        "linear_actuators": "calibration.heliostat.kinematic_model.presets",
-        "mirror_poses": "calibration.heliostat.kinematic_model.kinematics",
-        "pose_derivatives": "calibration.heliostat.kinematic_model.kinematics",
-        "with_drive_terms": "calibration.heliostat.kinematic_model.presets",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -77,33 +77,13 @@ def aim(
 ) -> Aim:
     """Return the readings that reflect a source to aim points.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    source : array_like, shape (n, 3) or (3,)
-        Directions to the sun, of any length; with `finite` points of the field's frame [m].
-    aim_points_m : array_like, shape (n, 3) or (3,)
-        Where the beam shall go [m].
-    finite : bool, optional
-        Whether the source is at a finite distance: a drone, a lamp.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's move that will lead there, for drives with backlash.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    source (n, 3) or (3,): Directions to the sun, of any length; with `finite` points of the field's frame [m].
+    aim_points_m (n, 3) or (3,): Where the beam shall go [m].
+    finite: Whether the source is at a finite distance: a drone, a lamp.
+    approach (n, 2): Direction of each drive's move that will lead there, for drives with backlash.
+    InputError: Shapes that do not fit.
 
-    Returns
-    -------
-    Aim
-        Readings with what became of each row.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit.
-
-    Notes
-    -----
     The mirror's normal bisects the directions to source and aim; for two axes both angles follow in closed form.
     The directions depend on the mirror's centre, which moves with the angles: a fixed point, contracting by about
     the arm over the distance. Of two solutions the one within the limits is taken, else the nearer one.

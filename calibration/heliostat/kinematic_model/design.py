@@ -175,30 +175,18 @@ Drive: TypeAlias = RotaryDrive | LinearActuator
 class HeliostatDesign:
     """A heliostat: the chain from the ground to its mirror, two drives, and all numbers by name.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat (or kind of heliostat) this is.
-    steps : tuple of Turn, Shift, Driven
-        The chain from the field's frame to the mirror's; both drives occur once. The mirror's centre is where it ends.
-    drives : tuple of RotaryDrive or LinearActuator
-        The drives 0 and 1.
-    normal : array_like, shape (3,)
-        The mirror's outward normal in the mirror's frame.
-    parameters : Parameters
-        All numbers with what is known of them; may hold more than the chain uses (such as positions of cameras).
-    limits : array_like, shape (2, 2)
-        Lowest and highest reading of each drive (row).
-    reading_unit : {"counts", "rad"}, optional
-        Unit of the readings.
-    free_sets : mapping, optional
-        Usual choices of free parameters by name, such as ``{"4": (...)}``.
-
-    Raises
-    ------
-    InputError
-        A step or drive names a parameter that is not there, a drive does not occur exactly once, the position is
-        missing, or limits are not in order.
+    name: Which heliostat (or kind of heliostat) this is.
+    steps: The chain from the field's frame to the mirror's; both drives occur once. The mirror's centre is where it
+        ends.
+    drives: The drives 0 and 1.
+    normal (3,): The mirror's outward normal in the mirror's frame.
+    parameters: All numbers with what is known of them; may hold more than the chain uses (such as positions of
+        cameras).
+    limits (2, 2): Lowest and highest reading of each drive (row).
+    reading_unit: Unit of the readings.
+    free_sets: Usual choices of free parameters by name, such as ``{"4": (...)}``.
+    InputError: A step or drive names a parameter that is not there, a drive does not occur exactly once, the
+        position is missing, or limits are not in order.
     """
 
     name: str
@@ -267,26 +255,13 @@ class HeliostatDesign:
 class PlaneTarget:
     """A flat target with its own coordinates: x to the right and y up, as seen from the field, from the centre [m].
 
-    Parameters
-    ----------
-    name : str
-        Which target.
-    center_m : array_like, shape (3,)
-        Its centre in the field's frame [m].
-    right, up : array_like, shape (3,)
-        Directions to the right and up for one who looks at it from the field; perpendicular, of any length.
-    width_m, height_m : float
-        Its size [m].
-    flatness_m : float, optional
-        Largest distance of a measured corner from the plane [m].
+    center_m (3,): Its centre in the field's frame [m].
+    right, up (3,): Directions to the right and up for one who looks at it from the field; perpendicular, of any
+        length.
+    width_m, height_m: Its size [m].
+    flatness_m: Largest distance of a measured corner from the plane [m].
+    InputError: Directions that are not perpendicular, or a size that is not positive.
 
-    Raises
-    ------
-    InputError
-        Directions that are not perpendicular, or a size that is not positive.
-
-    Examples
-    --------
     >>> target = PlaneTarget.facing("lower", [0.0, 0.0, 36.0], np.pi, 5.4, 7.0)
     >>> target.normal.round(12) + 0.0
     array([ 0., -1.,  0.])

@@ -94,29 +94,13 @@ def mirror_poses(
 ) -> MirrorPoses:
     """Return the poses of the mirror at some readings.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    readings : array_like, shape (n, 2)
-        Readings of both drives in the design's unit.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
-    outside : {"raise", "nan"}, optional
-        What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN (for
-        a fit on its way).
-
-    Returns
-    -------
-    MirrorPoses
-        One pose per row.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or readings outside the geometry of an actuator.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    readings (n, 2): Readings of both drives in the design's unit.
+    approach (n, 2): Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
+    outside: What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN
+        (for a fit on its way).
+    Returns: One pose per row.
+    InputError: Shapes that do not fit, or readings outside the geometry of an actuator.
     """
     numbers, drives = _drive_angles(design, values, readings, approach, outside)
     return chain_poses(design, numbers, [drive.angle_rad for drive in drives])
@@ -133,35 +117,17 @@ def pose_derivatives(
 ) -> PoseDerivatives:
     """Return the poses of the mirror with their derivatives by the parameters.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    readings : array_like, shape (n, 2)
-        Readings of both drives in the design's unit.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
-    columns : sequence of int, optional
-        Positions of the wanted parameters in ``design.parameters``; all of them if not given.
-    outside : {"raise", "nan"}, optional
-        What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as NaN.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    readings (n, 2): Readings of both drives in the design's unit.
+    approach (n, 2): Direction of each drive's last move: +1 to larger readings, -1 to smaller ones, 0 unknown.
+    columns: Positions of the wanted parameters in ``design.parameters``; all of them if not given.
+    outside: What to do with readings that a linear actuator cannot have: refuse them all, or give those rows as
+        NaN.
+    Returns: Poses and derivatives; columns of parameters that the chain does not use are zero.
+    InputError: Shapes that do not fit, or readings outside the geometry of an actuator.
 
-    Returns
-    -------
-    PoseDerivatives
-        Poses and derivatives; columns of parameters that the chain does not use are zero.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or readings outside the geometry of an actuator.
-
-    Notes
-    -----
-    The geometric Jacobian of a serial chain: a parameter that turns about the axis w through the point q moves a centre
-    c by ``w x (c - q)`` and turns everything behind it by w.
+    The geometric Jacobian of a serial chain: a parameter that turns about the axis w through the point q moves a
+    centre c by ``w x (c - q)`` and turns everything behind it by w.
     """
     numbers, drives = _drive_angles(design, values, readings, approach, outside)
     wanted = np.arange(len(design.parameters)) if columns is None else np.asarray(columns, dtype=np.intp)

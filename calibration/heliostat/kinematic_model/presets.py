@@ -35,18 +35,11 @@ DRIVE_TERMS = ("scale", "worm", "worm2", "sag", "backlash")
 class ActuatorNumbers:
     """Delivered numbers of one linear actuator.
 
-    Parameters
-    ----------
-    initial_angle_rad : float
-        Angle of the axis at reading 0, as the plant counts it [rad].
-    initial_stroke_m, offset_m, pivot_radius_m : float
-        Stroke at reading 0 and the two fixed sides of the triangle [m].
-    increment_per_m : float
-        Counts per metre of stroke [1/m].
-    clockwise : bool
-        Sense of the axis.
-    count_limits : tuple of float
-        Lowest and highest reading.
+    initial_angle_rad: Angle of the axis at reading 0, as the plant counts it [rad].
+    initial_stroke_m, offset_m, pivot_radius_m: Stroke at reading 0 and the two fixed sides of the triangle [m].
+    increment_per_m: Counts per metre of stroke [1/m].
+    clockwise: Sense of the axis.
+    count_limits: Lowest and highest reading.
     """
 
     initial_angle_rad: float
@@ -63,34 +56,17 @@ def azimuth_elevation(
 ) -> HeliostatDesign:
     """Return the eight-parameter azimuth-elevation heliostat of Malan (2014), section 4.2.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat.
-    position_m : array_like, shape (3,)
-        Intersection of its axes: east, north, up [m].
-    rad_per_reading : sequence of float, optional
-        Angle of one count of azimuth and of elevation [rad]; readings are radians if not given.
-    printed_tilts : bool, optional
-        Take the tilts with the matrices as printed (4.16, 4.17) instead of as tilts toward north and east; to first
-        order printed tilt_north = -(toward east), printed tilt_east = toward north.
+    position_m (3,): Intersection of its axes: east, north, up [m].
+    rad_per_reading: Angle of one count of azimuth and of elevation [rad]; readings are radians if not given.
+    printed_tilts: Take the tilts with the matrices as printed (4.16, 4.17) instead of as tilts toward north and
+        east; to first order printed tilt_north = -(toward east), printed tilt_east = toward north.
+    Returns: Readings are azimuth (0 = north, clockwise) and elevation of the normal; angle = reading + offset. The
+        mirror's frame has y along the normal, z up, and x to the east when the mirror faces north. Free sets:
+        ``"2"`` offsets, ``"5"`` angles, ``"8"`` all.
+    InputError: Numbers that cannot be.
 
-    Returns
-    -------
-    HeliostatDesign
-        Readings are azimuth (0 = north, clockwise) and elevation of the normal; angle = reading + offset. The mirror's
-        frame has y along the normal, z up, and x to the east when the mirror faces north. Free sets: ``"2"`` offsets,
-        ``"5"`` angles, ``"8"`` all.
-
-    Raises
-    ------
-    InputError
-        Numbers that cannot be.
-
-    Notes
-    -----
-    Chain (4.12) to (4.18): tilt, azimuth, non-orthogonality, elevation. Positive non-orthogonality, as printed, raises
-    the east end of the elevation axis of a mirror that faces north.
+    Chain (4.12) to (4.18): tilt, azimuth, non-orthogonality, elevation. Positive non-orthogonality, as printed,
+    raises the east end of the elevation axis of a mirror that faces north.
     """
     tilts = (Turn(_WEST, "tilt_north"), Turn(_NORTH, "tilt_east"))
     if printed_tilts:
@@ -112,33 +88,15 @@ def drone_heliostat(
 ) -> HeliostatDesign:
     """Return the nine-parameter heliostat of Gouws (2018), chapter 5, whose mirror stands off its axes on an arm.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat.
-    position_m : array_like, shape (3,)
-        Top of the upright pylon, about which the mirror turns: east, north, up [m].
-    arm_m : sequence of float
-        zeta 1 along the normal and zeta 2 up in the mirror's plane [m].
-    pylon_length_m : float, optional
-        Distance of the tilting foot below the top [m].
-    rad_per_reading : sequence of float, optional
-        Angle of one count of azimuth and of elevation [rad]; readings are radians if not given.
+    position_m (3,): Top of the upright pylon, about which the mirror turns: east, north, up [m].
+    arm_m: zeta 1 along the normal and zeta 2 up in the mirror's plane [m].
+    pylon_length_m: Distance of the tilting foot below the top [m].
+    rad_per_reading: Angle of one count of azimuth and of elevation [rad]; readings are radians if not given.
+    Returns: Readings are azimuth and elevation; reading = angle + offset (5.24, 5.25), the other way round than in
+        `azimuth_elevation`. Tilts are right-handed about east and north. Free sets: ``"2"`` offsets, ``"4"``
+        offsets and tilts, ``"9"`` all but the pylon's length.
+    InputError: Numbers that cannot be.
 
-    Returns
-    -------
-    HeliostatDesign
-        Readings are azimuth and elevation; reading = angle + offset (5.24, 5.25), the other way round than in
-        `azimuth_elevation`. Tilts are right-handed about east and north. Free sets: ``"2"`` offsets, ``"4"`` offsets
-        and tilts, ``"9"`` all but the pylon's length.
-
-    Raises
-    ------
-    InputError
-        Numbers that cannot be.
-
-    Notes
-    -----
     Equations (5.24) to (5.42). The thesis estimates the vector T from pylon to target; here the target stands and the
     position is -T.
     """
@@ -239,33 +197,15 @@ def linear_actuators(
 ) -> HeliostatDesign:
     """Return a heliostat with two linear actuators, as those of the solar tower at Juelich.
 
-    Parameters
-    ----------
-    name : str
-        Which heliostat.
-    position_m : array_like, shape (3,)
-        Where its first axis stands: east, north, up [m].
-    actuators : tuple of ActuatorNumbers
-        Delivered numbers of axis 1 (about east: elevation) and axis 2 (about up: azimuth).
-    concentrator_m : sequence of float, optional
-        From the second axis to the mirror's centre, in the frame of the mirror that looks south [m].
-    joints_m : sequence, optional
-        Shifts of the first and of the second joint [m].
+    position_m (3,): Where its first axis stands: east, north, up [m].
+    actuators: Delivered numbers of axis 1 (about east: elevation) and axis 2 (about up: azimuth).
+    concentrator_m: From the second axis to the mirror's centre, in the frame of the mirror that looks south [m].
+    joints_m: Shifts of the first and of the second joint [m].
+    Returns: Readings are counts. Free sets: ``"4"`` the tilts; ``"8"`` with both initial angles and initial
+        strokes; ``"15"`` with offsets and pivot radii of the triangles and the position. Axis 1's initial angle and
+        tilt_2_e are the same turn: a fit that frees both has one combination too many.
+    InputError: Numbers that cannot be.
 
-    Returns
-    -------
-    HeliostatDesign
-        Readings are counts. Free sets: ``"4"`` the tilts; ``"8"`` with both initial angles and initial strokes;
-        ``"15"`` with offsets and pivot radii of the triangles and the position. Axis 1's initial angle and tilt_2_e
-        are the same turn: a fit that frees both has one combination too many.
-
-    Raises
-    ------
-    InputError
-        Numbers that cannot be.
-
-    Notes
-    -----
     ``R_n(tilt_1_n) R_u(tilt_1_u) R_e(axis 1) R_e(tilt_2_e) R_n(tilt_2_n) R_u(axis 2)`` on the normal (0, -1, 0). The
     plant counts axis 1 from the mirror that looks at the zenith, hence its -pi/2.
     """
@@ -301,30 +241,13 @@ def with_drive_terms(
 ) -> HeliostatDesign:
     """Return the same heliostat whose drive may have more errors; each is 0 (the scale 1) and held.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    drive : int
-        0 or 1.
-    terms : sequence of str
-        Any of ``"scale"`` (rotary drives only), ``"worm"`` (first harmonic), ``"worm2"`` (both harmonics), ``"sag"``,
-        ``"backlash"``.
-    worm_ratio : float, optional
-        Cycles of the worm per turn of the axis (per metre of a linear actuator's stroke).
-    sag_zero_rad : float, optional
-        Angle of the drive at which the mirror stands upright [rad].
-
-    Returns
-    -------
-    HeliostatDesign
-        With parameters ``scale_1``, ``worm_sin_1``, ``worm_cos_1``, ``worm_sin2_1``, ``worm_cos2_1``, ``sag_1``,
-        ``backlash_1`` (``_2`` for drive 1) as asked for.
-
-    Raises
-    ------
-    InputError
-        A term that does not exist, or a ratio that is missing.
+    terms: Any of ``"scale"`` (rotary drives only), ``"worm"`` (first harmonic), ``"worm2"`` (both harmonics),
+        ``"sag"``, ``"backlash"``.
+    worm_ratio: Cycles of the worm per turn of the axis (per metre of a linear actuator's stroke).
+    sag_zero_rad: Angle of the drive at which the mirror stands upright [rad].
+    Returns: With parameters ``scale_1``, ``worm_sin_1``, ``worm_cos_1``, ``worm_sin2_1``, ``worm_cos2_1``,
+        ``sag_1``, ``backlash_1`` (``_2`` for drive 1) as asked for.
+    InputError: A term that does not exist, or a ratio that is missing.
     """
     unknown = sorted(set(terms) - set(DRIVE_TERMS))
     if unknown:

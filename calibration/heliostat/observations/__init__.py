@@ -18,17 +18,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.observations.rtk import rtk_statistics as rtk_statistics
     from calibration.heliostat.observations.visibility import ConcaveMirror as ConcaveMirror
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "BeamSpots": "calibration.heliostat.observations.beam_observations",
-        "ConcaveMirror": "calibration.heliostat.observations.visibility",
-        "ObservationModel": "calibration.heliostat.observations.residuals",
-        "Observations": "calibration.heliostat.observations.observations",
-        "Place": "calibration.heliostat.observations.pointings",
-        "Pointings": "calibration.heliostat.observations.pointings",
-        "evaluate": "calibration.heliostat.observations.residuals",
-        "predicted_spots": "calibration.heliostat.observations.residuals",
-        "rtk_statistics": "calibration.heliostat.observations.rtk",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -29,23 +29,12 @@ from heliogauge.validate import FloatArray, float_array
 class BeamSpots(ObservationGroup):
     """Centres of the reflected sunlight on targets.
 
-    Parameters
-    ----------
-    pointings : Pointings
-        Readings, rows, times.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    spot_m : array_like, shape (n, 3)
-        Where the beam's centre was seen, in the field's frame [m].
-    covariance_m2 : array_like, shape (n, 3, 3)
-        Its covariance; singular across the target [m^2].
-    target : tuple of str, length n
-        On which target.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a value is not finite, a direction has no length.
+    pointings: Readings, rows, times.
+    sun (n, 3): Directions to the sun.
+    spot_m (n, 3): Where the beam's centre was seen, in the field's frame [m].
+    covariance_m2 (n, 3, 3): Its covariance; singular across the target [m^2].
+    target length n: On which target.
+    InputError: Lengths differ, a value is not finite, a direction has no length.
     """
 
     kind: ClassVar[str] = "beam"

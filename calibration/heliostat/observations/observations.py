@@ -39,15 +39,8 @@ Group: TypeAlias = BeamSpots | SunInCamera | DroneSightings | LampSightings | Mi
 class Observations:
     """Any mixture of observations of one heliostat.
 
-    Parameters
-    ----------
-    groups : tuple
-        Groups of one kind each; their rows follow one another.
-
-    Raises
-    ------
-    InputError
-        There is no group.
+    groups: Groups of one kind each; their rows follow one another.
+    InputError: There is no group.
     """
 
     groups: tuple[Group, ...]

@@ -17,21 +17,11 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray, TimeArray, floa
 class Pointings:
     """Where the drives stood, row by row.
 
-    Parameters
-    ----------
-    readings : array_like, shape (n, 2)
-        Readings of both drives in the design's unit.
-    row : array_like of int, shape (n,), optional
-        Identity of each row (line of the table it came from); 0, 1, ... if not given.
-    time : array_like of datetime64, shape (n,), optional
-        UTC; NaT where unknown.
-    approach : array_like, shape (n, 2), optional
-        Direction of each drive's last move: +1, -1, 0 unknown.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, or a reading is not finite.
+    readings (n, 2): Readings of both drives in the design's unit.
+    row (n,): Identity of each row (line of the table it came from); 0, 1, ... if not given.
+    time (n,): UTC; NaT where unknown.
+    approach (n, 2): Direction of each drive's last move: +1, -1, 0 unknown.
+    InputError: Lengths differ, or a reading is not finite.
     """
 
     readings: FloatArray
@@ -66,19 +56,9 @@ class Pointings:
 class Place:
     """A camera or a point of a target in the field, known with some sigma or unknown.
 
-    Parameters
-    ----------
-    name : str
-        Which camera or target.
-    center_m : array_like, shape (3,)
-        Where it is, or a rough place [m].
-    sigma_m : array_like, shape () or (3,), optional
-        Standard deviation east, north, up [m]: 0 for known, inf for unknown.
-
-    Raises
-    ------
-    InputError
-        Another shape, or a sigma that is negative or NaN.
+    center_m (3,): Where it is, or a rough place [m].
+    sigma_m () or (3,): Standard deviation east, north, up [m]: 0 for known, inf for unknown.
+    InputError: Another shape, or a sigma that is negative or NaN.
     """
 
     name: str

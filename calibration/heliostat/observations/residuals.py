@@ -83,20 +83,11 @@ class _Evaluated(NamedTuple):
 class ObservationModel:
     """Observations of a heliostat made ready to be evaluated at many numbers.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat; its parameters hold what the observations bring with them (`Observations.extra_parameters`). Its
-        own numbers choose the axes of the components and the weights.
-    observations : Observations
-        What was seen.
-    columns : ndarray of int, shape (k,), optional
-        Positions of the parameters to differentiate by; all of them if not given.
-
-    Raises
-    ------
-    InputError
-        A covariance vanishes across its line of sight.
+    design: The heliostat; its parameters hold what the observations bring with them
+        (`Observations.extra_parameters`). Its own numbers choose the axes of the components and the weights.
+    observations: What was seen.
+    columns (k,): Positions of the parameters to differentiate by; all of them if not given.
+    InputError: A covariance vanishes across its line of sight.
     """
 
     design: HeliostatDesign
@@ -195,29 +186,12 @@ def evaluate(
 ) -> Residuals:
     """Return the residuals of observations.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat; its parameters hold what the observations bring with them.
-    values : array_like, shape (p,)
-        Numbers in the order of ``design.parameters``.
-    observations : Observations
-        What was seen.
-    columns : sequence of int, optional
-        Positions of the parameters to differentiate by; all of them if not given.
+    design: The heliostat; its parameters hold what the observations bring with them.
+    values (p,): Numbers in the order of ``design.parameters``.
+    observations: What was seen.
+    columns: Positions of the parameters to differentiate by; all of them if not given.
+    InputError: A parameter of the observations is missing, or shapes do not fit.
 
-    Returns
-    -------
-    Residuals
-        Rows in the order of the observations.
-
-    Raises
-    ------
-    InputError
-        A parameter of the observations is missing, or shapes do not fit.
-
-    Notes
-    -----
     Directions are compared in stereographic coordinates about the measured one: angles when they are close, and still
     growing when they are far apart, so that a mirror that looks the other way is no false minimum.
     """
@@ -233,26 +207,11 @@ def predicted_spots(
 ) -> FloatArray:
     """Return where the beams should meet their targets.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        The heliostat.
-    values : array_like, shape (p,)
-        Its numbers, in the order of ``design.parameters``.
-    spots : BeamSpots
-        Readings, sun and target of each row.
-    targets : mapping
-        The targets by name.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Coordinates on the target, right and up as seen from the field [m]; NaN where the beam goes elsewhere.
-
-    Raises
-    ------
-    InputError
-        A target is unknown, or shapes do not fit.
+    values (p,): Its numbers, in the order of ``design.parameters``.
+    spots: Readings, sun and target of each row.
+    Returns (n, 2): Coordinates on the target, right and up as seen from the field [m]; NaN where the beam goes
+        elsewhere.
+    InputError: A target is unknown, or shapes do not fit.
     """
     missing = sorted(set(spots.target) - set(targets))
     if missing:

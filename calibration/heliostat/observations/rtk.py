@@ -46,29 +46,13 @@ def rtk_statistics(
 ) -> RtkStatistics:
     """Summarise the log of an RTK-GPS receiver that did not move.
 
-    Parameters
-    ----------
-    positions_m : array_like, shape (n, 3)
-        North, east and down of the base station [m].
-    interval_s : float, optional
-        Time between epochs [s].
-    is_fixed : array_like of bool, shape (n,), optional
-        Epochs with resolved ambiguities; the others are left out. All of them without.
+    positions_m (n, 3): North, east and down of the base station [m].
+    interval_s: Time between epochs [s].
+    is_fixed (n,): Epochs with resolved ambiguities; the others are left out. All of them without.
+    Returns: Spread, and how long it keeps its direction.
+    InputError: Wrong shapes.
+    EstimationError: Fewer than 20 epochs are fixed.
 
-    Returns
-    -------
-    RtkStatistics
-        Spread, and how long it keeps its direction.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes.
-    EstimationError
-        Fewer than 20 epochs are fixed.
-
-    Notes
-    -----
     Gouws (2018), eqs. 3.13 and 3.14. For errors that are equal and normal in all directions 63.2 % of them are within
     DRMS and 60.8 % within MRSE. The autocorrelation time sums the correlation until it first falls below zero; white
     noise has that of one epoch. Epochs that are left out in between are not bridged.

@@ -13,26 +13,14 @@ from heliogauge.validate import FloatArray, positive
 class ConcaveMirror:
     """A mirror that concentrates, seen from its axis, in one of its two directions.
 
-    Parameters
-    ----------
-    size_m : float
-        Width of the mirror [m].
-    edge_slope_rad : float
-        Slope of the surface at its edges; 0 for a flat mirror [rad].
+    size_m: Width of the mirror [m].
+    edge_slope_rad: Slope of the surface at its edges; 0 for a flat mirror [rad].
+    InputError: A width that is not positive, or a slope outside 0 to pi / 8.
 
-    Raises
-    ------
-    InputError
-        A width that is not positive, or a slope outside 0 to pi / 8.
-
-    Notes
-    -----
     Gouws (2018), section 4.2.2.1, eqs. 4.1 to 4.5: the ray from the camera to the edge leaves it by twice the edge's
-    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the plane
-    of incidence and f / cos(theta) across.
+    slope closer to the axis. Incidence on the axis; a mirror that is seen aslant images with f cos(theta) in the
+    plane of incidence and f / cos(theta) across.
 
-    Examples
-    --------
     >>> mirror = ConcaveMirror.showing(2.0, size_m=1.9, camera_m=32.0, target_m=27.0)
     >>> round(float(np.degrees(mirror.edge_slope_rad)), 6)
     0.797183

@@ -19,18 +19,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.planning.simulate import drawn_sightings as drawn_sightings
     from calibration.heliostat.planning.simulate import monte_carlo as monte_carlo
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Control": "calibration.heliostat.planning.simulate",
-        "beam_angles": "calibration.heliostat.planning.simulate",
-        "beam_candidates": "calibration.heliostat.planning.measurement_plan",
-        "commanded_offsets": "calibration.heliostat.planning.simulate",
-        "drawn_beams": "calibration.heliostat.planning.simulate",
-        "drawn_flight": "calibration.heliostat.planning.simulate",
-        "drawn_sightings": "calibration.heliostat.planning.simulate",
-        "knowledge_before": "calibration.heliostat.planning.measurement_plan",
-        "monte_carlo": "calibration.heliostat.planning.simulate",
-        "plan_measurements": "calibration.heliostat.planning.measurement_plan",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -73,22 +73,8 @@ def knowledge_of(fit: HeliostatFit) -> Knowledge:
 def knowledge_before(design: HeliostatDesign, misfit_rad: float = 0.0) -> Knowledge:
     """Return what the priors know of a heliostat that was never measured.
 
-    Parameters
-    ----------
-    design : HeliostatDesign
-        With prior sigmas.
-    misfit_rad : float, optional
-        What is expected to remain per axis [rad of the beam].
-
-    Returns
-    -------
-    Knowledge
-        Values and prior sigmas.
-
-    Raises
-    ------
-    InputError
-        A parameter is free without a prior: nothing would be known of the beam.
+    misfit_rad: What is expected to remain per axis [rad of the beam].
+    InputError: A parameter is free without a prior: nothing would be known of the beam.
     """
     parameters = design.parameters
     unknown = [name for name, sigma in zip(parameters.names, parameters.sigmas, strict=True) if np.isinf(sigma)]
@@ -114,30 +100,11 @@ def beam_candidates(
 ) -> Observations:
     """Return the beams that could be looked at.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        The heliostat.
-    site : Site
-        Where the plant is.
-    targets : mapping
-        Targets by name.
-    times : array_like of datetime64, shape (t,)
-        When it could be measured (UTC).
-    sigma_m : float
-        Of a measured centre, each axis [m].
-    lowest_sun_rad : float, optional
-        No measurements with a lower sun [rad].
-
-    Returns
-    -------
-    Observations
-        One row for each time and target that the heliostat can serve; the misfit is part of the sigmas.
-
-    Raises
-    ------
-    EstimationError
-        It can serve none.
+    times (t,): When it could be measured (UTC).
+    sigma_m: Of a measured centre, each axis [m].
+    lowest_sun_rad: No measurements with a lower sun [rad].
+    Returns: One row for each time and target that the heliostat can serve; the misfit is part of the sigmas.
+    EstimationError: It can serve none.
     """
     positive("sigma_m", sigma_m, "metres")
     instants = np.asarray(times, dtype="datetime64[ms]")
@@ -266,33 +233,13 @@ def plan_measurements(
 ) -> MeasurementPlan:
     """Choose measurements one by one, each the one that helps most after those before it.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        What is known now.
-    candidates : Observations
-        What could be measured; their sigmas hold what a measurement is worth.
-    suns : array_like, shape (y, 3)
-        Suns of the year over which the heliostat shall point.
-    aim_point_m : array_like, shape (3,)
-        Where the beam shall go then [m].
-    goal_rad : float, optional
-        Mean sigma of the beam over the year at which to stop [rad].
-    options : PlanOptions, optional
-        How to choose.
+    knowledge: What is known now.
+    candidates: What could be measured; their sigmas hold what a measurement is worth.
+    suns (y, 3): Suns of the year over which the heliostat shall point.
+    aim_point_m (3,): Where the beam shall go then [m].
+    goal_rad: Mean sigma of the beam over the year at which to stop [rad].
+    EstimationError: The heliostat can serve none of the year's suns.
 
-    Returns
-    -------
-    MeasurementPlan
-        Which, and what each brings.
-
-    Raises
-    ------
-    EstimationError
-        The heliostat can serve none of the year's suns.
-
-    Notes
-    -----
     Greedy I-optimal design: with covariance C, a candidate of whitened derivatives G takes
     ``tr((G C G' + I)^-1 G C W C G')`` from the year's mean variance ``tr(C W)``; D-optimal ("parameters"):
     ``log det(I + G C G')``. Greedy is within 1 - 1 / e of the best of as many for the determinant.

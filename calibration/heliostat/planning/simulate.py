@@ -35,10 +35,7 @@ Evaluate: TypeAlias = Callable[[HeliostatDesign], FloatArray]
 class Control:
     """How a controller drives: what it does on purpose and what it cannot help.
 
-    Parameters
-    ----------
-    step : tuple of float, optional
-        The drives stand at whole multiples of this; 0 for any place [readings].
+    step: The drives stand at whole multiples of this; 0 for any place [readings].
     """
 
     step: tuple[float, float] = (0.0, 0.0)
@@ -60,25 +57,12 @@ def commanded_offsets(
 ) -> FloatArray:
     """Return where the beam goes when a controller with one model aims a heliostat that obeys another.
 
-    Parameters
-    ----------
-    truth : HeliostatDesign
-        The heliostat as it is.
-    believed : HeliostatDesign
-        The controller's model, of the same readings.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    target : PlaneTarget
-        Its centre is aimed at.
-    set_for : array_like, shape (n, 3), optional
-        Directions that the drives were set for: earlier ones, where they are held for a while.
-    control : Control, optional
-        Steps of the drives.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Right and up from the target's centre; NaN where the heliostat cannot go or the beam leaves the plane [m].
+    Shapes: sun (n, 3).
+    believed: The controller's model, of the same readings.
+    set_for (n, 3): Directions that the drives were set for: earlier ones, where they are held for a while.
+    control: Steps of the drives.
+    Returns (n, 2): Right and up from the target's centre; NaN where the heliostat cannot go or the beam leaves the
+        plane [m].
     """
     sun_now = np.asarray(sun, dtype=np.float64)
     aimed = aim(believed, believed.parameters.values, sun_now if set_for is None else set_for, target.center_m)
@@ -101,17 +85,9 @@ def _spots(truth: HeliostatDesign, readings: FloatArray, sun: FloatArray, target
 def beam_angles(offsets_m: npt.ArrayLike, distance_m: float) -> FloatArray:
     """Return the angles of the beam that offsets on a target make, ``atan(|offset| / distance)``.
 
-    Parameters
-    ----------
-    offsets_m : array_like, shape (n, 2)
-        From the target's centre [m].
-    distance_m : float
-        From the heliostat to the target's centre [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Angles [rad].
+    Shapes: result (n,).
+    offsets_m (n, 2): From the target's centre [m].
+    distance_m: From the heliostat to the target's centre [m].
     """
     lengths = np.linalg.norm(np.asarray(offsets_m, dtype=np.float64), axis=-1)
     return np.asarray(np.arctan(lengths / positive("distance_m", distance_m, "metres")))
@@ -128,30 +104,12 @@ def drawn_beams(
 ) -> Observations:
     """Draw beams on a target: the drives are set so that the beam is on it, then its centre is measured.
 
-    Parameters
-    ----------
-    truth : HeliostatDesign
-        The heliostat as it is.
-    sun : array_like, shape (n, 3)
-        Directions to the sun.
-    target : PlaneTarget
-        The target.
-    sigma_m : float
-        Of the measured centre, right and up [m].
-    rng : numpy.random.Generator
-        Draws the errors, and the aim points where they are spread.
-    spread_m : float, optional
-        Standard deviation of the aim points about the target's centre [m].
-
-    Returns
-    -------
-    Observations
-        One row for each sun position that the heliostat can serve.
-
-    Raises
-    ------
-    InputError
-        It can serve none.
+    Shapes: sun (n, 3).
+    sigma_m: Of the measured centre, right and up [m].
+    rng: Draws the errors, and the aim points where they are spread.
+    spread_m: Standard deviation of the aim points about the target's centre [m].
+    Returns: One row for each sun position that the heliostat can serve.
+    InputError: It can serve none.
     """
     directions = np.asarray(sun, dtype=np.float64)
     aims = target.points(spread_m * rng.standard_normal((len(directions), 2)))
@@ -192,31 +150,11 @@ def drawn_flight(
 ) -> Flight:
     """Draw places of a drone on a dome about a heliostat.
 
-    Parameters
-    ----------
-    truth : HeliostatDesign
-        The heliostat as it is.
-    target_m : array_like, shape (3,)
-        The point that the drone shall see in the mirror [m].
-    radius_m : tuple of float
-        Least and greatest distance, drawn evenly [m].
-    count : int
-        Number of places.
-    rng : numpy.random.Generator
-        Draws them.
+    target_m (3,): The point that the drone shall see in the mirror [m].
+    radius_m: Least and greatest distance, drawn evenly [m].
+    Returns: Places that the heliostat can serve, seen at less than 80 deg from the normal.
+    InputError: It can serve hardly any.
 
-    Returns
-    -------
-    Flight
-        Places that the heliostat can serve, seen at less than 80 deg from the normal.
-
-    Raises
-    ------
-    InputError
-        It can serve hardly any.
-
-    Notes
-    -----
     Gouws (2018), section 5.1: directions even over the half sphere; a candidate that cannot be served is drawn anew.
     """
     found_m: list[FloatArray] = []
@@ -251,23 +189,9 @@ def drawn_sightings(
 ) -> Observations:
     """Draw the places of a drone as an RTK-GPS measures them.
 
-    Parameters
-    ----------
-    flight : Flight
-        Where it was.
-    target : Place
-        The point seen, with its survey sigma.
-    rng : numpy.random.Generator
-        Draws the errors.
-    sigma_m : tuple of float, optional
-        Of the drone's position, east, north, up; white [m].
-    offset_sigma_m : array_like, shape () or (3,), optional
-        Prior sigma of the camera's place beside the antenna [m].
-
-    Returns
-    -------
-    Observations
-        One row for each place.
+    target: The point seen, with its survey sigma.
+    sigma_m: Of the drone's position, east, north, up; white [m].
+    offset_sigma_m () or (3,): Prior sigma of the camera's place beside the antenna [m].
     """
     sigma = np.asarray(sigma_m)
     measured = flight.drone_m + sigma * rng.standard_normal(flight.drone_m.shape)
@@ -333,32 +257,13 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Fit a heliostat again and again to newly drawn observations.
 
-    Parameters
-    ----------
-    truth : HeliostatDesign
-        The heliostat as it is.
-    believed : HeliostatDesign
-        What is known before: values and prior sigmas.
-    draw : callable
-        Returns observations for a random generator.
-    trials : int
-        How often.
-    seed : int or tuple of int
-        Of all draws; trial t has a generator of its own.
-    evaluate : callable, optional
-        Returns k figures of the fitted heliostat, such as its tracking errors.
-
-    Returns
-    -------
-    MonteCarlo
-        All fits. The stated sigmas are believed, since the errors are drawn with them.
-
-    Raises
-    ------
-    InputError
-        No trial is asked for.
-    EstimationError
-        No trial gave a fit.
+    believed: What is known before: values and prior sigmas.
+    draw: Returns observations for a random generator.
+    seed: Of all draws; trial t has a generator of its own.
+    evaluate: Returns k figures of the fitted heliostat, such as its tracking errors.
+    Returns: All fits. The stated sigmas are believed, since the errors are drawn with them.
+    InputError: No trial is asked for.
+    EstimationError: No trial gave a fit.
     """
     if trials < 1:
         raise InputError(f"trials: at least one is needed, not {trials}")

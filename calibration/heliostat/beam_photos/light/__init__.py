@@ -8,10 +8,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.light.background import background_around as background_around
     from calibration.heliostat.beam_photos.light.beam_image import measure_beam as measure_beam
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "background_around": "calibration.heliostat.beam_photos.light.background",
-        "measure_beam": "calibration.heliostat.beam_photos.light.beam_image",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -108,30 +108,13 @@ def background_around(
 ) -> Background:
     """Estimate the target's own brightness from the pixels that no beam lights.
 
-    Parameters
-    ----------
-    values_dn : ndarray, shape (h, w)
-        Picture of the target [DN].
-    free : ndarray of bool, shape (h, w)
-        Pixels without a beam.
-    empty : ndarray, shape (h, w), optional
-        The target without a beam (`TargetSurface`) in the same pixels [DN].
-    full_scale_dn : float, optional
-        End of the grey scale [DN].
-    steps : sequence of ndarray, each of shape (h, w), optional
-        Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
-    continued : bool, optional
-        Whether what is left around the beam is continued under it; needed for the last answer only.
-
-    Returns
-    -------
-    Background
-        Its value everywhere, and what its uncertainty follows from.
-
-    Raises
-    ------
-    EstimationError
-        Fewer free pixels than the model has coefficients, or they do not determine it.
+    Shapes: values_dn (h, w), free (h, w).
+    empty (h, w): The target without a beam (`TargetSurface`) in the same pixels [DN].
+    full_scale_dn: End of the grey scale [DN].
+    steps (h, w): Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
+    continued: Whether what is left around the beam is continued under it; needed for the last answer only.
+    Returns: Its value everywhere, and what its uncertainty follows from.
+    EstimationError: Fewer free pixels than the model has coefficients, or they do not determine it.
     """
     degree = 2 if float(free.mean()) >= _FREE_FOR_QUADRATIC else 1
     basis = _basis(values_dn.shape, degree, empty)

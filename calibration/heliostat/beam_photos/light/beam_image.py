@@ -146,27 +146,12 @@ def measure_beam(
 ) -> Beam:
     """Measure the beam on a target.
 
-    Parameters
-    ----------
-    image : TargetImage
-        The rectified picture.
-    empty : TargetSurface, optional
-        The same target without a beam, rectified alike.
-    settings : BeamSettings, optional
-        Method and limits.
+    image: The rectified picture.
+    empty: The same target without a beam, rectified alike.
+    settings: Method and limits.
+    Returns: Place by all methods, size, shape, flags. A picture without a beam gives NaN and its flag.
+    InputError: The frame without a beam is of another size.
 
-    Returns
-    -------
-    Beam
-        Place by all methods, size, shape, flags. A picture without a beam gives NaN and its flag.
-
-    Raises
-    ------
-    InputError
-        The frame without a beam is of another size.
-
-    Notes
-    -----
     Beam and background are found in turn (`find_beam_region`). The intensity centroid is recommended: it makes no
     assumption about the shape, its outline at 10 % of the peak keeps errors of the background from the far target
     out, and on real beams the threshold at 50 % and the fits follow single bright streaks. Its sigma contains the

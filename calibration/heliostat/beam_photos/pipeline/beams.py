@@ -52,28 +52,15 @@ _AHEAD = 2
 class BeamMeasurements:
     """Beams of many photos, one row per photo in the order of the files.
 
-    Parameters
-    ----------
-    files : tuple of Path
-        The photos.
-    targets : tuple of str
-        Target of each.
-    x_m, y_m : ndarray, shape (n,)
-        Place on the target's plane, x right and y up as seen from the field; NaN where there is none [m].
-    covariance_m2 : ndarray, shape (n, 2, 2)
-        Its covariance [m^2].
-    moments_m2 : ndarray, shape (n, 2, 2)
-        Central second moments of the light: the beam's own size [m^2].
-    d50_m, d90_m : ndarray, shape (n,)
-        Diameters of the circles with 50 and 90 % of the light [m].
-    peak_dn, background_dn : ndarray, shape (n,)
-        Largest brightness above the target's own, and the target's own [DN].
-    methods_m, methods_sigma_m : dict of str to ndarray, shape (n, 2)
-        Place and sigma by each method; NaN where it gave none [m].
-    flags : ndarray of uint32, shape (n,)
-        Bits of `BeamFlag`.
-    notes : tuple of str
-        Notes on a photo beyond its flags (why the target was not found, what cannot be read).
+    x_m, y_m (n,): Place on the target's plane, x right and y up as seen from the field; NaN where there is none
+        [m].
+    covariance_m2 (n, 2, 2): Its covariance [m^2].
+    moments_m2 (n, 2, 2): Central second moments of the light: the beam's own size [m^2].
+    d50_m, d90_m (n,): Diameters of the circles with 50 and 90 % of the light [m].
+    peak_dn, background_dn (n,): Largest brightness above the target's own, and the target's own [DN].
+    methods_m, methods_sigma_m (n, 2): Place and sigma by each method; NaN where it gave none [m].
+    flags (n,): Bits of `BeamFlag`.
+    notes: Notes on a photo beyond its flags (why the target was not found, what cannot be read).
     """
 
     files: tuple[Path, ...]
@@ -119,31 +106,11 @@ def measure_beams(
 ) -> BeamMeasurements:
     """Measure the beams of many photos.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The photos.
-    targets : sequence of str
-        Target of each photo.
-    frames : mapping of str to TargetFrame
-        Where each target is.
-    settings : BeamSettings, optional
-        Method of the centroid, and limits.
-    jobs : int, optional
-        Threads; as many as there are processors (at most 8) if absent.
-    progress : Progress, optional
-        Notified of each photo.
-
-    Returns
-    -------
-    BeamMeasurements
-        One row per photo. A photo that cannot be read, shows no target or no beam has a flag and no place.
-
-    Raises
-    ------
-    InputError
-        No photo, lengths that differ, a target without a frame, or photos without a beam or templates that cannot be
-        used.
+    settings: Method of the centroid, and limits.
+    jobs: Threads; as many as there are processors (at most 8) if absent.
+    Returns: One row per photo. A photo that cannot be read, shows no target or no beam has a flag and no place.
+    InputError: No photo, lengths that differ, a target without a frame, or photos without a beam or templates that
+        cannot be used.
     """
     if not files or len(files) != len(targets):
         raise InputError(f"photos: {len(files)} files and {len(targets)} targets are given; one target for each photo")
@@ -176,17 +143,7 @@ def target_image(file: Path, frame: TargetFrame) -> TargetImage:
 def write_beams(path: Path, beams: BeamMeasurements) -> None:
     """Write beams to a table.
 
-    Parameters
-    ----------
-    path : Path
-        File to write (.csv).
-    beams : BeamMeasurements
-        What to write: one line per photo, also the rejected ones, with the reason.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    beams: What to write: one line per photo, also the rejected ones, with the reason.
     """
     sigma = beams.sigma_m
     shapes = np.where(np.isfinite(beams.moments_m2), beams.moments_m2, 0.0)

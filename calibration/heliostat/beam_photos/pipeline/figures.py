@@ -30,13 +30,7 @@ _LOW, _HIGH = 0.01, 0.999
 
 
 class BeamPainter:
-    """Draw photos of beams on their targets; what does not change from photo to photo is made once.
-
-    Parameters
-    ----------
-    frames : mapping of str to TargetFrame
-        Where each target is.
-    """
+    """Draw photos of beams on their targets; what does not change from photo to photo is made once."""
 
     def __init__(self, frames: Mapping[str, TargetFrame]) -> None:
         self._frames = frames

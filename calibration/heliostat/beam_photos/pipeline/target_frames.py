@@ -40,11 +40,8 @@ __all__ = [
 class WholeImage:
     """The photo shows exactly the target.
 
-    Parameters
-    ----------
-    places : {"edge", "index"}
-        "edge": the photo's outer edges are the target's. "index": a pixel's index over the number of pixels is its
-        place, as in crops of the PAINT data base.
+    places: "edge": the photo's outer edges are the target's. "index": a pixel's index over the number of pixels is
+        its place, as in crops of the PAINT data base.
     """
 
     places: Literal["edge", "index"] = "edge"
@@ -54,12 +51,8 @@ class WholeImage:
 class CornerPixels:
     """The target's corners are given.
 
-    Parameters
-    ----------
-    pixels_px : array_like, shape (4, 2)
-        Upper left, upper right, lower right, lower left as seen from the field [px].
-    sigma_px : float, optional
-        Their uncertainty [px].
+    pixels_px (4, 2): Upper left, upper right, lower right, lower left as seen from the field [px].
+    sigma_px: Their uncertainty [px].
     """
 
     pixels_px: FloatArray
@@ -70,12 +63,8 @@ class CornerPixels:
 class MarkerTemplates:
     """The target's corners have dark marks of which there are pictures.
 
-    Parameters
-    ----------
-    files : tuple of Path
-        Four pictures in the order of the corners.
-    anchors_px : tuple of (float, float), optional
-        The target's corner in each; the outer corner of the mark if absent [px].
+    files: Four pictures in the order of the corners.
+    anchors_px: The target's corner in each; the outer corner of the mark if absent [px].
     """
 
     files: tuple[Path, ...]
@@ -86,12 +75,8 @@ class MarkerTemplates:
 class ArucoMarkers:
     """The middles of four square markers are the target's corners.
 
-    Parameters
-    ----------
-    ids : tuple of int
-        Numbers of the markers in the order of the corners.
-    dictionary : str
-        OpenCV's name.
+    ids: Numbers of the markers in the order of the corners.
+    dictionary: OpenCV's name.
     """
 
     ids: tuple[int, ...]
@@ -100,13 +85,7 @@ class ArucoMarkers:
 
 @dataclass(frozen=True, slots=True)
 class DarkMarks:
-    """The target's corners have dark marks: angles (outer corner) or filled rectangles (inner corner).
-
-    Parameters
-    ----------
-    corner : {"outer", "inner"}
-        Which corner of a mark is the target's.
-    """
+    """The target's corners have dark marks: angles (outer corner) or filled rectangles (inner corner)."""
 
     corner: Literal["outer", "inner"] = "outer"
 
@@ -118,18 +97,12 @@ Source: TypeAlias = WholeImage | CornerPixels | MarkerTemplates | ArucoMarkers |
 class TargetFrame:
     """Where a target is in the photos of one camera.
 
-    Parameters
-    ----------
-    corners_m : array_like, shape (4, 2)
-        Its corners on its plane: upper left, upper right, lower right, lower left as seen from the field [m].
-    source : WholeImage, CornerPixels, MarkerTemplates, ArucoMarkers or DarkMarks
-        How they are found in a photo.
-    camera : Camera, optional
-        The lens.
-    empty_files : tuple of Path, optional
-        Photos of the target without a beam.
-    channel : str, optional
-        Colour that is measured: a sum of colours saturates sooner, and its centroid depends on their weights.
+    corners_m (4, 2): Its corners on its plane: upper left, upper right, lower right, lower left as seen from the
+        field [m].
+    source: How they are found in a photo.
+    camera: The lens.
+    empty_files: Photos of the target without a beam.
+    channel: Colour that is measured: a sum of colours saturates sooner, and its centroid depends on their weights.
     """
 
     corners_m: FloatArray

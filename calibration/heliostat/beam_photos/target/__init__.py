@@ -9,11 +9,4 @@ if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.target.view import view_from_points as view_from_points
     from calibration.heliostat.beam_photos.target.view import whole_image as whole_image
 
-__getattr__, __dir__, __all__ = lazy_face(
-    __name__,
-    {
-        "Rectifier": "calibration.heliostat.beam_photos.target.view",
-        "view_from_points": "calibration.heliostat.beam_photos.target.view",
-        "whole_image": "calibration.heliostat.beam_photos.target.view",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_face(__name__)

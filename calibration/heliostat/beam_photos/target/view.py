@@ -125,19 +125,10 @@ class _Maps(NamedTuple):
 class Rectifier:
     """Resample pictures of one camera onto the target's plane; the mapping is computed once for a series.
 
-    Parameters
-    ----------
-    view : TargetView
-        How the camera sees the target.
-    extent_m : array_like, shape (4,)
-        Left, right, lower and upper end of the rectified picture on the plane [m].
-    shape : tuple of int, optional
-        Rows and columns; as fine as the camera sees, at most 256 on the longer side, if absent.
-
-    Raises
-    ------
-    InputError
-        The extent is empty.
+    view: How the camera sees the target.
+    extent_m (4,): Left, right, lower and upper end of the rectified picture on the plane [m].
+    shape: Rows and columns; as fine as the camera sees, at most 256 on the longer side, if absent.
+    InputError: The extent is empty.
     """
 
     view: TargetView
@@ -226,27 +217,15 @@ def whole_image(
 ) -> TargetImage:
     """Take a picture that shows exactly the target, such as a crop that was rectified by another program.
 
-    Parameters
-    ----------
-    image_dn : ndarray, shape (h, w)
-        Grey values [DN].
-    corners_m : array_like, shape (4, 2)
-        Upper left, upper right, lower right, lower left corner as seen from the field: x right, y up [m].
-    by_index : bool, optional
-        Whether a pixel's index over the number of pixels is its place, as in the PAINT data base (its labels are
-        made so): pixel 0 is then centred on the target's edge. Otherwise the picture's outer edges are the target's.
-    full_scale_dn : float, optional
-        End of the grey scale; from the picture's type where that is an integer, else 255 [DN].
-
-    Returns
-    -------
-    TargetImage
-        The picture with its place on the plane; nothing is resampled.
-
-    Raises
-    ------
-    InputError
-        Not a grey picture, or corners that are mirrored or in the wrong order.
+    image_dn (h, w): Grey values [DN].
+    corners_m (4, 2): Upper left, upper right, lower right, lower left corner as seen from the field: x right, y up
+        [m].
+    by_index: Whether a pixel's index over the number of pixels is its place, as in the PAINT data base (its labels
+        are made so): pixel 0 is then centred on the target's edge. Otherwise the picture's outer edges are the
+        target's.
+    full_scale_dn: End of the grey scale; from the picture's type where that is an integer, else 255 [DN].
+    Returns: The picture with its place on the plane; nothing is resampled.
+    InputError: Not a grey picture, or corners that are mirrored or in the wrong order.
     """
     if image_dn.ndim != 2:
         raise InputError(f"image: shape (height, width) is needed, not {image_dn.shape}; make colours grey first")
@@ -264,29 +243,13 @@ def view_from_points(
 ) -> TargetView:
     """Find how a camera sees the target's plane from points on it.
 
-    Parameters
-    ----------
-    pixels_px : array_like, shape (n, 2)
-        Where at least four points are seen [px].
-    points_m : array_like, shape (n, 2)
-        Where they are on the target: x right, y up, as seen from the field [m].
-    camera : Camera, optional
-        The lens.
-    sigma_px : float, optional
-        Uncertainty of one measured coordinate; from the residuals if larger there and more than four points are
-        given [px].
-
-    Returns
-    -------
-    TargetView
-        The homography that fits best in pixels, its residuals and its covariance.
-
-    Raises
-    ------
-    InputError
-        Fewer than four points, points that lie on a line or cross over, a mirrored order.
-    EstimationError
-        The points do not fit one plane: the residual is larger than a fiftieth of the target.
+    pixels_px (n, 2): Where at least four points are seen [px].
+    points_m (n, 2): Where they are on the target: x right, y up, as seen from the field [m].
+    sigma_px: Uncertainty of one measured coordinate; from the residuals if larger there and more than four points
+        are given [px].
+    Returns: The homography that fits best in pixels, its residuals and its covariance.
+    InputError: Fewer than four points, points that lie on a line or cross over, a mirrored order.
+    EstimationError: The points do not fit one plane: the residual is larger than a fiftieth of the target.
     """
     measured = float_array("pixels_px", pixels_px, (None, 2))
     plane = float_array("points_m", points_m, (measured.shape[0], 2))
