@@ -1,5 +1,6 @@
 """The Python reference: a page made from the public faces, so that it lists what users may import and nothing else."""
 
+import re
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -12,11 +13,29 @@ PACKAGES = (
 )  # fmt: skip
 
 
+PREFACE = """# Python reference
+
+What stands here is public; everything else is internal and may change. `import heliogauge as hg` is the usual
+way in; the instruments' own faces are for those who build on a stage of a method.
+"""
+
+
 def write_reference(path: Path) -> None:
     """Write the page: each face with its paragraph and a table of its names, rooms with faces below their package."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     sections = [section for package in PACKAGES for section in _sections(package, "##")]
-    path.write_text("\n".join(sections), encoding="utf-8")
+    path.write_text("\n".join([PREFACE, *sections]), encoding="utf-8")
+
+
+def list_facts(lines: list[str]) -> list[str]:
+    """Turn the paragraphs of short docstrings whose lines are ``name (shape): meaning`` into lists."""
+    listed: list[str] = []
+    for paragraph in "\n".join(lines).split("\n\n"):
+        is_list = re.match(r"[A-Za-z_][\w, .]*( \([^\n]*?\))?: \S", paragraph) is not None
+        for line in paragraph.split("\n"):
+            item = f"  {line.strip()}" if line.startswith(" ") else f"- {line}"
+            listed.append(item if is_list else line)
+        listed.append("")
+    return listed
 
 
 def _sections(package: str, heading: str) -> list[str]:

@@ -75,7 +75,7 @@ class Result:
 
     @property
     def summary(self) -> dict[str, float | int | None]:
-        """Headline numbers, units in the names, "sigma_..." their standard deviations; None: not determined."""
+        """Headline numbers, units in their names, with their standard deviations; None: not determined."""
         return dict(self._summary.numbers)
 
     @property
