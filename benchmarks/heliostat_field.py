@@ -2,7 +2,7 @@
 
 Run: python benchmarks/heliostat_field.py [HELIOSTATS OBSERVATIONS]
 Asked: 10,000 heliostats x 100 observations within 10 minutes on 2 cores, memory flat. A smaller field is calibrated
-(200 by default) and the time of each heliostat is taken 10,000 times; what does not grow with their number is told
+(200 by default) and the time of each heliostat is taken 10,000 times; what does not grow with their number is reported
 apart by the field of twice the size. Each process has one thread.
 """
 

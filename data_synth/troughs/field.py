@@ -1,7 +1,9 @@
 """Several troughs in one frame, as a flight over a field sees them."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,12 +81,18 @@ def _shifted(rays: Rays, place_m: FloatArray, dtype: type[np.float32] | type[np.
     return rays._replace(x=rays.x - x, y=rays.y - y, z=rays.z - z)
 
 
-def field_of(
-    name: str, scenes: tuple[tuple[str, FloatArray, TroughScene], ...], views: tuple[TroughView, ...]
-) -> TroughScene:
+class NeighbourScene(NamedTuple):
+    """A single trough of a field: its name, place in the common frame [m] and scene."""
+
+    name: str
+    place_m: FloatArray
+    scene: TroughScene
+
+
+def field_of(name: str, scenes: Sequence[NeighbourScene], views: tuple[TroughView, ...]) -> TroughScene:
     """Put scenes of single troughs side by side.
 
-    scenes: Name of each trough, its place in the common frame [m], and its scene, whose own photos are left out.
+    scenes: The troughs; photos of their own are left out.
     views: Photos in the common frame.
     Returns: One scene; its list of targets is in the common frame.
     InputError: Two troughs use the same target.
@@ -99,7 +107,7 @@ def field_of(
     if len(set(names)) < len(names):
         raise InputError(f"scene {name}: a target stands at two troughs")
     troughs = tuple(PlacedTrough(label, scene.world, place) for label, place, scene in scenes)
-    first = scenes[0][2]
+    first = scenes[0].scene
     return replace(first, name=name, views=views, sheets=tuple(sheets), targets=tuple(targets), troughs=troughs)
 
 

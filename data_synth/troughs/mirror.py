@@ -197,6 +197,32 @@ class Rays(NamedTuple):
         return Rays(*(part[index] for part in self))
 
 
+class MirrorHits(NamedTuple):
+    """Where rays meet panels, and the slopes there, each of shape (n,) [m]."""
+
+    x: RayArray
+    y: RayArray
+    z: RayArray
+    slope_x: RayArray
+    slope_y: RayArray
+
+
+class _Coefficients(NamedTuple):
+    """``a t^2 + b t + c`` along each ray."""
+
+    a: RayArray
+    b: RayArray
+    c: RayArray
+
+
+class _SmoothTable(NamedTuple):
+    """slope_x, slope_y and height on a fine grid, shape (ny, nx, 3); its first point [m]; points per metre."""
+
+    values: Float32Array
+    first_m: tuple[float, float]
+    per_m: tuple[float, float]
+
+
 class MirrorTable:
     """The mirror as rays meet it.
 
@@ -217,7 +243,7 @@ class MirrorTable:
         self._inner_y = design.panel_edges_y_m[1:-1].astype(dtype)
         self._half_gap = dtype(design.panel_gap_m / 2)
         self._panels = None if mirror.panels is None else _panel_polynomials(mirror).astype(dtype)
-        self._table, self._first, self._per_m = _smooth_table(mirror)
+        self._table = _smooth_table(mirror)
 
     def meet(self, rays: Rays) -> RayArray:
         """Return where rays leave the inside of the (endless) design parabola, in lengths of the direction.
@@ -262,54 +288,51 @@ class MirrorTable:
                     row[np.abs(place - edge) < self._half_gap] = -1
         return row
 
-    def surface(
-        self, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16]
-    ) -> tuple[RayArray, RayArray, RayArray, RayArray, RayArray]:
+    def surface(self, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16]) -> "MirrorHits":
         """Return where rays that meet panels meet them, and the slopes there.
 
         Shapes: length (n,), panel (n,).
-        Returns: x, y, z [m] and both slopes.
         """
         x, y, z = rays.x + length * rays.dx, rays.y + length * rays.dy, rays.z + length * rays.dz
         height, slope_x, slope_y = self._slopes(x, y, panel)
         if not self._mirror.is_shaped:
-            return x, y, z, slope_x, slope_y
+            return MirrorHits(x, y, z, slope_x, slope_y)
         # Deviations are millimetres and change by milliradians: two steps leave nanometres.
         for _ in range(2):
             miss = x * x / self._four_f + height - z
             length = miss / (rays.dz - slope_x * rays.dx - slope_y * rays.dy)
             x, y, z = x + length * rays.dx, y + length * rays.dy, z + length * rays.dz
             height, slope_x, slope_y = self._slopes(x, y, panel)
-        return x, y, z, slope_x, slope_y
+        return MirrorHits(x, y, z, slope_x, slope_y)
 
-    def _quadratic(self, rays: Rays) -> tuple[RayArray, RayArray, RayArray]:
+    def _quadratic(self, rays: Rays) -> "_Coefficients":
         # Coefficients of (x^2 - 4 f z)(length), negative inside.
         half_b = rays.x * rays.dx - self._four_f / 2 * rays.dz
-        return rays.dx * rays.dx, 2 * half_b, rays.x * rays.x - self._four_f * rays.z
+        return _Coefficients(rays.dx * rays.dx, 2 * half_b, rays.x * rays.x - self._four_f * rays.z)
 
-    def _slopes(self, x: RayArray, y: RayArray, panel: npt.NDArray[np.int16]) -> tuple[RayArray, RayArray, RayArray]:
+    def _slopes(self, x: RayArray, y: RayArray, panel: npt.NDArray[np.int16]) -> HeightAndSlopes:
         slope_x: RayArray = x * (2 / self._four_f)
         slope_y: RayArray = np.zeros_like(x)
         height: RayArray = np.zeros_like(x)
         if self._table is not None:
-            column = ((x - self._first[0]) * self._per_m[0]).astype(np.float32)
-            row = ((y - self._first[1]) * self._per_m[1]).astype(np.float32)
-            both = cv2.remap(self._table, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+            table = self._table
+            column = ((x - table.first_m[0]) * table.per_m[0]).astype(np.float32)
+            row = ((y - table.first_m[1]) * table.per_m[1]).astype(np.float32)
+            edge = cv2.BORDER_REPLICATE
+            both = cv2.remap(table.values, column[None], row[None], cv2.INTER_LINEAR, borderMode=edge)[0]
             slope_x, slope_y, height = slope_x + both[:, 0], both[:, 1].astype(x.dtype), both[:, 2].astype(x.dtype)
         if self._panels is not None:
             c0, c1, c2, c3 = (row[panel] for row in self._panels)
             slope_x, slope_y = slope_x + c1 + c2 * x, slope_y + c3
             if self._mirror.is_shaped:
                 height = height + c0 + x * (c1 + c2 / 2 * x) + c3 * y
-        return height, slope_x, slope_y
+        return HeightAndSlopes(height, slope_x, slope_y)
 
 
-def _smooth_table(
-    mirror: TroughMirror,
-) -> tuple[Float32Array | None, tuple[float, float], tuple[float, float]]:
-    """Return slope_x, slope_y and height on a fine grid, its first point and the points per metre."""
+def _smooth_table(mirror: TroughMirror) -> _SmoothTable | None:
+    """Tabulate the smooth errors; None where there are none."""
     if not (mirror.errors.terms or mirror.transverse.terms or mirror.longitudinal.terms):
-        return None, (0.0, 0.0), (1.0, 1.0)
+        return None
     axes = []
     for edges in (mirror.collector.panel_edges_x_m, mirror.collector.panel_edges_y_m):
         size = min(ceil((edges[-1] - edges[0]) / _TABLE_STEP_M) + 1, _LARGEST_TABLE)
@@ -321,4 +344,4 @@ def _smooth_table(
         height, slope_x, slope_y = mirror.smooth(across, along)
         table[start : start + 64] = np.stack([slope_x, slope_y, height], axis=-1)
     first = float(x[0]), float(y[0])
-    return table, first, (1 / float(x[1] - x[0]), 1 / float(y[1] - y[0]))
+    return _SmoothTable(table, first, (1 / float(x[1] - x[0]), 1 / float(y[1] - y[0])))

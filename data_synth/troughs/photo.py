@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import ceil
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,6 +40,15 @@ class PhotoPoints:
 
     names: tuple[str, ...]
     pixels_px: FloatArray
+
+
+class _Cells(NamedTuple):
+    """Cells of pixels: row and column of the pixel, and how far down and right in it."""
+
+    row: IntArray
+    down: IntArray
+    column: IntArray
+    right: IntArray
 
 
 class Photographer:
@@ -88,12 +98,12 @@ class Photographer:
         fine = _between_corners(corner, self._cells)
         cells = fine.reshape(view.camera.height_px, self._cells, view.camera.width_px, self._cells)
         zero = np.zeros_like(row)
-        where = (row, zero, column, zero)
+        where = _Cells(row, zero, column, zero)
         if self._cells > 1:
             where = self._crossed_cells(tracer, rows, cells, (row, column))
         step = _BLOCK_RAYS // self._lattice.shape[1]
         for start in range(0, where[0].size, step):
-            part = tuple(axis[start : start + step] for axis in where)
+            part = _Cells(*(axis[start : start + step] for axis in where))
             cells[part] = self._look_into(tracer, rows, part, rng)
         return _gather(fine, self._cells, self._scene.optics.blur_sigma_px)
 
@@ -134,7 +144,7 @@ class Photographer:
 
     def _crossed_cells(
         self, tracer: Tracer | FieldTracer, rows: "_RowPoses", cells: Float32Array, pixels: tuple[IntArray, IntArray]
-    ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    ) -> "_Cells":
         """Look at the corners of all cells of some pixels, fill in even cells and return where the others are."""
         n = self._cells + 1
         share: RayArray = np.linspace(0, 1, n, dtype=self._dtype)
@@ -149,11 +159,13 @@ class Photographer:
             cells[row, :, column, :] = mean
             pixel, down, right = np.nonzero(_needs_more(light, label))
             found.append((row[pixel], down, column[pixel], right))
-        none = np.zeros(0, dtype=np.intp)
-        return tuple(np.concatenate([none, *axes]) for axes in zip(*found, strict=True)) if found else (none,) * 4  # type: ignore[return-value]
+        if not found:
+            none = np.zeros(0, dtype=np.intp)
+            return _Cells(none, none, none, none)
+        return _Cells(*(np.concatenate(axes) for axes in zip(*found, strict=True)))
 
     def _look_into(
-        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", where: tuple[IntArray, ...], rng: np.random.Generator
+        self, tracer: Tracer | FieldTracer, rows: "_RowPoses", where: "_Cells", rng: np.random.Generator
     ) -> Float32Array:
         """Return the mean light of cells, by row of the pixel, row within it, column, column within it, shape (n,)."""
         row, down, column, right = where

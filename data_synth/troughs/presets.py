@@ -1,6 +1,6 @@
 """Ready scenes of troughs: an LS-2 from a drone with slope errors, displaced or sagging absorber, clouds, ground."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from data_synth.optics.prints import DotPrint, Print, RingPrint
 from data_synth.optics.sheets import Sheet
 from data_synth.targets.scene import sheet_points
 from data_synth.troughs.errors import random_mirror, with_panel_heights
-from data_synth.troughs.field import field_of
+from data_synth.troughs.field import NeighbourScene, field_of
 from data_synth.troughs.mirror import TroughMirror
 from data_synth.troughs.paths import (
     absorber_pair,
@@ -151,7 +151,7 @@ def rim_targets(
     """
     places = []
     prints = target_prints(dictionary, diameter_m, n, first)
-    reach = max(figure.half_size_m[0] for _, figure in prints)
+    reach = max(figure.half_size_m[0] for figure in prints.values())
     across = collector.aperture_width_m / 2 + reach + 0.03
     along = collector.length_m / 2 - reach
     step = 2 * along / (n // 2 - 1)
@@ -165,7 +165,7 @@ def rim_targets(
 
 
 def placed_targets(
-    prints: list[tuple[str, Print]],
+    prints: Mapping[str, Print],
     stated_m: FloatArray,
     rng: np.random.Generator,
     *,
@@ -175,7 +175,7 @@ def placed_targets(
     """Put targets within a millimetre of where the list says.
 
     Shapes: stated_m (n, 3).
-    prints: Name and figure of each.
+    prints: Figure of each by its name.
     facing (3,): Where they look; +z without.
     on_collector: Whether the coordinates are listed; those of others are unknown.
     """
@@ -183,7 +183,7 @@ def placed_targets(
     if facing is not None:
         upright = np.stack([np.cross([0.0, 1.0, 0.0], facing), [0.0, 1.0, 0.0], facing], axis=1)
     sheets, targets = [], []
-    for (name, figure), stated in zip(prints, stated_m, strict=True):
+    for (name, figure), stated in zip(prints.items(), stated_m, strict=True):
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
         tilt = rotation_from_vector(np.array([*rng.uniform(-0.05, 0.05, 2), 0.0]))
         true = stated + TARGET_SIGMA_M * rng.standard_normal(3)
@@ -196,7 +196,7 @@ def placed_targets(
     return tuple(sheets), tuple(targets)
 
 
-def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) -> list[tuple[str, Print]]:
+def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) -> dict[str, Print]:
     """Return names and figures of targets.
 
     dictionary: Kind of targets, as in `TroughChoice`.
@@ -205,13 +205,13 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
     """
     numbers = range(first, first + n)
     if dictionary == UNCODED:
-        return [(f"dot{number + 1}", DotPrint(diameter_m)) for number in numbers]
+        return {f"dot{number + 1}": DotPrint(diameter_m) for number in numbers}
     if dictionary.startswith("DICT_"):
-        return [(str(number), marker_print(dictionary, number, 3 * diameter_m)) for number in numbers]
+        return {str(number): marker_print(dictionary, number, 3 * diameter_m) for number in numbers}
     codes = ring_dictionary(dictionary).codes
     if len(codes) < first + n:
         raise InputError(f"dictionary {dictionary} has {len(codes)} codes, {first + n} targets need one each")
-    return [(code.name, RingPrint(code, diameter_m)) for code in codes[first : first + n]]
+    return {code.name: RingPrint(code, diameter_m) for code in codes[first : first + n]}
 
 
 def _drone(choice: TroughChoice, rng: np.random.Generator, usual: int = 100) -> tuple[TroughView, ...]:
@@ -260,8 +260,8 @@ def _flight(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
         # The pattern of the ground goes on from row to row.
         around = replace(world.surroundings, ground=Ground(size_m=ROW_STEP_M))
         scene = replace(scene, world=replace(world, surroundings=around))
-        rows.append((name, np.array([number * ROW_STEP_M, 0.0, 0.0]), scene))
-    return field_of("two rows in one flight", tuple(rows), views)
+        rows.append(NeighbourScene(name, np.array([number * ROW_STEP_M, 0.0, 0.0]), scene))
+    return field_of("two rows in one flight", rows, views)
 
 
 def _ls2(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:

@@ -78,7 +78,7 @@ def test_slope_errors_and_displaced_absorber_move_the_edges_as_derived(
     for side in (-1, 1):
         assert sees_absorber(tracer, x, y, middle + side * (half - within), along).all()
         assert not sees_absorber(tracer, x, y, middle + side * (half + within), along).any()
-    # Negative control: the sign as printed in the thesis is told apart.
+    # Negative control: the sign as printed in the thesis is refused.
     assert not sees_absorber(tracer, x, y, 2 * mirror.theta_r_rad(x, y) - beta_0 + beta + 0.8 * half, along).all()
 
 

@@ -1,4 +1,4 @@
-"""Glass that nobody stated is told by a tube that looks wider near its own reflection; a bare tube is not blamed."""
+"""Glass that nobody stated shows in a tube that looks wider near its own reflection; a bare tube is not blamed."""
 
 from dataclasses import replace
 

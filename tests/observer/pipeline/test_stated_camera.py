@@ -1,4 +1,4 @@
-"""An adjustment that does not settle says what is usually wrong; a wrong focal length is told however well it fits."""
+"""An adjustment that does not settle says what is usually wrong; a wrong focal length is named however well it fits."""
 
 from pathlib import Path
 

@@ -178,7 +178,7 @@ def test_change_point_has_its_date_and_size(rng):
 
 
 def test_drift_has_its_rate(rng):
-    """A slow drift is told from a jump, with its rate within 4 sigma."""
+    """A slow drift is distinguished from a jump, with its rate within 4 sigma."""
     truth = drawn(nominal(), rng)
     times, suns = times_of(72), sun_directions(times_of(72), SITE)
     names = np.array(["upper", "lower"] * 36)
@@ -220,7 +220,7 @@ def test_worm_gear_has_its_period(rng):
 
 
 def test_sag(rng):
-    """Bending that follows the elevation is told where the range of angles lets it be."""
+    """Bending that follows the elevation is reported where the range of angles lets it be."""
     truth = with_drive_terms(drawn(nominal(), rng), 1, ("sag",), sag_zero_rad=0.0).with_value({"sag_2": 30e-3})
     findings = judged(seen(truth, rng)).findings
     assert findings
@@ -281,7 +281,7 @@ def test_azimuths_of_the_mirror_from_the_south(healthy, sign):
 
 @pytest.mark.parametrize(("axis", "severity"), [((0,), "doubt"), ((0, 1), "hint")])
 def test_spots_all_at_one_place(rng, axis, severity):
-    """A coordinate that never changes is told, and is no scale of the target."""
+    """A coordinate that never changes is reported, and is no scale of the target."""
     truth = drawn(nominal(), rng)
     times = times_of(72)
     suns = sun_directions(times, SITE)
@@ -337,7 +337,7 @@ def test_swapped_axes(healthy):
 
 
 def test_wrong_target_says_which(healthy, rng):
-    """Rows that name another target are told with the target that they fit."""
+    """Rows that name another target are reported with the target that they fit."""
     _, observations = healthy
     group = observations.groups[0]
     wrong = np.sort(rng.choice(72, 12, replace=False))

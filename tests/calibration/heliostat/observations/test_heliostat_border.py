@@ -1,4 +1,4 @@
-"""The border of heliostats: what is wrong with rows is told row by row, what is wrong with a column in one message."""
+"""The border of heliostats: what is wrong is reported row by row, what is wrong with a column in one message."""
 
 import json
 from collections.abc import Callable

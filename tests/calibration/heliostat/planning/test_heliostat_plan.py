@@ -186,7 +186,7 @@ def test_schedule_serves_everyone_once_at_a_time():
 
 
 def test_worst_first_and_so_many_a_day():
-    """The first day takes the worst; a day takes no more heliostats than asked; what has no room is told."""
+    """The first day takes the worst; a day takes no more heliostats than asked; what has no room is reported."""
     options = ScheduleOptions(slot_minutes=20.0, per_day=3)
     schedule = propose_schedule(needs(12, beams=3), SITE, DAYS[:2], options)
     days = {}
