@@ -6,7 +6,7 @@ INSTRUMENT = Instrument(
     name="camera",
     summary="Photos of a board or targets -> calibrated camera.",
     commands=Commands(
-        "calibrate", "calibration.cli:app", "Calibrate: heliostats; camera; response of camera and display."
+        "calibrate", "calibration.cli:app", "Calibrate a camera, the response of a display, or heliostats."
     ),
     kinds=(
         Kind(

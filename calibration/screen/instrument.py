@@ -6,7 +6,7 @@ INSTRUMENT = Instrument(
     name="screen",
     summary="Photographs of grey levels -> response of camera and display.",
     commands=Commands(
-        "calibrate", "calibration.cli:app", "Calibrate: heliostats; camera; response of camera and display."
+        "calibrate", "calibration.cli:app", "Calibrate a camera, the response of a display, or heliostats."
     ),
     kinds=(
         Kind(

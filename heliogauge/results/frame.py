@@ -33,6 +33,10 @@ class InstrumentResult(ABC):
     durations_s: Mapping[str, float] = field(default_factory=dict)
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 
+    def __init_subclass__(cls) -> None:
+        """Keep the short repr: a dataclass would write one that prints all arrays."""
+        cls.__repr__ = InstrumentResult.__repr__  # type: ignore[method-assign]
+
     @abstractmethod
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -44,6 +48,11 @@ class InstrumentResult(ABC):
     @abstractmethod
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
+
+    def __repr__(self) -> str:
+        """Show what it is and the most important numbers, not its arrays."""
+        more = f"; {len(self.doubts)} doubts" if self.doubts else ""
+        return f"<{self.kind} result of {self.name!r}{more}>\n{self.headline()}"
 
     def write(self, folder: Path) -> Summary:
         """Write all files into an existing folder, usually that of `heliogauge.results.folder.ResultFolder`.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
-from heliogauge.results.folder import ResultFolder, Summary, read_summary
+from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
 
 if TYPE_CHECKING:
     import pandas
@@ -29,6 +29,16 @@ class Tables(Mapping[str, Any]):
         import pandas
 
         return pandas.read_csv(self._files[name])
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a table of this name, without reading it."""
+        return name in self._files
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Read a table, or return the default where there is none."""
+        if name not in self:
+            return default
+        return self[name]
 
     def __iter__(self) -> Iterator[str]:
         """Go through the names."""
@@ -69,7 +79,9 @@ class Result:
         self.folder = Path(folder)
         if temporary:
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
-        self._summary: Summary = read_summary(self.folder / "summary.json")
+        if not (self.folder / SUMMARY_FILE).is_file():
+            raise InputError(f"{self.folder}: {_what_instead(self.folder)}")
+        self._summary: Summary = read_summary(self.folder / SUMMARY_FILE)
         self.kind, self.name = self._summary.kind, self._summary.name
         self.tables = Tables(self.folder)
 
@@ -146,3 +158,12 @@ class Result:
         shown += [f"  {one.severity}: {one.text}" for one in self.doubts[:3]]
         more = [f"  ... and {len(self.doubts) - 3} more doubts"] if len(self.doubts) > 3 else []
         return "\n".join([f"<{self.kind} result of {self.name!r}>", *shown, *more])
+
+
+def _what_instead(folder: Path) -> str:
+    """Say why a folder is not one of results."""
+    if not folder.is_dir():
+        return "there is no such folder"
+    if (folder / "measurement.toml").is_file():
+        return "a measurement, not results; evaluate it with `hg.measure` or on the command line first"
+    return f"no results, for there is no {SUMMARY_FILE} in it"

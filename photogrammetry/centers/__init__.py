@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from photogrammetry.centers.ellipse import Ellipse as Ellipse
     from photogrammetry.centers.ellipse import NamedEllipses as NamedEllipses
     from photogrammetry.centers.ellipse import eccentricity_px as eccentricity_px
+    from photogrammetry.centers.measured_centers import measure_center as measure_center
+    from photogrammetry.centers.measured_centers import measure_centers as measure_centers
     from photogrammetry.centers.target_center import TargetCenter as TargetCenter
-    from photogrammetry.centers.template import measure_center as measure_center
-    from photogrammetry.centers.template import measure_centers as measure_centers
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -10,9 +10,9 @@ from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import FlagArray, FloatArray
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
+from photogrammetry.centers.measured_centers import centers_near, measure_center, measure_centers
 from photogrammetry.centers.pyramid import make_pyramid
 from photogrammetry.centers.target_center import REACH, TargetCenter, UnmeasuredTargetError
-from photogrammetry.centers.template import centers_near, measure_center, measure_centers
 from photogrammetry.detection.decode import RingLimits, RingReading, read_rings, ring_outline
 from photogrammetry.detection.detect import SearchLimits, find_in_pyramid
 from photogrammetry.detection.detections import Detections

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, float_array
+from photogrammetry.centers.measured_centers import measure_center
 from photogrammetry.centers.target_center import TargetCenter
-from photogrammetry.centers.template import measure_center
 from photogrammetry.detection.detect import Candidate, find_candidates
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.photo_targets import TargetSearch

@@ -61,6 +61,26 @@ def test_tables_are_data_frames(result: hg.Result) -> None:
         result.tables["points"]
 
 
+def test_a_table_that_is_not_there(result: hg.Result) -> None:
+    assert "no_such" not in result.tables
+    assert result.tables.get("no_such") is None
+
+
+def test_a_measurement_is_no_result(facet: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a measurement, not results"):
+        hg.open(facet)
+    with pytest.raises(InputError, match="no such folder"):
+        hg.open(tmp_path / "absent")
+
+
+def test_the_result_of_a_stage_prints_no_arrays(facet: Path) -> None:
+    from deflectometry import run
+
+    text = repr(run(hg.load(facet)))
+    assert text.startswith("<deflectometry result of")
+    assert len(text) < 2000
+
+
 def test_results_appear_where_they_are_asked_for(facet: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert hg.measure(facet, out, grid_step_mm=20).folder == out

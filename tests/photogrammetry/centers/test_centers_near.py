@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
+from photogrammetry.centers.measured_centers import centers_near, measure_centers
 from photogrammetry.centers.target_center import TargetCenter
-from photogrammetry.centers.template import centers_near, measure_centers
 from photogrammetry.detection.photo_targets import TargetSearch, measure_at
 from tests.photogrammetry.drawing import blurred_coverage, tilted
 

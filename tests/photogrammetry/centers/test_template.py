@@ -7,8 +7,8 @@ from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray
 from photogrammetry.centers.disc_model import disc_model
 from photogrammetry.centers.ellipse import Ellipse
+from photogrammetry.centers.measured_centers import measure_center, measure_centers
 from photogrammetry.centers.target_center import TargetCenter
-from photogrammetry.centers.template import measure_center, measure_centers
 from tests.photogrammetry.drawing import blurred_coverage, ellipse_coverage, target_window, tilted
 
 CONTRAST = 160.0
