@@ -4,7 +4,6 @@ import ast
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from importlib.abc import InspectLoader
 from typing import Any, NamedTuple
 
 
@@ -49,5 +48,9 @@ def face_homes(source: str) -> dict[str, str]:
 
 def _source_of(package: str) -> str:
     spec = sys.modules[package].__spec__
-    loader = None if spec is None else spec.loader
-    return (loader.get_source(package) or "") if isinstance(loader, InspectLoader) else ""
+    # Loaders of zip files have the method, too, without being registered as `InspectLoader`.
+    read = getattr(spec.loader, "get_source", None) if spec is not None else None
+    source = read(package) if read is not None else None
+    if source is None:
+        raise ImportError(f"{package}: its source is needed to know its public names; install heliogauge with sources")
+    return str(source)

@@ -12,6 +12,7 @@ from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
 from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
 from typing import Any
 
 from heliogauge.errors import InputError
@@ -160,6 +161,23 @@ def refuse_hidden_packages() -> None:
         _refuse_hidden(point.module)
 
 
+def _import_beside_data(package: str) -> bool:
+    """Import a package that a folder of data of the same name would hide; return whether that was so.
+
+    A folder without ``__init__.py`` is found as a namespace before the packages of an editable installation.
+    """
+    hidden = PathFinder.find_spec(package)
+    if hidden is None or hidden.origin is not None:
+        return False
+    for finder in sys.meta_path:
+        spec = None if finder is PathFinder else finder.find_spec(package, None)
+        if spec is not None and spec.origin is not None and spec.loader is not None:
+            sys.modules[package] = module = module_from_spec(spec)
+            spec.loader.exec_module(module)
+            return True
+    return False
+
+
 def _refuse_hidden(module: str) -> None:
     package, _, inside = module.partition(".")
     if not inside:
@@ -167,6 +185,8 @@ def _refuse_hidden(module: str) -> None:
     loaded = sys.modules.get(package)
     if loaded is not None:
         file, places = getattr(loaded, "__file__", None), list(getattr(loaded, "__path__", ()))
+    elif _import_beside_data(package):
+        return
     elif spec := PathFinder.find_spec(package):
         file, places = spec.origin, list(spec.submodule_search_locations or ())
     else:

@@ -11,6 +11,8 @@ from heliogauge.validate import FloatArray
 
 #: A turn more uncertain than this is not determined [rad]; see `align_points`.
 _MOST_UNCERTAIN_RAD = 1 / 3
+#: Coordinates that differ by more than this share of the set's size contradict each other: no shape explains that.
+_CONTRADICTION = 0.1
 #: Relative error of the curvatures: products and eigenvalues of matrices of three rows round by a few units each.
 _ROUNDING = 10 * float(np.finfo(np.float64).eps)
 
@@ -48,6 +50,11 @@ def align_points(
     open above 1/3 rad: distances from the line are then less than three standard deviations, no more than what points
     of one line would show. s follows from what the motion leaves, and rounding adds to it, so that points exactly on a
     line are refused too. The same rule finds sets that fit a mirror image so well that no turn fits best.
+
+    s stands for noise only while it is small against the size of the set: a network whose points are uncertain by a
+    tenth of its size has not been measured. More than that comes from coordinates that contradict each other
+    (exchanged names, another unit). Such sets are aligned as far as they go, so that what follows can name the point
+    that contradicts; `Alignment.misfit_m` has the size of the contradiction.
     """
     count = len(points_a_m)
     if count < 3:
@@ -61,9 +68,17 @@ def align_points(
     rest = arms_b - scale * arms_a @ rotation.T
     misfit = float(np.sqrt((rest**2).sum() / (3 * count - (7 if with_scale else 6))))
     curvature = scale * float(np.linalg.eigvalsh(np.trace(symmetric) * np.eye(3) - symmetric)[0])
-    noise = misfit**2 + _ROUNDING * scale * abs(float(np.trace(symmetric)))
+    size = float(np.sqrt((arms_b**2).sum() / count))
+    contradicts = misfit > _CONTRADICTION * size
+    noise = _ROUNDING * scale * abs(float(np.trace(symmetric))) + (0.0 if contradicts else misfit**2)
     sigma_turn = float(np.sqrt(noise / curvature)) if curvature > 0 else float("inf")
     if not sigma_turn <= _MOST_UNCERTAIN_RAD:
+        if contradicts and not (_on_a_line(arms_a) or _on_a_line(arms_b)):
+            raise EstimationError(
+                f"alignment: the {count} points{_listed(names)} contradict each other: after the best motion "
+                f"coordinates differ by {misfit:.2g} m in a set of {size:.2g} m; look for a mirror image, exchanged "
+                "names or another unit"
+            )
         raise EstimationError(
             f"alignment: the {count} points are on one line as far as they can tell{_listed(names)}: across it they "
             f"reach {np.sqrt(max(curvature, 0.0) / count):.2g} m (RMS), after the alignment coordinates differ by "
@@ -71,6 +86,12 @@ def align_points(
             f"{_MOST_UNCERTAIN_RAD:.2g}); add a point beside the line"
         )
     return Alignment(RigidTransform(rotation, middle_b - scale * rotation @ middle_a), scale, misfit, sigma_turn)
+
+
+def _on_a_line(arms_m: FloatArray) -> bool:
+    """Whether points about their middle lie on a line to rounding."""
+    spread = np.linalg.eigvalsh(arms_m.T @ arms_m)
+    return bool(spread[0] + spread[1] <= 10 * _ROUNDING * spread[2])
 
 
 def _listed(names: Sequence[str]) -> str:

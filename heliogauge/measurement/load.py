@@ -39,7 +39,7 @@ def load(folder: str | Path) -> Any:
         No such folder or file, not TOML, an unknown kind, an unknown or missing key, a value of the wrong type or out
         of range, or a file that does not exist.
     """
-    folder = Path(folder)
+    folder = Path(folder).expanduser()
     return resolve(kind_of(folder).load)(folder)
 
 

@@ -30,6 +30,8 @@ code { font-size: .9em; background: #f3f5f7; padding: .1em .3em; border-radius: 
 .warnings { border-left: 5px solid var(--warn); background: #fdf3ee; padding: .7em 1.2em; margin: 1em 0;
   border-radius: 0 6px 6px 0; }
 .warnings strong { color: var(--warn); }
+.warnings li.serious { font-weight: 600; }
+.warnings li.note { color: var(--faint, #667); }
 .warnings ul { margin: .3em 0; padding-left: 1.2em; }
 .fine { border-left: 5px solid #2f8f5b; background: #eff8f2; padding: .7em 1.2em; margin: 1em 0;
   border-radius: 0 6px 6px 0; }

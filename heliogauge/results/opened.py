@@ -1,5 +1,6 @@
 """The results of any instrument as one view of their folder."""
 
+import os
 import shutil
 import weakref
 from collections.abc import Iterator, Mapping
@@ -76,14 +77,15 @@ class Result:
     """
 
     def __init__(self, folder: str | Path, *, temporary: bool = False) -> None:
-        self.folder = Path(folder)
+        self.folder = Path(folder).expanduser().absolute()
+        self.tables = Tables(self.folder)
         if temporary:
-            weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+            # Tables outlive the view that they were taken from.
+            weakref.finalize(self.tables, _remove, self.folder, os.getpid())
         if not (self.folder / SUMMARY_FILE).is_file():
             raise InputError(f"{self.folder}: {_what_instead(self.folder)}")
         self._summary: Summary = read_summary(self.folder / SUMMARY_FILE)
         self.kind, self.name = self._summary.kind, self._summary.name
-        self.tables = Tables(self.folder)
 
     @property
     def summary(self) -> dict[str, float | int | None]:
@@ -158,6 +160,12 @@ class Result:
         shown += [f"  {one.severity}: {one.text}" for one in self.doubts[:3]]
         more = [f"  ... and {len(self.doubts) - 3} more doubts"] if len(self.doubts) > 3 else []
         return "\n".join([f"<{self.kind} result of {self.name!r}>", *shown, *more])
+
+
+def _remove(folder: Path, process: int) -> None:
+    """Remove a temporary folder, but not from a copy of the process that made it."""
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _what_instead(folder: Path) -> str:

@@ -55,11 +55,11 @@ def measure(
     from heliogauge.measurement.load import kind_of
     from heliogauge.results.opened import Result
 
-    folder = Path(folder)
+    folder = Path(folder).expanduser()
     kind = kind_of(folder)
     choices = _options(kind, options)
     measurement = resolve(kind.load)(folder)
-    target = Path(mkdtemp(prefix="heliogauge-")) if out is None else Path(out)
+    target = Path(mkdtemp(prefix="heliogauge-")) if out is None else Path(out).expanduser()
     try:
         _measure_into(kind, measurement, target, choices, progress, force=force, report=report)
     except BaseException:
@@ -112,7 +112,7 @@ def report(out: str | Path) -> Path:
     """
     from heliogauge.reporting.build import build_report
 
-    return build_report(Path(out))
+    return build_report(Path(out).expanduser())
 
 
 def synth(
@@ -156,8 +156,8 @@ def synth(
         known = ", ".join(one.name for one in instruments() if one.synth)
         raise InputError(f"instrument {instrument!r} has no synthetic measurements; these have: {known}")
     chosen = {} if preset is None else {"preset": preset}
-    resolve(scene)(Path(folder), **chosen, seed=seed, force=force, progress=progress)
-    return Path(folder)
+    resolve(scene)(Path(folder).expanduser(), **chosen, seed=seed, force=force, progress=progress)
+    return Path(folder).expanduser()
 
 
 def _options(kind: Kind, given: dict[str, Any]) -> Any:

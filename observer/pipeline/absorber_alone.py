@@ -132,7 +132,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         network,
         solution,
         name=model.name,
-        doubts=gather_doubts(network.doubts, doubts),
+        doubts=gather_doubts(measurement.doubts, network.doubts, doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )

@@ -208,7 +208,7 @@ def _agreeing(before: SurfacePoints, now: SurfacePoints) -> BoolArray:
             best, best_size = size, float(np.median(size))
     # Half of the targets move less than the median by definition; three times it keeps all that are at rest.
     sigma = np.sqrt((before.sigma_m**2).sum(axis=1) + (now.sigma_m**2).sum(axis=1))
-    return np.asarray(best <= np.maximum(3 * best_size, 5 * sigma))
+    return np.asarray(np.isfinite(best) & (best <= np.maximum(3 * best_size, 5 * sigma)))
 
 
 def _tested(fit: RigidFit) -> tuple[FloatArray, np.ndarray]:

@@ -136,3 +136,12 @@ def test_other_files_of_the_users_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "sub" / "observer.py").write_text("print('executed')\n", encoding="utf-8")
     answer = run_python("from heliogauge.instruments import instruments; print(len(instruments()))", tmp_path)
     assert answer.stdout == f"{len(instruments())}\n", answer.stderr
+
+
+def test_a_folder_of_data_with_a_name_of_ours_does_no_harm(tmp_path: Path) -> None:
+    for name in ("observer", "calibration"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "photo.txt").write_text("data", encoding="utf-8")
+    program = "from heliogauge.instruments import instruments; import observer; print(len(instruments()), observer.run)"
+    answer = run_python(program, tmp_path)
+    assert answer.stdout.startswith(f"{len(instruments())} <function"), answer.stderr
