@@ -17,6 +17,14 @@ app = typer.Typer(
 )
 
 
+OutFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)]
+Replace = Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")]
+Scale = Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")]
+NoiseDn = Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")]
+BlurPx = Annotated[float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")]
+JpegQuality = Annotated[int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")]
+
+
 @app.callback()
 def synth() -> None:
     """Make a measurement folder with known truth."""
@@ -24,7 +32,7 @@ def synth() -> None:
 
 @app.command()
 def fringes(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: OutFolder,
     preset: Annotated[
         str,
         typer.Option(
@@ -37,9 +45,7 @@ def fringes(
     shot_gain_dn: Annotated[float, typer.Option(min=0.0, help="DN per electron; 0: no shot noise.")] = 0.0,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the images.")] = 8,
     gamma: Annotated[float, typer.Option(min=0.1, help="Exponent of the display; written to response.csv.")] = 1.0,
-    blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
-    ] = None,
+    blur_px: BlurPx = None,
     periods: Annotated[
         str, typer.Option(help="Periods over the screen, both directions, with commas.")
     ] = "0.9,3.9,15.9,63.9",
@@ -52,7 +58,7 @@ def fringes(
         ),
     ] = None,
     pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -81,7 +87,7 @@ def fringes(
 
 @app.command()
 def targets(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: OutFolder,
     preset: Annotated[
         str,
         typer.Option(
@@ -90,7 +96,7 @@ def targets(
         ),
     ] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
-    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
+    scale: Scale = 1.0,
     photos: Annotated[int | None, typer.Option(min=1, help="Only the first so many photos.")] = None,
     points_only: Annotated[
         bool, typer.Option("--points-only", help="Write image_points.csv instead of photos: quick, also for panel.")
@@ -101,17 +107,11 @@ def targets(
     ] = None,
     light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Print white on black.")] = False,
     mirrored: Annotated[bool, typer.Option("--mirrored", help="Print the wrong way round.")] = False,
-    noise_dn: Annotated[
-        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
-    ] = None,
-    blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
-    ] = None,
+    noise_dn: NoiseDn = None,
+    blur_px: BlurPx = None,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
-    jpeg_quality: Annotated[
-        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    jpeg_quality: JpegQuality = None,
+    force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -131,25 +131,19 @@ def targets(
 
 @app.command()
 def board(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: OutFolder,
     preset: Annotated[
         str, typer.Option(help="Board: chessboard, charuco, circles, circles-asymmetric, targets.")
     ] = "chessboard",
     photos: Annotated[int, typer.Option(min=1, help="Number of photos.")] = 12,
     flat: Annotated[bool, typer.Option("--flat", help="A flat and square print; real ones are neither.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
-    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
-    noise_dn: Annotated[
-        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
-    ] = None,
-    blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
-    ] = None,
+    scale: Scale = 1.0,
+    noise_dn: NoiseDn = None,
+    blur_px: BlurPx = None,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
-    jpeg_quality: Annotated[
-        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    jpeg_quality: JpegQuality = None,
+    force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -168,7 +162,7 @@ def board(
 
 @app.command()
 def trough(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: OutFolder,
     preset: Annotated[
         str,
         typer.Option(
@@ -183,7 +177,7 @@ def trough(
     photos: Annotated[
         int | None, typer.Option(min=2, help="Number of photos over the same path; default: from the preset.")
     ] = None,
-    scale: Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")] = 1.0,
+    scale: Scale = 1.0,
     dictionary: Annotated[
         str, typer.Option(help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), or circles.")
     ] = "aicon-12",
@@ -206,16 +200,10 @@ def trough(
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
-    noise_dn: Annotated[
-        float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")
-    ] = None,
-    blur_px: Annotated[
-        float | None, typer.Option(min=0.0, help="Gaussian blur of the lens; default: from the preset.")
-    ] = None,
-    jpeg_quality: Annotated[
-        int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    noise_dn: NoiseDn = None,
+    blur_px: BlurPx = None,
+    jpeg_quality: JpegQuality = None,
+    force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -238,7 +226,7 @@ def trough(
 
 @app.command()
 def heliostat(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: OutFolder,
     preset: Annotated[
         str,
         typer.Option(
@@ -272,7 +260,7 @@ def heliostat(
             "times."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")] = False,
+    force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:

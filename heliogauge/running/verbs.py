@@ -166,7 +166,8 @@ def _options(kind: Kind, given: dict[str, Any]) -> Any:
     known = [] if options_type is None else [field.name for field in fields(options_type)]
     for name in given:
         if name not in known:
-            raise InputError(f"option {name!r} is not one of the kind {kind.name!r}; {near_match(name, known)}")
+            hint = near_match(name, known) if known else "it has none"
+            raise InputError(f"option {name!r} is not one of the kind {kind.name!r}; {hint}")
     if options_type is None:
         return None
     from pydantic import TypeAdapter, ValidationError

@@ -125,7 +125,7 @@ def test_a_plan_is_measured_like_all_others(tmp_path: Path) -> None:
     assert len(result.tables["stations"]) >= 4
     with pytest.raises(InputError, match=r"'photogrammetry-plan' have no slope map"):
         _ = result.slope_map
-    with pytest.raises(InputError, match="option 'jobs' is not one of the kind"):
+    with pytest.raises(InputError, match="option 'jobs' is not one of the kind 'photogrammetry-plan'; it has none"):
         hg.measure(tmp_path, jobs=1)
 
 
