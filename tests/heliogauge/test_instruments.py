@@ -142,6 +142,6 @@ def test_a_folder_of_data_with_a_name_of_ours_does_no_harm(tmp_path: Path) -> No
     for name in ("observer", "calibration"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "photo.txt").write_text("data", encoding="utf-8")
-    program = "from heliogauge.instruments import instruments; import observer; print(len(instruments()), observer.run)"
-    answer = run_python(program, tmp_path)
+    program = "from heliogauge.instruments import instruments; n = len(instruments()); import observer"
+    answer = run_python(program + "; print(n, observer.run)", tmp_path)
     assert answer.stdout.startswith(f"{len(instruments())} <function"), answer.stderr
