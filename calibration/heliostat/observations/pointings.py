@@ -139,7 +139,8 @@ class ObservationGroup:
         changes: dict[str, object] = {"pointings": self.pointings.select(mask)}
         for item in fields(self):  # type: ignore[arg-type]
             value = getattr(self, item.name)
-            if item.name in _PER_ROW and value is not None:
+            # One camera that all lamps share is a value, cameras of rows are names.
+            if item.name in _PER_ROW and isinstance(value, tuple | np.ndarray):
                 changes[item.name] = tuple(value[i] for i in kept) if isinstance(value, tuple) else value[mask]
         return replace(self, **changes)  # type: ignore[type-var]
 

@@ -134,3 +134,11 @@ def test_noise_gives_the_published_magnitudes(axes_rad, lamps_m, published_mrad)
     assert published_mrad / 4 < mean < 2.3 * published_mrad
     if lamps_m == 0:
         assert 0.6 < np.sqrt(np.mean(squares)) < 1.4
+
+
+def test_some_of_the_sightings_keep_the_one_camera():
+    seen = sightings(np.random.default_rng(1), calibrated=True)
+    some = seen.select(np.arange(len(seen)) % 2 == 0)
+    assert some.camera is seen.camera
+    assert some.lamp == seen.lamp[::2]
+    np.testing.assert_array_equal(some.lamp_m, seen.lamp_m[::2])
