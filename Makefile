@@ -49,7 +49,7 @@ slow: .make/dev
 	$(PYTEST) -q -m slow || [ $$? -eq 5 ]
 
 docs: .make/docs
-	rm -rf docs/api  # pages of modules that are gone
+	rm -rf docs/reference/api  # pages of modules that are gone
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
@@ -57,7 +57,7 @@ bench: .make/dev
 	@for script in benchmarks/[!_]*.py; do echo "== $$script"; $(ONE_THREAD) $(BIN)/python "$$script" || exit 1; done
 
 clean:
-	rm -rf $(VENV) .make build dist *.egg-info docs/_build docs/api demo-result .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .make build dist *.egg-info docs/_build docs/reference/api docs/reference/api.md demo-result .pytest_cache .mypy_cache .ruff_cache
 
 # Stamps: an install runs again only when pyproject.toml changes. The install is editable, so sources need none.
 .make/venv:

@@ -1,30 +1,36 @@
 """Sphinx configuration; the build uses nothing but the source tree and the installed packages."""
 
+import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+DOCS = Path(__file__).resolve().parent
+sys.path[:0] = [str(DOCS), str(DOCS.parent)]
+
+import typer
+from command_pages import command_pages
+from doubt_pages import doubt_pages
+from face_pages import list_facts, write_reference
 
 from heliogauge import __version__
 from heliogauge.instruments import every_kind
 from heliogauge.measurement.key_tables import key_pages
 from heliogauge.measurement.templates import write_template
+from heliogauge.running.cli import app as command_line
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from face_pages import list_facts, write_reference
-
-# The pages on measurement files show the templates that `heliogauge init` writes, not copies that could grow old.
-write_template("deflectometry", Path(__file__).resolve().parent / "_build", force=True)
-write_template("response", Path(__file__).resolve().parent / "_build" / "response", force=True)
-
-# Every key of every kind, as the models have it that check the file.
-(Path(__file__).resolve().parent / "_build" / "keys.md").write_text(key_pages(every_kind().values()), encoding="utf-8")
-
-# The reference lists the public faces as they are.
-write_reference(Path(__file__).resolve().parent / "api.md")
+# What the code knows is written by the code: templates, keys, commands, doubts and public faces cannot grow old.
+BUILT = DOCS / "_build"
+for kind in every_kind():
+    write_template(kind, BUILT / "templates" / kind, force=True)
+(BUILT / "keys.md").write_text(key_pages(every_kind().values()), encoding="utf-8")
+commands = command_pages(typer.main.get_command(command_line), "heliogauge")
+(BUILT / "commands.md").write_text(commands, encoding="utf-8")
+(BUILT / "doubts.md").write_text(doubt_pages(DOCS.parent), encoding="utf-8")
+write_reference(DOCS / "reference" / "api.md")
 
 project = "heliogauge"
-copyright = "the heliogauge contributors"
+copyright = "the heliogauge developers"
 release = __version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
 exclude_patterns = ["_build"]
@@ -41,16 +47,45 @@ autodoc_typehints = "none"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
-html_theme = "alabaster"
-html_theme_options = {"description": "Metrology of solar mirrors", "fixed_sidebar": True, "page_width": "1100px"}
+# MathJax comes from an installed package: pages are read without a network. These parts of it are whole in themselves;
+# the ready-made bundles look for speech rules elsewhere.
+MATHJAX = ("startup.js", "core.js", "input/tex.js", "output/svg.js", "output/svg/fonts/tex.js")
+mathjax_path = "mathjax/startup.js"
+mathjax3_config = {"loader": {"load": ["core", "input/tex", "output/svg", "output/svg/fonts/tex"]}}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "heliogauge"
+html_theme_options = {
+    "show_prev_next": False,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_static_path = ["_static"]
+html_css_files = ["wide_tables.css"]
+html_sidebars = {"index": []}
 html_show_sourcelink = False
 
 
 def setup(app):
-    """Let Sphinx show short docstrings as lists; those with numpydoc's sections stay as they are."""
-
-    def show_facts(app, what, name, value, options, lines):
-        if not any(set(line) == {"-"} for line in lines):
-            lines[:] = list_facts(lines)
-
+    """Connect what Sphinx is to do beside its own steps."""
+    # Short docstrings are shown as lists; those with numpydoc's sections stay as they are.
     app.connect("autodoc-process-docstring", show_facts, priority=100)
+    app.connect("build-finished", copy_mathjax)
+
+
+def show_facts(app, what, name, value, options, lines):
+    """Turn short docstrings into lists."""
+    if not any(set(line) == {"-"} for line in lines):
+        lines[:] = list_facts(lines)
+
+
+def copy_mathjax(app, failure):
+    """Put MathJax beside the pages."""
+    if failure is None and app.builder.format == "html":
+        source = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0]) / "static" / "mathjax"
+        for name in MATHJAX:
+            target = Path(app.outdir) / "_static" / "mathjax" / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source / name, target)

@@ -36,7 +36,7 @@ class RingLimits:
         dot.
     most_misfit: Rms of ink away from all borders against the code read, as a share of the dot's contrast.
 
-    Measured on busy ground: docs/targets.md.
+    Measured on busy ground: docs/explanation/target_detection.md.
     """
 
     least_contrast: float = 0.3
