@@ -27,6 +27,7 @@ from heliogauge.measurement.models import (
     Vector3,
     repeated,
 )
+from heliogauge.short_repr import ShortRepr
 
 # --- camera ---------------------------------------------------------------------------------------------------------
 
@@ -294,7 +295,7 @@ class DeflectometryModel(MeasurementModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeflectometryMeasurement:
+class DeflectometryMeasurement(ShortRepr):
     """A checked deflectometry measurement: what the file says, and where its files are.
 
     folder: The measurement's folder.

@@ -6,6 +6,8 @@ from enum import StrEnum
 from math import isfinite, nan
 from typing import Any
 
+from heliogauge.short_repr import ShortRepr
+
 
 class Severity(StrEnum):
     """How much a doubt weighs; the order is that of the weights.
@@ -22,7 +24,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class Doubt(ShortRepr):
     """A finding that makes a result doubtful.
 
     Decisions are taken on `code` and `numbers`, never on the words of `text`.

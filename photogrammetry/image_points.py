@@ -7,11 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImagePoints:
+class ImagePoints(ShortRepr):
     """Measured image points, one row each, of named targets in named photos.
 
     Parameters

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array, FloatArray, float_array, freeze
 
 #: Pixels linearised at a time; the block and its look-up stay in the second-level cache.
@@ -15,7 +16,7 @@ _BLOCK_PIXELS = 65536
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScreenResponse:
+class ScreenResponse(ShortRepr):
     """Monotone look-up from camera readings to display levels, linear between its nodes.
 
     Parameters

@@ -18,6 +18,7 @@ from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 
 TRUTH_FILE = "truth.json"
 TRUTH_ARRAYS_FILE = "truth.npz"
@@ -25,7 +26,7 @@ SYNTHETIC = FolderKind(content="synthetic measurements", mark=TRUTH_FILE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DatasetOptions:
+class DatasetOptions(ShortRepr):
     """How a scene becomes a folder.
 
     seed: Seed of all noise; the same seed gives the same files.

@@ -15,6 +15,7 @@ from data_synth.optics.sensor import Sensor, UnsignedArray
 from data_synth.optics.trace import Bench, Traced
 from deflectometry.setup import Axis, FringePattern
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
 #: Rays traced at once: their dozen float64 arrays then stay near the processor (64k rays: 0.5 MB an array).
@@ -66,7 +67,7 @@ class Lighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FringeScene:
+class FringeScene(ShortRepr):
     """Everything that determines a fringe measurement.
 
     bench: Camera, mirror pose and screen.

@@ -32,6 +32,7 @@ from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.tables import write_camera_json, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 _Array: TypeAlias = npt.NDArray[Any]
@@ -57,7 +58,7 @@ class HeliostatOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeliostatTruth:
+class HeliostatTruth(ShortRepr):
     """Truth of a synthetic measurement of heliostats; arrays have one entry for each row of observations.csv.
 
     parameters: The content of truth.json: site, targets, and of each heliostat its true numbers and its faults.

@@ -10,6 +10,7 @@ from data_synth.optics.surface_errors import SurfaceErrors
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between
 from heliogauge.geometry.surfaces import HeightAndSlopes
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, float_array
 
 #: Parameters each design needs.
@@ -23,7 +24,7 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design:
+class Design(ShortRepr):
     """A design surface ``p S p + l p + c = 0``, seen from a facet's frame; z > 0 is the reflecting side.
 
     shape: One of plane, sphere, paraboloid, paraboloid_xy or trough (curved along x); its vertex is the optic's
@@ -133,7 +134,7 @@ class MetPoints(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SyntheticFacet:
+class SyntheticFacet(ShortRepr):
     """One facet of the synthetic mirror: design plus analytic errors, cut out by its outline.
 
     outline_m (n, 2): Corners in the facet's x, y, counter-clockwise from the front [m].

@@ -7,6 +7,7 @@ import numpy as np
 from data_synth.optics.prints import Print
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
 #: Steps to the bent sheet; each gains two digits at a slope of 0.01 seen under 45 deg.
@@ -64,7 +65,7 @@ class SheetShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
+class Sheet(ShortRepr):
     """A printed sheet in space: x right and y up as seen from the front, z towards the viewer, origin in its middle.
 
     name: What the points on it are called after.

@@ -9,6 +9,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.geometry.surfaces import HeightAndSlopes
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, positive
 
 
@@ -219,7 +220,7 @@ _KINDS: dict[str, type[Any]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceErrors:
+class SurfaceErrors(ShortRepr):
     """Sum of analytic deviations of one facet.
 
     terms: What is added to the design; nothing: a perfect facet.

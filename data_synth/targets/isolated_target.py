@@ -9,6 +9,7 @@ from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.prints import DotPrint, RingPrint
 from data_synth.optics.sheets import Sheet
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array, FloatArray, freeze, positive
 from photogrammetry.targets import RingCode
 
@@ -18,7 +19,7 @@ _DISTANCE_M = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class IsolatedTarget:
+class IsolatedTarget(ShortRepr):
     """How one target is photographed.
 
     diameter_px: Largest diameter of the dot's image [px].

@@ -8,11 +8,12 @@ import numpy.typing as npt
 from deflectometry.fringes.phase import LightResponse, NoiseModel
 from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup.patterns import FringePattern
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observation:
+class Observation(ShortRepr):
     """The images of one measurement.
 
     frames (n, h, w): Fringe frames in the order of the pattern [DN].

@@ -19,6 +19,7 @@ from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.running.progress import Progress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
 
 #: Pixels for the common modes: with 400 the coefficients of degree 3 are known 30 times better than one pixel.
@@ -26,7 +27,7 @@ MODE_PIXELS = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class Evaluation(ShortRepr):
     """Everything a measurement gave.
 
     located: Pose before alignment and its evidence.

@@ -12,11 +12,12 @@ from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MirrorInput:
+class MirrorInput(ShortRepr):
     """What is known of the mirror before it is measured.
 
     facets: Facets with outline and design; empty where the outline is not known.

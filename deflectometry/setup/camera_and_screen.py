@@ -8,6 +8,7 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import (
     AnyFloatArray,
     BoolArray,
@@ -174,7 +175,7 @@ def _thin_plate_kernel(points: FloatArray, nodes: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setup:
+class Setup(ShortRepr):
     """Camera and screen in one frame.
 
     camera: The camera with the covariance of its parameters.

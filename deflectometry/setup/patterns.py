@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, positive
 
 #: Smallest singular value of (1, cos s, sin s) / sqrt(n) that still counts as rank 3. Steps typed in degrees with
@@ -49,7 +50,7 @@ def determines_phase(steps_rad: npt.ArrayLike) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FringeSet:
+class FringeSet(ShortRepr):
     """Frames of one fringe period in one direction: ``I_k = a + b cos(2 pi periods w - steps_k)``, w = u or v.
 
     axis: Direction in which the fringes vary.
@@ -80,7 +81,7 @@ class FringeSet:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FringePattern:
+class FringePattern(ShortRepr):
     """All frames of a measurement, in the order in which they were taken.
 
     sets: The sets in the order of their frames; both axes occur, in any order.

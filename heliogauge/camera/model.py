@@ -11,6 +11,7 @@ from heliogauge.camera.distortion import BrownDistortion, coordinates
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.rigid import skew as skew_matrices
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
 
 #: Order of the parameters in vectors, Jacobians and covariances.
@@ -74,7 +75,7 @@ class LinesOfSight(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(ShortRepr):
     """A central camera with Brown distortion.
 
     Parameters

@@ -7,11 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigidTransform:
+class RigidTransform(ShortRepr):
     """The transform ``b_from_a``: ``x_b = rotation @ x_a + translation_m``.
 
     Parameters

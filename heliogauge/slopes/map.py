@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.flags import REJECTED
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
 
 
@@ -89,7 +90,7 @@ def monomials(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SlopeMap:
+class SlopeMap(ShortRepr):
     """Slopes of a mirror on a regular grid, beside the design's.
 
     Parameters

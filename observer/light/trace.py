@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.sunlight.rays import Illumination, RayBlock, reflected_rays
 from heliogauge.sunlight.sun_shapes import SunShape
@@ -16,7 +17,7 @@ _PATH_STEPS = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Sunlight:
+class Sunlight(ShortRepr):
     """The light on a trough.
 
     sun: Radiance about the sun's centre.

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.views import View
 from observer.planning.simulated_edges import in_image
@@ -40,7 +41,7 @@ class PlannedNetwork:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Believed:
+class Believed(ShortRepr):
     """Cameras and poses as the photo network of one measurement finds them.
 
     views: Camera and ``cam_from_frame`` of each photo.

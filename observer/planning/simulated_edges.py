@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.geometry.surfaces import Quadric
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, is_on_panels, joined, sees_tube
 from observer.photo_edges.views import View
@@ -43,7 +44,7 @@ class EdgeNoise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class Scene(ShortRepr):
     """What is looked at, without error.
 
     truth: Collector, true axis of the tube, rows of the map.

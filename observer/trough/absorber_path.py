@@ -6,12 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, float_array
 from observer.trough.collector import Collector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AbsorberPath:
+class AbsorberPath(ShortRepr):
     """Axis of the absorber tube: a polyline through stations along the trough.
 
     y_m (n,): Ascending stations along the trough [m].

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.geometry.surfaces import Quadric, trough
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, positive
 
 #: Refractive index of borosilicate glass at 550 nm.
@@ -37,7 +38,7 @@ class GlassTube:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Collector:
+class Collector(ShortRepr):
     """A parabolic trough collector module.
 
     Frame: origin at the vertex in the middle of the length, x across the aperture, y along the trough, z along the

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expectation:
+class Expectation(ShortRepr):
     """Where reflections are expected.
 
     collector: The design.

@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.trough.collector import Collector
@@ -58,7 +59,7 @@ class _Waves:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TypicalMirror:
+class TypicalMirror(ShortRepr):
     """A mirror whose panels are turned and bent, with waves over all of them.
 
     collector: The design with its panels.

@@ -13,6 +13,7 @@ from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError, NotConvergedError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 from photogrammetry.bundle.covariance import BundleCovariance, CovarianceFactors
 from photogrammetry.bundle.diagnosis import Defect, diagnose
@@ -39,7 +40,7 @@ class BundleOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class BundleResult(VarianceFactorTests):
+class BundleResult(ShortRepr, VarianceFactorTests):
     """An adjusted network.
 
     problem: What was asked.

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
 
 AXES = ("x", "y", "z")
@@ -109,7 +110,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ControlPoint:
+class ControlPoint(ShortRepr):
     """Known coordinates of a target, with their covariance.
 
     xyz_m (3,): Its coordinates [m].
@@ -145,7 +146,7 @@ class ControlPoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownPlane:
+class KnownPlane(ShortRepr):
     """Targets on a plane that is known, normal times X equal to ``offset_m``.
 
     normal (3,): Normal of the plane, of any length.
@@ -177,7 +178,7 @@ class KnownPlane:
 
 
 @dataclass(frozen=True, slots=True)
-class CommonPlane:
+class CommonPlane(ShortRepr):
     """Targets on one plane that is not known otherwise.
 
     targets: At least four targets, not on one line.

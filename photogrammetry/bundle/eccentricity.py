@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
@@ -18,7 +19,7 @@ _ROWS_AT_ONCE = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Discs:
+class Discs(ShortRepr):
     """The targets as flat discs, from the ellipses they show.
 
     shapes_m2 (n, 3, 3): ``radius^2 (I - normal normal^T)`` of each target in the world frame [m^2].

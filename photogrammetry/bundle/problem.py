@@ -8,6 +8,7 @@ import numpy as np
 
 from heliogauge.adjust.least_squares import Prior
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, covariance_matrix, float_array
 from photogrammetry.bundle.constraints import Constraint, constrained_targets
 from photogrammetry.bundle.datum import Datum
@@ -23,7 +24,7 @@ class ResidualSpace(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraModel:
+class CameraModel(ShortRepr):
     """What is estimated of one physical camera; the rest is held at the values of the start.
 
     free: Names from `INTRINSIC_NAMES` that are estimated.
@@ -70,7 +71,7 @@ class CameraModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BundleProblem:
+class BundleProblem(ShortRepr):
     """What is observed and what is sought.
 
     observations: The image points.

@@ -8,6 +8,7 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, skew
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
 #: Intrinsics as an adjustment varies them; ``focal_px`` is that of the rows, ``focal_x_px = focal_px / (1 + aspect)``.
@@ -38,7 +39,7 @@ def d_parameters_d_intrinsics(camera: Camera) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BundleState:
+class BundleState(ShortRepr):
     """Cameras, poses and points.
 
     cameras: One for each physical camera.

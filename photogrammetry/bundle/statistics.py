@@ -6,6 +6,7 @@ from statistics import NormalDist
 import numpy as np
 
 from heliogauge.adjust.solution import CovarianceScale
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
 from photogrammetry.bundle.problem import BundleProblem
@@ -17,7 +18,7 @@ _UNCONTROLLED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImagePointTests:
+class ImagePointTests(ShortRepr):
     """Tests of the image points, in the order of the observations.
 
     redundancy (m, 2, 2): Share of an error of each whitened image point that shows in its residual.

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, freeze
 
 #: Points of the ellipse that are sent through the lens; the lens's curvature needs its first three harmonics.
@@ -18,7 +19,7 @@ _LENS_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ellipse:
+class Ellipse(ShortRepr):
     """An ellipse in the image.
 
     center_px (2,): Its centre (x, y) [px].
@@ -83,7 +84,7 @@ class Ellipse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NamedEllipses:
+class NamedEllipses(ShortRepr):
     """Ellipses of named targets in one photo.
 
     names length n: The targets.

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 from photogrammetry.centers.ellipse import Ellipse
 
@@ -26,7 +27,7 @@ class UnmeasuredTargetError(EstimationError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetCenter:
+class TargetCenter(ShortRepr):
     """Centre of one target.
 
     ellipse: The target's outline; its centre is the result.

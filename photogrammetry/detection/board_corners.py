@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, freeze
 from photogrammetry.detection.corner_fit import CornerStart, fit_corners
 
@@ -19,7 +20,7 @@ _MARKER_CLEARANCE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GridCorners:
+class GridCorners(ShortRepr):
     """Measured corners of a grid.
 
     index (n,): Which corners these are, counted row by row.

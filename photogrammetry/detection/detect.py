@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.edge_rays import outlines_along_rays
 from photogrammetry.centers.ellipse import Ellipse
@@ -48,7 +49,7 @@ _MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class SearchLimits:
+class SearchLimits(ShortRepr):
     """What is searched for.
 
     smallest_px, largest_px: Diameters of targets seen square on [px].

@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.flags import REJECTED
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, float_array, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(ShortRepr):
     """Image points of one photo.
 
     photo: Name of the photo.

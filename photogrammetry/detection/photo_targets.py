@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FlagArray, FloatArray
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
 from photogrammetry.centers.measured_centers import centers_near, measure_center, measure_centers
@@ -24,7 +25,7 @@ _CLIPPED_SHARE = 0.99
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetSearch:
+class TargetSearch(ShortRepr):
     """What is searched for in photos, and how it is measured.
 
     dictionary: The ring codes that may occur; None for targets without code only.

@@ -6,12 +6,13 @@ from pathlib import Path
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.short_repr import ShortRepr
 from photogrammetry.keys.known_files import with_known_files
 from photogrammetry.keys.measurement import PhotogrammetryModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PhotogrammetryMeasurement:
+class PhotogrammetryMeasurement(ShortRepr):
     """Checked photos, or image points, of targets: what the file says, and where its files are.
 
     folder: The measurement's folder.

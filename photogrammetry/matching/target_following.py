@@ -14,6 +14,7 @@ import numpy.typing as npt
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from photogrammetry.centers.ellipse import NamedEllipses
 from photogrammetry.detection.detections import Detections
@@ -53,7 +54,7 @@ _START_SIGMA_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownTargets:
+class KnownTargets(ShortRepr):
     """Targets whose three coordinates are listed.
 
     names length n: Their names.
@@ -79,7 +80,7 @@ class Pattern:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Track(ShortRepr):
     """What following knows after a photo.
 
     pose: ``cam_from_frame`` of the photo, to a pixel or so.

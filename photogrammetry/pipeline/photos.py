@@ -13,6 +13,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
 from heliogauge.running.progress import Progress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.detection.board_corners import find_charuco
 from photogrammetry.detection.detections import Detections
@@ -53,7 +54,7 @@ class MeasuredPhotos:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OnePhoto:
+class OnePhoto(ShortRepr):
     """What one photo shows.
 
     detections: Targets with a name.

@@ -8,6 +8,7 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
@@ -53,7 +54,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartValues:
+class StartValues(ShortRepr):
     """Poses and targets known about, by name; empty where nothing is.
 
     cam_from_world: Poses of photos.

@@ -6,12 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, float_array
 from photogrammetry.surface.design import Reference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfacePoints:
+class SurfacePoints(ShortRepr):
     """Points of a surface with their joint covariance.
 
     ids length n: Names.

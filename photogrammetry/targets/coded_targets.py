@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import freeze
 from photogrammetry.targets.ring_codes import (
     FEWEST_BITS,
@@ -40,7 +41,7 @@ class CodeReading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RingDictionary:
+class RingDictionary(ShortRepr):
     """The codes that may occur, with a fast look-up of words read in any rotation and sense.
 
     name: Name of the dictionary: ``aicon-12``, ``metashape-14`` or a user's.

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 
 #: Radii in units of the dot's radius, as all vendors print them: gap from the dot to here, code ring from here to the
 #: outer radius.
@@ -95,7 +96,7 @@ def mirrored_word(word: int, n_bits: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class RingCode:
+class RingCode(ShortRepr):
     """One ring code.
 
     name: What is printed beside the target and names the point: the vendor's number, or a user's own text.

@@ -3,8 +3,15 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
 from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_args
 
+import numpy as np
 import pytest
 from numpydoc.validate import validate
 
@@ -98,3 +105,51 @@ def test_only_faces_stand_in_package_files() -> None:
         if isinstance(node, ast.FunctionDef | ast.ClassDef)
     ]
     assert not found, f"code in package files: {found}"
+
+
+def _values_in(home: ModuleType) -> Iterator[type]:
+    """Go through the dataclasses that a face lists, and those of the rooms and modules that it lists."""
+    is_face = hasattr(home, "__all__")
+    for name in home.__all__ if is_face else [name for name in vars(home) if not name.startswith("_")]:
+        value = getattr(home, name)
+        if isinstance(value, ModuleType) and is_face:
+            yield from _values_in(value)
+        elif isinstance(value, type) and is_dataclass(value) and (is_face or value.__module__ == home.__name__):
+            yield value
+
+
+@dataclass
+class _Everything:
+    """A value within a value."""
+
+    texts: tuple[str, ...]
+
+
+def _much(kind: Any) -> Any:
+    """Return more than one wants to read of what a field may hold."""
+    text = getattr(kind, "__name__", str(kind))
+    if "Mapping" in text or "dict" in text:
+        return {f"name {number}": np.full((300, 300), number) for number in range(500)}
+    if "tuple" in text or "list" in text:
+        return tuple(f"name {number} " * 50 for number in range(500))
+    if "ndarray" in text:
+        return np.linspace(-1.0, 1.0, 250_000).reshape(500, 500)
+    one = next(part for part in (get_args(kind) or (kind,)) if part is not type(None))
+    is_small = not isinstance(one, type) or issubclass(one, str | int | float | Path | Enum)
+    return 1.23456789 if is_small else _Everything(("words",) * 10_000)
+
+
+@pytest.mark.parametrize("package", ["heliogauge", *instruments(), "data_synth"])
+def test_no_public_value_prints_more_than_one_reads(package: str) -> None:
+    """A repr of 250,000 characters freezes a notebook."""
+    found = list(dict.fromkeys(_values_in(import_module(package))))
+    long = {}
+    for kind in found:
+        value = object.__new__(kind)
+        for field in fields(kind):
+            object.__setattr__(value, field.name, _much(field.type))
+        if kind.__repr__ is not object.__repr__ and not hasattr(kind, "headline"):
+            sizes = len(repr(value)), len(getattr(value, "_repr_html_", str)())
+            if sizes[0] > 2000 or sizes[1] > 4000:
+                long[f"{kind.__module__}.{kind.__qualname__}"] = sizes
+    assert not long, f"derive from heliogauge.short_repr.ShortRepr: {long}"

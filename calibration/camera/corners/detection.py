@@ -10,6 +10,7 @@ import numpy.typing as npt
 from calibration.camera.boards import LEAST_POINTS, CharucoBoard, Chessboard, CircleGrid
 from calibration.camera.corners.failures import chessboard_seen, circles_seen, markers_seen
 from heliogauge.errors import EstimationError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, freeze
 from photogrammetry.detection import board_corners
 
@@ -17,7 +18,7 @@ ByteImage = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardPoints:
+class BoardPoints(ShortRepr):
     """Points of a board in one photo.
 
     Parameters

@@ -10,6 +10,7 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.priors import with_bending
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from heliogauge.errors import EstimationError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
 # Fewer heliostats determine a field's scatter less well than manufacturing tolerances do.
@@ -21,7 +22,7 @@ _MAD_OF_NORMAL = 0.6745
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Population:
+class Population(ShortRepr):
     """By how much the heliostats of a field differ from what was delivered.
 
     names length p: Parameters.

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from calibration.heliostat.kinematic_model.parameters import Parameters
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import skew
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, freeze, positive
 
 #: Names that every design has: where the chain stands.
@@ -172,7 +173,7 @@ Drive: TypeAlias = RotaryDrive | LinearActuator
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeliostatDesign:
+class HeliostatDesign(ShortRepr):
     """A heliostat: the chain from the ground to its mirror, two drives, and all numbers by name.
 
     name: Which heliostat (or kind of heliostat) this is.
@@ -252,7 +253,7 @@ class HeliostatDesign:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaneTarget:
+class PlaneTarget(ShortRepr):
     """A flat target with its own coordinates: x to the right and y up, as seen from the field, from the centre [m].
 
     center_m (3,): Its centre in the field's frame [m].

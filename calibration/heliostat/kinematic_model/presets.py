@@ -20,6 +20,7 @@ from calibration.heliostat.kinematic_model.design import (
 )
 from calibration.heliostat.kinematic_model.parameters import Parameters, Quantity
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
 _EAST, _NORTH, _UP = np.eye(3)
@@ -32,7 +33,7 @@ DRIVE_TERMS = ("scale", "worm", "worm2", "sag", "backlash")
 
 
 @dataclass(frozen=True, slots=True)
-class ActuatorNumbers:
+class ActuatorNumbers(ShortRepr):
     """Delivered numbers of one linear actuator.
 
     initial_angle_rad: Angle of the axis at reading 0, as the plant counts it [rad].

@@ -16,6 +16,7 @@ from calibration.heliostat.observations.beam_observations import BeamSpots, Dron
 from calibration.heliostat.observations.mirror_observations import LampSightings, MirrorNormals, MirrorPoints
 from calibration.heliostat.observations.pointings import MountedCamera, Place, Pointings, joined_parameters
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, TimeArray
 
 __all__ = [
@@ -36,7 +37,7 @@ Group: TypeAlias = BeamSpots | SunInCamera | DroneSightings | LampSightings | Mi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observations:
+class Observations(ShortRepr):
     """Any mixture of observations of one heliostat.
 
     groups: Groups of one kind each; their rows follow one another.

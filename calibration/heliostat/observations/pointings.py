@@ -10,11 +10,12 @@ import numpy.typing as npt
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.kinematic_model.parameters import Parameters
 from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray, TimeArray, float_array, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pointings:
+class Pointings(ShortRepr):
     """Where the drives stood, row by row.
 
     readings (n, 2): Readings of both drives in the design's unit.
@@ -53,7 +54,7 @@ class Pointings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Place(ShortRepr):
     """A camera or a point of a target in the field, known with some sigma or unknown.
 
     center_m (3,): Where it is, or a rough place [m].
@@ -107,7 +108,7 @@ class MountedCamera:
         return np.asarray(self.mirror_from_camera[:, 2])
 
 
-class ObservationGroup:
+class ObservationGroup(ShortRepr):
     """What all kinds of observations share: rows, and the choice of some of them."""
 
     __slots__ = ()

@@ -14,6 +14,7 @@ from calibration.heliostat.observations.observations import BeamSpots, Observati
 from calibration.heliostat.observations.residual_kinds import Equations, Posed, Prepared, equations, in_metres, prepare
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import intersect_plane, reflect
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 
@@ -80,7 +81,7 @@ class _Evaluated(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservationModel:
+class ObservationModel(ShortRepr):
     """Observations of a heliostat made ready to be evaluated at many numbers.
 
     design: The heliostat; its parameters hold what the observations bring with them

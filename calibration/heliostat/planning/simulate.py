@@ -19,6 +19,7 @@ from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.observations import BeamSpots, DroneSightings, Observations, Place, Pointings
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rays import intersect_plane, reflect
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, positive
 
 #: Incidence beyond which a mirror shows a drone too little of the target.
@@ -32,7 +33,7 @@ Evaluate: TypeAlias = Callable[[HeliostatDesign], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
-class Control:
+class Control(ShortRepr):
     """How a controller drives: what it does on purpose and what it cannot help.
 
     step: The drives stand at whole multiples of this; 0 for any place [readings].

@@ -28,6 +28,7 @@ from calibration.heliostat.beam_photos.target.view import TargetImage
 from heliogauge.errors import InputError
 from heliogauge.results.folder import write_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, freeze
 
 __all__ = [
@@ -49,7 +50,7 @@ _AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeamMeasurements:
+class BeamMeasurements(ShortRepr):
     """Beams of many photos, one row per photo in the order of the files.
 
     x_m, y_m (n,): Place on the target's plane, x right and y up as seen from the field; NaN where there is none

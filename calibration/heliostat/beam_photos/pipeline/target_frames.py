@@ -21,6 +21,7 @@ from calibration.heliostat.beam_photos.target.view import Rectifier, TargetImage
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import Image, read_channel
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array, freeze
 from photogrammetry.detection import find_markers
 
@@ -48,7 +49,7 @@ class WholeImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CornerPixels:
+class CornerPixels(ShortRepr):
     """The target's corners are given.
 
     pixels_px (4, 2): Upper left, upper right, lower right, lower left as seen from the field [px].
@@ -60,7 +61,7 @@ class CornerPixels:
 
 
 @dataclass(frozen=True, slots=True)
-class MarkerTemplates:
+class MarkerTemplates(ShortRepr):
     """The target's corners have dark marks of which there are pictures.
 
     files: Four pictures in the order of the corners.
@@ -72,7 +73,7 @@ class MarkerTemplates:
 
 
 @dataclass(frozen=True, slots=True)
-class ArucoMarkers:
+class ArucoMarkers(ShortRepr):
     """The middles of four square markers are the target's corners.
 
     ids: Numbers of the markers in the order of the corners.
@@ -94,7 +95,7 @@ Source: TypeAlias = WholeImage | CornerPixels | MarkerTemplates | ArucoMarkers |
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetFrame:
+class TargetFrame(ShortRepr):
     """Where a target is in the photos of one camera.
 
     corners_m (4, 2): Its corners on its plane: upper left, upper right, lower right, lower left as seen from the
