@@ -50,6 +50,7 @@ METHOD = {
         "measurement",
         "results",
         "reporting",
+        "view",
         "running",
     ),
 }

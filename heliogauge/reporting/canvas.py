@@ -5,7 +5,7 @@ Figures are made without pyplot: no global state, no display, and half a second 
 
 import io
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 INK = "#1f2a36"
 FAINT = "#66717d"
@@ -149,27 +149,43 @@ def robust_limit(*fields: npt.NDArray[np.floating[Any]]) -> float:
     return nice_ceiling(float(np.percentile(sizes, ROBUST_PERCENT))) if sizes.size else 1.0
 
 
-def map_figure(slope_map: SlopeMap, values: FloatArray, style: MapStyle) -> Figure:
+class MirrorGrid(Protocol):
+    """Nodes on a mirror: a slope map, or another map on its grid."""
+
+    @property
+    def x_m(self) -> FloatArray:
+        """Grid columns, shape (nx,) [m]."""
+
+    @property
+    def y_m(self) -> FloatArray:
+        """Grid rows, shape (ny,) [m]."""
+
+    @property
+    def aperture(self) -> BoolArray:
+        """Nodes that belong to the mirror, shape (ny, nx)."""
+
+
+def map_figure(grid: MirrorGrid, values: FloatArray, style: MapStyle) -> Figure:
     """Draw values on the mirror as colours; parts of the mirror without a value are grey and hatched.
 
-    slope_map: Gives the grid and the aperture.
+    grid: Gives the grid and the aperture.
     values (ny, nx): Values in stored units; NaN where there is none.
     style: Title, unit, colours.
     """
-    figure, axes, box = mirror_axes(slope_map)
-    shown = thinned(np.where(slope_map.aperture, values, np.nan)) * style.factor
+    figure, axes, box = mirror_axes(grid)
+    shown = thinned(np.where(grid.aperture, values, np.nan)) * style.factor
     limit = robust_limit(shown) if style.limit is None else style.limit
     image = axes.imshow(
         np.ma.masked_invalid(shown),
         cmap=DIVERGING if style.diverging else SEQUENTIAL,
         vmin=-limit if style.diverging else style.low,
         vmax=limit,
-        extent=extent_of(slope_map),
+        extent=extent_of(grid),
         origin="lower",
         interpolation="nearest",
         zorder=2,
     )
-    cover_outside(axes, slope_map)
+    cover_outside(axes, grid)
     add_title(figure, style.title, "   ".join(filter(None, (style.note, clipping_words(shown, limit, style)))))
     add_color_bar(figure, image, box, style, shown)
     return figure
@@ -183,12 +199,12 @@ class MirrorAxes(NamedTuple):
     box_in: tuple[float, float, float, float]
 
 
-def mirror_axes(slope_map: SlopeMap) -> MirrorAxes:
+def mirror_axes(grid: MirrorGrid) -> MirrorAxes:
     """Return a figure with axes of the mirror's own proportions, x to the right and y up seen from the front.
 
-    slope_map: Gives the extent.
+    grid: Gives the extent.
     """
-    left_m, right_m, low_m, high_m = extent_of(slope_map)
+    left_m, right_m, low_m, high_m = extent_of(grid)
     left, right, bottom, top = 0.62, 0.95, 0.5, 0.62
     width = WIDTH_IN - left - right
     proportion = (high_m - low_m) / (right_m - left_m)
@@ -212,20 +228,20 @@ def mirror_axes(slope_map: SlopeMap) -> MirrorAxes:
     return MirrorAxes(figure, axes, box)
 
 
-def cover_outside(axes: Axes, slope_map: SlopeMap) -> None:
+def cover_outside(axes: Axes, grid: MirrorGrid) -> None:
     """Paint what lies outside the mirror white and draw the mirror's edge.
 
-    slope_map: Gives the aperture.
+    grid: Gives the aperture.
     """
-    outside = ~thinned(slope_map.aperture)
+    outside = ~thinned(grid.aperture)
     if not outside.any():
         return
     white = np.zeros((*outside.shape, 4), dtype=np.uint8)
     white[outside] = 255
-    axes.imshow(white, extent=extent_of(slope_map), origin="lower", interpolation="nearest", zorder=3)
+    axes.imshow(white, extent=extent_of(grid), origin="lower", interpolation="nearest", zorder=3)
     if not outside.all():
         rows, columns = outside.shape
-        left, right, low, high = extent_of(slope_map)
+        left, right, low, high = extent_of(grid)
         x = left + (np.arange(columns) + 0.5) * (right - left) / columns
         y = low + (np.arange(rows) + 0.5) * (high - low) / rows
         axes.contour(x, y, outside.astype(np.float32), levels=[0.5], colors=FAINT, linewidths=0.7, zorder=4)
@@ -289,21 +305,21 @@ def set_equal_limits(axes: Axes, x: FloatArray, y: FloatArray, *, spare: float =
         limits(middle - 0.5 * scale * size, middle + 0.5 * scale * size)
 
 
-def extent_of(slope_map: SlopeMap) -> tuple[float, float, float, float]:
+def extent_of(grid: MirrorGrid) -> tuple[float, float, float, float]:
     """Return left, right, bottom and top edge of the grid's cells [m]."""
     edges: list[float] = []
-    for axis in (slope_map.x_m, slope_map.y_m):
+    for axis in (grid.x_m, grid.y_m):
         half = float(axis[-1] - axis[0]) / max(axis.size - 1, 1) / 2 or 0.5
         edges += [float(axis[0]) - half, float(axis[-1]) + half]
     return edges[0], edges[1], edges[2], edges[3]
 
 
-def thinned(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return every n-th node, so that no side has more than `MOST_NODES`.
+def thinned(field: npt.NDArray[Any], most_nodes: int = MOST_NODES) -> npt.NDArray[Any]:
+    """Return every n-th node, so that no side has more than a number of nodes.
 
     field (ny, nx): Values on the grid.
     """
-    step_y, step_x = (-(-size // MOST_NODES) for size in field.shape)
+    step_y, step_x = (-(-size // most_nodes) for size in field.shape)
     return field[step_y // 2 :: step_y, step_x // 2 :: step_x]
 
 

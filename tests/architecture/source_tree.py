@@ -24,6 +24,7 @@ BORDER_ROOMS = frozenset(
         "pipeline",
         "report",
         "reporting",
+        "view",
         "results",
         "running",
         "__main__",

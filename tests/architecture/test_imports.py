@@ -34,7 +34,7 @@ DESCRIPTIONS = frozenset(
 DEMONSTRATION = "heliogauge.running.demo"
 
 #: Rooms of the kernel that open files or talk to people; numeric modules do without.
-KERNEL_BORDER = ("images", "measurement", "results", "reporting", "running")
+KERNEL_BORDER = ("images", "measurement", "results", "reporting", "view", "running")
 #: Modules of those rooms that hold values alone.
 KERNEL_VALUES = frozenset({"heliogauge.running.progress", "heliogauge.running.threads"})
 
@@ -148,7 +148,7 @@ def test_benchmarks_docs_and_notebooks_use_faces() -> None:
 @pytest.mark.parametrize("module", all_modules(), ids=str)
 def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None:
     # Figures and reports exist to use these; nobody imports them without wanting a figure.
-    figures = {"reporting", "report"}.intersection(module.name.split(".")) or "figures" in module.name
+    figures = {"reporting", "report", "view"}.intersection(module.name.split(".")) or "figures" in module.name
     breaches = [
         f"{module.path}:{found.line}: import {found.target} inside the function that needs it: {LAZY_LIBRARIES[top]}"
         for found in imports_of(module.tree)
