@@ -67,7 +67,9 @@ class PhotoTargets:
     readings: The readings of the coded targets, first in the detections.
     mirrored: Names of codes that are in the dictionary only as mirror images (print or photo is mirrored); not
         detections.
+    mirrored_px (k, 2): Where they are [px].
     unknown_words: Sectors ("110100...") of good rings whose word is not in the dictionary.
+    unknown_px (j, 2): Where they are [px].
     duplicated: Names that occur more than once; all of them are among the detections.
     unused: Targets that are partly covered, cut by the border, too small.
     """
@@ -76,7 +78,9 @@ class PhotoTargets:
     centers: tuple[TargetCenter, ...]
     readings: tuple[RingReading, ...]
     mirrored: tuple[str, ...]
+    mirrored_px: FloatArray
     unknown_words: tuple[str, ...]
+    unknown_px: FloatArray
     duplicated: tuple[str, ...]
     unused: tuple[UnusedTarget, ...]
 
@@ -112,13 +116,17 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     names = [reading.code.name for _, reading in named if reading.code is not None]
     centers = [center for center, _ in named] + uncoded
     detections = _detections(image_dn, photo, names + [f"u{k}" for k in range(len(uncoded))], centers)
-    others = [reading for _, reading in coded if reading.code is None]
+    others = [(center.center_px, reading) for center, reading in coded if reading.code is None]
+    mirrored = [(place, reading.mirrored.name) for place, reading in others if reading.mirrored is not None]
+    unknown = [(place, reading.sectors) for place, reading in others if reading.mirrored is None]
     return PhotoTargets(
         detections,
         tuple(centers),
         tuple(reading for _, reading in named),
-        tuple(reading.mirrored.name for reading in others if reading.mirrored is not None),
-        tuple("".join("01"[bit] for bit in reading.sectors) for reading in others if reading.mirrored is None),
+        tuple(name for _, name in mirrored),
+        np.array([place for place, _ in mirrored]).reshape(-1, 2),
+        tuple("".join("01"[bit] for bit in sectors) for _, sectors in unknown),
+        np.array([place for place, _ in unknown]).reshape(-1, 2),
         detections.duplicated,
         tuple(unused),
     )

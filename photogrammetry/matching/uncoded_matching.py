@@ -15,7 +15,7 @@ from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.matching.uncertain_rays import Dots, KnownViews, UncertainRays, widened
-from photogrammetry.start_values.network import LeftOut
+from photogrammetry.start_values.network import ImagePlace, LeftOut
 from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD
 
 #: Accidents among points of two rays, which the result names as weak, in terms of those among all others.
@@ -54,7 +54,7 @@ class MatchedDots:
     covariance_m2 (n, 3, 3): Their covariance, uncertainty of the poses included [m^2].
     point_of_dot (m,): The point of each dot, -1 for none.
     accidents (n,): Expected number of such agreements by accident.
-    rejected: What looked like a point and was not taken, with the reason.
+    rejected: What looked like a point and was not taken, with the reason; photos by their number.
     """
 
     points_m: FloatArray
@@ -319,7 +319,8 @@ class _Search:
             if (point_of_dot[list(dots)] < 0).all():
                 x, y = self.dots.pixels_px[dots[0]]
                 photo = int(self.dots.photo_index[dots[0]])
-                texts.append(LeftOut(f"dot at ({x:.0f}, {y:.0f}) in photo {photo}", reason))
+                where = ImagePlace(str(photo), float(x), float(y))
+                texts.append(LeftOut(f"dot at ({x:.0f}, {y:.0f}) in photo {photo}", reason, place=where))
         return MatchedDots(
             np.array([one.point_m for one in found]).reshape(-1, 3),
             np.array([one.covariance_m2 for one in found]).reshape(-1, 3, 3),

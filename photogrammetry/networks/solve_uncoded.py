@@ -16,7 +16,7 @@ from photogrammetry.matching.uncertain_rays import Dots, known_views
 from photogrammetry.matching.uncoded_matching import MatchedDots, match_dots
 from photogrammetry.matching.uncoded_names import ListedTargets, list_frame, name_points
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_from
-from photogrammetry.start_values.network import LeftOut, Network
+from photogrammetry.start_values.network import ImagePlace, LeftOut, Network
 
 #: Matching, adjusting and matching again changes nothing after two rounds where poses were good to begin with.
 _ROUNDS = 3
@@ -140,7 +140,7 @@ def _match_and_name(solved: Solved, loose: LooseDots, knowledge: Knowledge, code
     names = named.names
     numbers = (f"u{k}" for k in range(1, len(names) + len(coded) + 1) if f"u{k}" not in coded)
     final = tuple(name or next(numbers) for name in names)
-    texts = [LeftOut(_with_photo(one.name, photos), one.reason) for one in found.rejected]
+    texts = [_with_photo(one, photos) for one in found.rejected]
     return _Round(found, final, rows, (*named.left, *split, *unread, *texts), named.doubts)
 
 
@@ -200,7 +200,9 @@ def _without_split(found: MatchedDots, dots: Dots, bundle: BundleResult) -> tupl
             f"its images in {rays[k]} photos contradict those in {rays[other]} others by {1e3 * far[k, other]:.2g} mm, "
             "less than its size: partly covered or in glare"
         )
-        texts.append(LeftOut(f"dot at ({x:.0f}, {y:.0f}) in photo {name}", reason))
+        texts.append(
+            LeftOut(f"dot at ({x:.0f}, {y:.0f}) in photo {name}", reason, place=ImagePlace(name, float(x), float(y)))
+        )
     return _without(found, gone), tuple(texts)
 
 
@@ -233,10 +235,13 @@ def _rays(found: MatchedDots) -> IntArray:
     return np.bincount(matched, minlength=len(found.points_m))
 
 
-def _with_photo(text: str, photos: tuple[str, ...]) -> str:
-    """Put the name of a photo where its place stands at the end of a text."""
-    head, place = text.rsplit(" ", 1)
-    return f"{head} {photos[int(place)]}"
+def _with_photo(one: LeftOut, photos: tuple[str, ...]) -> LeftOut:
+    """Put the name of a photo where its number stands."""
+    if one.place is None:
+        return one
+    name = photos[int(one.place.photo)]
+    head = one.name.removesuffix(one.place.photo)
+    return replace(one, name=f"{head}{name}", place=replace(one.place, photo=name))
 
 
 def _name_by_list(

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
+from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.running.progress import Progress
 from heliogauge.validate import FloatArray
 from photogrammetry.detection.feature_tracks import PairMatch, TrackChoice, Tracks, follow_tracks
@@ -47,8 +49,12 @@ def add_features(
     if twice:
         raise InputError(f"images.photos: {twice[0]} occurs in two folders; give photos other names")
 
+    thumbnails: dict[str, bytes] = {}
+
     def one(file: Path) -> Features:
-        return find_features(read_image(file), file.name, section.max_features)
+        image = read_image(file)
+        thumbnails[file.name] = make_thumbnail(image)
+        return find_features(image, file.name, section.max_features)
 
     with progress.stage("find features", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
         found = []
@@ -60,7 +66,7 @@ def add_features(
         [one.keypoints for one in found], matches, TrackChoice(section.min_photos, section.max_points)
     )
     sizes = {one.keypoints.photo: one.keypoints.size_px for one in found}
-    return _join_coded(tracks, coded, sizes)
+    return replace(_join_coded(tracks, coded, sizes), thumbnails=thumbnails)
 
 
 def _match_photos(

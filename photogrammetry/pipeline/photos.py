@@ -1,9 +1,9 @@
 """Photos to image points: read, find targets, measure, several photos at a time."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
+from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
@@ -23,7 +24,7 @@ from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.solve_uncoded import LooseDots
-from photogrammetry.start_values.network import LeftOut
+from photogrammetry.start_values.network import ImagePlace, LeftOut
 from photogrammetry.targets.ring_codes import Sense
 
 #: Share of overexposed targets from which there is a doubt.
@@ -41,6 +42,7 @@ class MeasuredPhotos:
     sigma_assumed: Whether the sizes of the sigmas, beyond their ratios, are not to be believed.
     loose: Dots without a code, to be matched when the photos' poses are known.
     kinds (m,): Kind of each image point, of which each has a sigma of its own; None where all are alike.
+    thumbnails: Small JPEG of each photo; empty where image points were given.
     """
 
     points: ImagePoints
@@ -51,6 +53,7 @@ class MeasuredPhotos:
     sigma_assumed: bool
     loose: LooseDots | None = None
     kinds: IntArray | None = None
+    thumbnails: Mapping[str, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +67,7 @@ class OnePhoto(ShortRepr):
     dots: Dots without a code.
     dot_ellipses_px2 (k, 2, 2): Their ellipses [px^2].
     unread: Code rings that are not in the dictionary as they are seen.
+    thumbnail: The photo as a small JPEG; empty where there is none.
     """
 
     detections: Detections
@@ -73,6 +77,7 @@ class OnePhoto(ShortRepr):
     dots: Detections
     dot_ellipses_px2: FloatArray
     unread: "UnreadRings | None" = None
+    thumbnail: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +110,8 @@ def measure_each(
         )
 
     def one(file: Path) -> OnePhoto:
-        return measure_photo(read_image(file), file.name, section, search)
+        image = read_image(file)
+        return replace(measure_photo(image, file.name, section, search), thumbnail=make_thumbnail(image))
 
     found: list[OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -134,23 +140,40 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
     dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
     if found is not None:
         return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
-    mirrored = [
-        LeftOut(f"target {code} in {name}", "is in the dictionary only as a mirror image") for code in rings.mirrored
+    refused = [
+        _left_out(f"target {code} in {name}", "is in the dictionary only as a mirror image", name, place)
+        for code, place in zip(rings.mirrored, rings.mirrored_px, strict=True)
+    ]
+    refused += [
+        _left_out(f"code ring in {name}", f"its bits, {word} clockwise, are not in the dictionary", name, place)
+        for word, place in zip(rings.unknown_words, rings.unknown_px, strict=True)
     ]
     # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
-    mirrored += [LeftOut(f"target {bad.name} in {name}", bad.reason) for bad in rings.unused if bad.name]
+    refused += [
+        _left_out(f"target {bad.name} in {name}", bad.reason, name, bad.center_px) for bad in rings.unused if bad.name
+    ]
     coded = rings.detections.chosen(np.arange(count))
     size = (int(image.shape[1]), int(image.shape[0]))
     counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
     other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
     unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
-    return OnePhoto(coded, shapes[:count], size, tuple(mirrored), dots, shapes[count:], unread)
+    return OnePhoto(coded, shapes[:count], size, tuple(refused), dots, shapes[count:], unread)
+
+
+def _left_out(name: str, reason: str, photo: str, place_px: FloatArray) -> LeftOut:
+    x, y = place_px.tolist()
+    return LeftOut(name, reason, place=ImagePlace(photo, x, y))
 
 
 def _measure_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
     markers = find_markers(image, photo, section.dictionary or "")
     refused = [
-        LeftOut(f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}", bad.reason)
+        _left_out(
+            f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}",
+            bad.reason,
+            photo,
+            bad.center_px,
+        )
         for bad in markers.rejected
     ]
     detections = markers.detections
@@ -214,7 +237,12 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
         twice |= {name for name in one.detections.names if name.split(".")[0] in {t.split(".")[0] for t in twice}}
         doubled.update({name.split(".")[0] for name in twice})
         photo = one.detections.photo
-        refused += [LeftOut(f"target {name} in {photo}", "is there more than once") for name in sorted(twice)]
+        refused += [
+            _left_out(
+                f"target {name} in {photo}", "is there more than once", photo, one.detections.pixels_px[places[0]]
+            )
+            for name, places in sorted(_places_of(one.detections, twice).items())
+        ]
         keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
         if not keep:
             empty.append(photo)
@@ -236,8 +264,27 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     # Estimators leave the two halves different in the last bit.
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     sizes = {one.detections.photo: one.size_px for one in found}
+    thumbnails = {one.detections.photo: one.thumbnail for one in found if one.thumbnail}
     points = ImagePoints.from_names(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
-    return MeasuredPhotos(points, np.concatenate(shapes), sizes, tuple(refused), doubts, True, _collect_dots(found))
+    return MeasuredPhotos(
+        points,
+        np.concatenate(shapes),
+        sizes,
+        tuple(refused),
+        doubts,
+        True,
+        _collect_dots(found),
+        thumbnails=thumbnails,
+    )
+
+
+def _places_of(detections: Detections, names: set[str]) -> dict[str, list[int]]:
+    """Return where in the detections some names are."""
+    places: dict[str, list[int]] = {name: [] for name in names}
+    for k, name in enumerate(detections.names):
+        if name in places:
+            places[name].append(k)
+    return places
 
 
 def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:

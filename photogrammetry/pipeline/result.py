@@ -18,6 +18,7 @@ from heliogauge.results.folder import (
     write_table_csv,
 )
 from heliogauge.results.frame import InstrumentResult
+from heliogauge.results.thumbnails import write_thumbnails
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.networks.length_error import LengthStatement
 from photogrammetry.networks.quality import network_numbers, quality_texts
@@ -32,9 +33,10 @@ from photogrammetry.pipeline.tables import (
     intrinsic_columns,
     length_columns,
     millimetre_columns,
+    place_columns,
     residual_columns,
 )
-from photogrammetry.start_values.network import LeftOut
+from photogrammetry.start_values.network import ImagePlace, LeftOut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +105,41 @@ class Result(InstrumentResult):
     def refused(self) -> tuple[LeftOut, ...]:
         """Everything that was not used, by name with the reason."""
         solved = self.solved
+        places = self._places_of({one.target for one in solved.rejected})
         outliers = [
-            LeftOut(one.label, f"{one.reason}, residual {one.residual_px:.2f} px", is_outlier=one.is_outlier)
+            LeftOut(
+                one.label,
+                f"{one.reason}, residual {one.residual_px:.2f} px",
+                is_outlier=one.is_outlier,
+                place=places.get(one.label),
+            )
             for one in solved.rejected
         ]
         left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
         return (*self.measured.refused, *left, *solved.unused, *outliers)
+
+    def _places_of(self, targets: set[str]) -> dict[str, ImagePlace]:
+        """Return where the image points of some targets are, by their labels."""
+        table = self.measured.points
+        rows = np.nonzero([table.targets[i] in targets for i in table.target_index])[0].tolist() if targets else []
+        return {
+            table.label(row): ImagePlace(table.photos[table.photo_index[row]], *table.pixels_px[row].tolist())
+            for row in rows
+        }
+
+    @property
+    def _unmatched_dots(self) -> tuple[ImagePlace, ...]:
+        """Dots without a code that no point of the network was found for."""
+        loose, table = self.measured.loose, self.measured.points
+        if loose is None:
+            return ()
+        used = set(zip(table.photo_index.tolist(), *table.pixels_px.T.tolist(), strict=True))
+        number = {name: i for i, name in enumerate(table.photos)}
+        places = [
+            ImagePlace(loose.photos[photo], x, y)
+            for photo, (x, y) in zip(loose.dots.photo_index.tolist(), loose.dots.pixels_px.tolist(), strict=True)
+        ]
+        return tuple(one for one in places if (number.get(one.photo, -1), one.x_px, one.y_px) not in used)
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -138,19 +169,32 @@ class Result(InstrumentResult):
         write_cameras_json(folder / "cameras.json", self.cameras, self.photo_poses)
         write_table_csv(folder / "points_covariance.csv", covariance_columns(bundle))
         write_table_csv(folder / "residuals.csv", residual_columns(bundle))
+        refused = self.refused
         rejected: dict[str, list[Any]] = {
-            "name": [one.name for one in self.refused],
-            "reason": [one.reason for one in self.refused],
-            "is_outlier": [int(one.is_outlier) for one in self.refused],
+            "name": [one.name for one in refused],
+            "reason": [one.reason for one in refused],
+            "is_outlier": [int(one.is_outlier) for one in refused],
+            **place_columns([one.place for one in refused]),
         }
         write_table_csv(folder / "rejected.csv", rejected)
+        if dots := self._unmatched_dots:
+            write_table_csv(folder / "unmatched_dots.csv", place_columns(dots))
         write_table_csv(folder / "constraints.csv", constraint_columns(bundle, self.checks))
         write_table_csv(folder / "lengths.csv", length_columns(self.lengths))
         write_table_csv(folder / "intrinsics.csv", intrinsic_columns(bundle))
+        write_thumbnails(folder, self._thumbnails)
         if self.sensors:
             write_table_csv(folder / "camera_millimetres.csv", millimetre_columns(self.cameras, self.sensors))
         if self.surface is not None:
             write_surface(self.surface, folder, {"name": self.name, "input_sha256": self.input_sha256})
+
+    @property
+    def _thumbnails(self) -> dict[str, bytes]:
+        """Thumbnails, photos that are not in the network first, then those with the largest residuals."""
+        poses = self.photo_poses
+        rms = {name: pose.residual_rms_px or 0.0 for name, pose in poses.items()}
+        order = sorted(self.measured.thumbnails, key=lambda name: -rms.get(name, np.inf))
+        return {name: self.measured.thumbnails[name] for name in order}
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""

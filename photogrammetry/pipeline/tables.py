@@ -1,6 +1,6 @@
 """Tables of a result: image points, lengths, intrinsics, covariances."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.statistics import examine_image_points, examine_intrinsics
 from photogrammetry.networks.length_error import LengthStatement
 from photogrammetry.networks.quality import bar_checks
+from photogrammetry.start_values.network import ImagePlace
 
 
 def covariance_columns(bundle: BundleResult) -> dict[str, Any]:
@@ -38,6 +39,15 @@ def residual_columns(bundle: BundleResult) -> dict[str, Any]:
         "redundancy_x": tests.redundancy[:, 0, 0],
         "redundancy_y": tests.redundancy[:, 1, 1],
         "test": np.sqrt(tests.length_squared),
+    }
+
+
+def place_columns(places: Sequence[ImagePlace | None]) -> dict[str, Any]:
+    """Return places in photos; empty cells for what is not at one place."""
+    return {
+        "image": ["" if one is None else one.photo for one in places],
+        "x_px": [np.nan if one is None else one.x_px for one in places],
+        "y_px": [np.nan if one is None else one.y_px for one in places],
     }
 
 

@@ -39,18 +39,33 @@ _FAR_START = 0.1
 
 
 @dataclass(frozen=True, slots=True)
+class ImagePlace:
+    """A place in a photo.
+
+    photo: Its name.
+    x_px, y_px: Where; the centre of the top-left pixel is (0, 0) [px].
+    """
+
+    photo: str
+    x_px: float
+    y_px: float
+
+
+@dataclass(frozen=True, slots=True)
 class LeftOut:
     """A photo or target that is not in the network.
 
     reason: Why, with numbers and remedy.
     target: The target of a single image point; empty for everything else.
     is_outlier: Whether it is an image point that contradicts the others.
+    place: Where it was seen; None for what is not at one place of one photo.
     """
 
     name: str
     reason: str
     target: str = ""
     is_outlier: bool = False
+    place: ImagePlace | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -318,7 +333,8 @@ def _finished(grown: Growth) -> Network:
             far = grown.misses[row]
             text = f"{far:.0f} times its sigma off" if np.isfinite(far) else "cannot be seen from there"
             target = table.targets[table.target_index[row]]
-            suspicious.append(LeftOut(table.label(row), text, target, bool(np.isfinite(far))))
+            place = ImagePlace(table.photos[table.photo_index[row]], *table.pixels_px[row].tolist())
+            suspicious.append(LeftOut(table.label(row), text, target, bool(np.isfinite(far)), place))
     return Network(
         kept,
         good,

@@ -208,8 +208,14 @@ def test_one_code_at_two_places(good, tmp_path, capsys):
             stayed.append(label)
     folder = write_job(tmp_path / "in", replace(points, pixels_px=pixels), camera=KNOWN, scale_bar=[bar(truth, 0, 1)])
     assert command(folder, tmp_path / "out") == 0
-    refused = sorted(name for name in read_table_csv(tmp_path / "out" / "rejected.csv")["name"] if "target" in name)
+    rejected = read_table_csv(tmp_path / "out" / "rejected.csv")
+    refused = sorted(name for name in rejected["name"] if "target" in name)
     assert refused in (sorted(moved), sorted(stayed))
+    # Each stands where it was measured, for the report's picture of its photo.
+    measured = {points.label(row): pixels[row] for row in range(points.n)}
+    for name, photo, x, y in zip(*(rejected[key] for key in ("name", "image", "x_px", "y_px")), strict=True):
+        assert photo in name
+        assert [float(x), float(y)] == pytest.approx(measured[name])
     text = (
         f"target t6: {len(refused)} of its {len(moved) + len(stayed)} image points contradict the others; is the code"
     )

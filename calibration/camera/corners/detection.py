@@ -72,12 +72,14 @@ class FoundBoards:
     failures: Why the others do not, by the photo's name.
     size_px: Width and height of all photos [px].
     names: Names of an `UnknownField`'s targets; empty otherwise.
+    thumbnails: Small JPEG of each photo, by its name.
     """
 
     points: tuple[BoardPoints, ...]
     failures: Mapping[str, str]
     size_px: tuple[int, int]
     names: tuple[str, ...] = ()
+    thumbnails: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboard) -> BoardPoints:

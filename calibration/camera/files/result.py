@@ -1,7 +1,7 @@
 """What a calibration found: camera, poses, shape of the board, how well, and what was left out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -144,6 +144,7 @@ class Result(InstrumentResult):
     coverage: Where points were measured.
     held_out: Photos to check with.
     comparison: Against another calibration, if that was asked.
+    thumbnails: Small JPEG of each photo, also of those left out.
     """
 
     kind: ClassVar[str] = "camera"
@@ -160,6 +161,7 @@ class Result(InstrumentResult):
     held_out: tuple[HeldOutPhoto, ...] = ()
     comparison: Comparison | None = None
     compared_with: Camera | None = None
+    thumbnails: Mapping[str, bytes] = field(default_factory=dict)
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""

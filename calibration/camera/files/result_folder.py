@@ -30,6 +30,7 @@ from heliogauge.results.folder import (
     write_points_csv,
     write_table_csv,
 )
+from heliogauge.results.thumbnails import read_thumbnails, write_thumbnails
 from heliogauge.validate import FloatArray
 
 _IMAGE_COLUMNS = ("image", "target", "x_px", "y_px", "residual_x_px", "residual_y_px", "flag")
@@ -65,6 +66,9 @@ def write_tables(result: Result, folder: Path) -> None:
     write_table_csv(folder / "rejected.csv", {"image_point": list(result.quality.rejected)})
     left_out = {"image": list(result.left_out), "reason": list(result.left_out.values())}
     write_table_csv(folder / _LEFT_OUT, left_out)
+    rms = {photo.name: photo.rms_px for photo in result.photos}
+    order = sorted(result.thumbnails, key=lambda name: -rms.get(name, np.inf))
+    write_thumbnails(folder, {name: result.thumbnails[name] for name in order})
     if result.compared_with is not None:
         write_camera_json(folder / _COMPARED, result.compared_with)
 
@@ -202,6 +206,7 @@ def open_calibration(folder: str | Path = ".") -> Result:
         _read_checks(photo_table),
         None if other is None else compare(camera, other),
         other,
+        read_thumbnails(folder, (*poses, *left_out["image"])),
         name=summary.name,
         doubts=summary.doubts,
         durations_s=summary.durations_s,

@@ -113,6 +113,7 @@ def run(
         left_out=left_out,
         comparison=comparison,
         compared_with=other,
+        thumbnails=found.thumbnails,
         doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,

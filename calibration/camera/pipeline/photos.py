@@ -16,6 +16,7 @@ from calibration.camera.keys import CalibratedCameraSection
 from calibration.camera.start_values.intrinsics import homography
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
+from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.running.progress import Progress
 from photogrammetry.centers import Ellipse, TargetCenter, measure_centers
 from photogrammetry.detection import TargetSearch, measure_targets
@@ -24,11 +25,18 @@ from photogrammetry.targets import RingDictionary
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Searched:
-    """One photo: the points, or why there are none; codes of targets whose numbers are not known yet; its size [px]."""
+    """One photo.
+
+    points: The board's points, or why there are none.
+    codes: Of targets whose numbers are not known yet.
+    size_px: Width and height [px].
+    thumbnail: The photo as a small JPEG.
+    """
 
     points: BoardPoints | EstimationError
     codes: tuple[str, ...]
     size_px: tuple[int, int]
+    thumbnail: bytes
 
 
 def search_photos(
@@ -50,17 +58,18 @@ def search_photos(
     """
     found: list[BoardPoints] = []
     failures: dict[str, str] = {}
+    thumbnails: dict[str, bytes] = {}
     names: dict[str, int] = {}
     size: tuple[int, int] | None = None
 
     def one(file: Path) -> _Searched:
         image = read_image(file)
-        own = (int(image.shape[1]), int(image.shape[0]))
+        own, small = (int(image.shape[1]), int(image.shape[0])), make_thumbnail(image)
         try:
             points, codes = _measured(file.name, image, board, known)
-            return _Searched(replace(points, saturated_share=_saturated_share(image, points)), codes, own)
+            return _Searched(replace(points, saturated_share=_saturated_share(image, points)), codes, own, small)
         except EstimationError as error:
-            return _Searched(error, (), own)
+            return _Searched(error, (), own, small)
 
     with progress.stage("find the board", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(one, file) for file in files]
@@ -68,6 +77,7 @@ def search_photos(
             for file, future in zip(files, waiting, strict=True):
                 seen = future.result()
                 size = size or seen.size_px
+                thumbnails[file.name] = seen.thumbnail
                 _check_size(file, seen.size_px, files[0], size, asked)
                 if isinstance(seen.points, EstimationError):
                     failures[file.name] = str(seen.points)
@@ -80,7 +90,7 @@ def search_photos(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return FoundBoards(tuple(found), failures, size or (0, 0), tuple(names))
+    return FoundBoards(tuple(found), failures, size or (0, 0), tuple(names), thumbnails)
 
 
 def _check_size(

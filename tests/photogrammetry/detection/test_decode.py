@@ -46,13 +46,14 @@ def test_mirror_images_are_reported_as_such() -> None:
     found = measured(lopsided.name, diameter_px=20.0, mirror=True, dictionary=own)
     assert found.detections.names == ()
     assert found.mirrored == (lopsided.name,)
+    assert found.mirrored_px.shape == (1, 2)
 
 
 def test_rings_that_no_dictionary_holds_are_reported_not_named() -> None:
     other = CODES.subset(["1", "2"])
     found = measured("52", diameter_px=20.0, dictionary=other)
     assert found.detections.names == ()
-    assert len(found.unknown_words) == 1
+    assert len(found.unknown_words) == len(found.unknown_px) == 1
 
 
 def test_duplicates_in_one_photo_are_named() -> None:

@@ -125,6 +125,7 @@ def test_files(from_photos: Result, tmp_path: Path) -> None:
     assert len(rows["image"]) == summary.numbers["image_points_count"]
     bars = read_table_csv(tmp_path / "constraints.csv")
     assert bars["used"] == ["1", "1", "1"]
+    assert set(read_thumbnails(tmp_path, poses)) == set(poses)
 
 
 def test_bar_kept_apart_checks_the_scale(points_folder: Path, tmp_path: Path) -> None:
