@@ -17,6 +17,7 @@ from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_summary, read_table_csv
+from heliogauge.results.thumbnails import read_thumbnails
 from photogrammetry.bundle.statistics import Rejected
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.networks.quality import check_network
