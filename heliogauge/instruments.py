@@ -70,6 +70,7 @@ class Instrument:
     commands: Its commands; instruments may share them.
     kinds: Kinds of measurement.toml that it evaluates.
     reports: File of the report notebook of each kind of result.
+    pictures: Function ``(folder) -> view`` that shows a result best, of each kind of result without a slope map.
     synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
     """
 
@@ -78,6 +79,7 @@ class Instrument:
     commands: Commands
     kinds: tuple[Kind, ...] = ()
     reports: Mapping[str, str] = field(default_factory=dict)
+    pictures: Mapping[str, str] = field(default_factory=dict)
     synth: str | None = None
 
 

@@ -1,5 +1,6 @@
 """The results of any instrument as one view of their folder."""
 
+import html
 import os
 import shutil
 import weakref
@@ -11,10 +12,16 @@ from typing import TYPE_CHECKING, Any
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
+from heliogauge.short_repr import shortened
 
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.figure import Figure
+
+SLOPE_MAP_FILE = "slope_map.nc"
+#: Numbers and doubts that a notebook shows at once; the others are in `Result.summary` and `Result.doubts`.
+_MOST_NUMBERS, _MOST_DOUBTS = 12, 5
 
 
 class Tables(Mapping[str, Any]):
@@ -54,6 +61,40 @@ class Tables(Mapping[str, Any]):
         return f"<tables {', '.join(self._files) or 'none'}>"
 
 
+class Parts(Mapping[str, "Result"]):
+    """Results within results by their names: heliostats of a field, measurements of many folders."""
+
+    def __init__(self, folder: Path) -> None:
+        places = sorted(folder.iterdir()) if folder.is_dir() else []
+        self._folders = {
+            place.name: place
+            for place in places
+            if not place.name.startswith(".") and not place.is_symlink() and (place / SUMMARY_FILE).is_file()
+        }
+
+    def __getitem__(self, name: str) -> "Result":
+        """Open one of them."""
+        if name not in self._folders:
+            raise InputError(f"result {name!r} is not among these; there are: {', '.join(self._folders) or 'none'}")
+        return Result(self._folders[name])
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a result of this name, without opening it."""
+        return name in self._folders
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names."""
+        return iter(self._folders)
+
+    def __len__(self) -> int:
+        """Count them."""
+        return len(self._folders)
+
+    def __repr__(self) -> str:
+        """List the names."""
+        return f"<results {shortened(', '.join(self._folders), 100) or 'none'}>"
+
+
 class Result:
     """Results of a measurement of any kind, as they stand in a folder.
 
@@ -74,6 +115,12 @@ class Result:
         Name of what was measured.
     tables : mapping of str to pandas.DataFrame
         The CSV tables, by their names without ending.
+    parts : mapping of str to Result
+        Results within these: the heliostats of a field, the measurements of many folders.
+
+    Notes
+    -----
+    In a notebook a result shows its headline numbers with their standard deviations, its doubts and its picture.
     """
 
     def __init__(self, folder: str | Path, *, temporary: bool = False) -> None:
@@ -86,6 +133,7 @@ class Result:
             raise InputError(f"{self.folder}: {_what_instead(self.folder)}")
         self._summary: Summary = read_summary(self.folder / SUMMARY_FILE)
         self.kind, self.name = self._summary.kind, self._summary.name
+        self.parts = Parts(self.folder)
 
     @property
     def summary(self) -> dict[str, float | int | None]:
@@ -100,12 +148,147 @@ class Result:
     @cached_property
     def slope_map(self) -> "xarray.Dataset":
         """The slope map; of several facets the assembled one."""
-        file = self.folder / "slope_map.nc"
-        if not file.is_file():
-            raise InputError(f"{self.folder}: results of the kind {self.kind!r} have no slope map (slope_map.nc)")
+        if not self._has_map():
+            raise InputError(f"{self.folder}: results of the kind {self.kind!r} have no slope map ({SLOPE_MAP_FILE})")
         import xarray
 
-        return xarray.load_dataset(file, engine="h5netcdf")
+        return xarray.load_dataset(self.folder / SLOPE_MAP_FILE, engine="h5netcdf")
+
+    @cached_property
+    def angles(self) -> "xarray.Dataset":
+        """Angles from the design's to the measured normal in x and y [rad], with sigma; more of them from troughs.
+
+        The same for all instruments: ``angle_x`` is positive where the mirror rises too much towards +x, as the slope
+        error is, and SDx is its RMS. Troughs add theta_r, theta_a and theta_ra of the Observer, whose sign is theirs.
+        """
+        import numpy as np
+        import xarray
+
+        from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles
+
+        slopes = self.slope_map
+        names = ("slope_x", "slope_y", "design_slope_x", "design_slope_y")
+        measured_x, measured_y, design_x, design_y = (slopes[name].values.astype(np.float64) for name in names)
+        turn = d_angles_d_slopes(design_x, design_y)
+        variances = [slopes[f"sigma_slope_{axis}"].values.astype(np.float64) ** 2 for axis in "xy"]
+        angles = normal_angles(measured_x, measured_y, design_x, design_y)
+        fields: dict[str, Any] = {}
+        for place, axis in enumerate("xy"):
+            # The two slopes of a node have independent noise; what they share is small beside it.
+            sigma = np.sqrt(turn[place, 0] ** 2 * variances[0] + turn[place, 1] ** 2 * variances[1])
+            words = f"angle from the design's to the measured normal, component in {axis}"
+            fields[f"angle_{axis}"] = (("y", "x"), angles[place], {"units": "rad", "long_name": words})
+            about = {"units": "rad", "long_name": f"standard deviation of angle_{axis}"}
+            fields[f"sigma_angle_{axis}"] = (("y", "x"), sigma, about)
+        kept = {name: slopes.attrs[name] for name in ("name", "design", "frame", "removed") if name in slopes.attrs}
+        result = xarray.Dataset(fields, coords={"x": slopes["x"], "y": slopes["y"]}, attrs=kept)
+        result["flag"] = slopes["flag"]
+        own = self.folder / "angles.nc"
+        if own.is_file():
+            more = xarray.load_dataset(own, engine="h5netcdf")
+            result = result.assign({name: (("y", "x"), one.values, one.attrs) for name, one in more.items()})
+            result.attrs |= more.attrs
+        return result
+
+    @property
+    def height(self) -> "xarray.DataArray":
+        """Height of the surface over the frame of the slope map [m]; NaN where it was not measured."""
+        if "height" not in self.slope_map:
+            raise InputError(f"{self.folder}: no heights were found from these slopes (slope_map.nc has none)")
+        return self.slope_map["height"]
+
+    def plot(self, quantity: str | None = None) -> "Figure":
+        """Draw a result.
+
+        Parameters
+        ----------
+        quantity : str, optional
+            What of a slope map: "slope_error", "slope_error_x", "slope_x", "sigma_slope_x", "height" and the like;
+            without it the slope error, and the main picture of a result without a slope map.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure, to be changed or saved: ``result.plot("height").savefig("height.png")``.
+
+        Raises
+        ------
+        InputError
+            A quantity that the result does not have, or a kind without a picture.
+        """
+        view = self._picture()
+        if view is None:
+            raise InputError(f"{self.folder}: results of the kind {self.kind!r} have no picture; see `tables`")
+        from heliogauge.view.maps import MapView
+
+        if isinstance(view, MapView):
+            drawn: Figure = view.figure(quantity or ("slope_error" if self._has_map() else None))
+            return drawn
+        if quantity is not None:
+            raise InputError(f"quantity {quantity!r}: results of the kind {self.kind!r} have one picture only")
+        figure: Figure = view.figure()
+        return figure
+
+    def _has_map(self) -> bool:
+        return (self.folder / SLOPE_MAP_FILE).is_file()
+
+    def _picture(self) -> Any:
+        """Return the view that shows the result best; None where its kind has none."""
+        if self._has_map():
+            from heliogauge.results.slope_map_file import read_slope_map
+            from heliogauge.view.maps import slope_map_view
+
+            return slope_map_view(read_slope_map(self.folder / SLOPE_MAP_FILE), self.name)
+        from heliogauge.instruments import instruments, resolve
+
+        pictures = {kind: place for one in instruments() for kind, place in one.pictures.items()}
+        return resolve(pictures[self.kind])(self.folder) if self.kind in pictures else None
+
+    def _repr_html_(self) -> str:
+        """Show headline numbers with sigma, doubts and the picture."""
+        shown = self._main_numbers()
+        rows = "".join(
+            f'<tr><td style="text-align:left"><code>{html.escape(key)}</code></td><td>{html.escape(text)}</td></tr>'
+            for key, text in shown[:_MOST_NUMBERS]
+        )
+        more = len(shown) - _MOST_NUMBERS
+        note = f"<p>{more} more numbers in <code>.summary</code></p>" if more > 0 else ""
+        return (
+            f"<div><h4>{html.escape(self.name)}</h4><p>{html.escape(self.kind)} result; heliogauge "
+            f"{html.escape(self._summary.version)}</p>{self._doubts_html()}<table><tbody>{rows}</tbody></table>{note}"
+            f"{self._picture_html()}</div>"
+        )
+
+    def _main_numbers(self) -> list[tuple[str, str]]:
+        from heliogauge.reporting.notation import number_text
+        from heliogauge.results.folder import unit_of
+
+        numbers, reasons = self._summary.numbers, self._summary.not_determined
+        shown = []
+        for key, value in numbers.items():
+            if key.startswith("sigma_") and key.removeprefix("sigma_") in numbers:
+                continue
+            name, unit = unit_of(key)
+            sigma = numbers.get(f"sigma_{key}")
+            text = f"not determined: {reasons.get(key, '')}" if value is None else number_text(value, sigma, unit, name)
+            shown.append((key, text))
+        return shown
+
+    def _doubts_html(self) -> str:
+        if not self.doubts:
+            return ""
+        first = [(html.escape(one.severity), html.escape(one.text)) for one in self.doubts[:_MOST_DOUBTS]]
+        items = "".join(f"<li><b>{severity}</b>: {text}</li>" for severity, text in first)
+        more = len(self.doubts) - _MOST_DOUBTS
+        return f"<ul>{items}{f'<li>{more} more in <code>.doubts</code></li>' if more > 0 else ''}</ul>"
+
+    def _picture_html(self) -> str:
+        try:
+            view = self._picture()
+        except InputError as error:
+            # A result that is shown in a notebook must not fail for a picture.
+            return f"<p>no picture: {html.escape(str(error))}</p>"
+        return "" if view is None else str(view._repr_html_())
 
     def save(self, out: str | Path, *, force: bool = False) -> Path:
         """Copy the folder of results.

@@ -87,7 +87,7 @@ class ChartView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self._figure()]))
+        return show(*(self.figures or [self.figure()]))
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -99,7 +99,8 @@ class ChartView:
         spec = {**labels, **axes, "series": [_series_spec(one, store) for one in self.series]}
         return view_frame("chart", self.name, spec, self.static)
 
-    def _figure(self) -> Figure:
+    def figure(self) -> Figure:
+        """Draw the chart."""
         figure, axes = chart_figure(self.name, self.note, self.x_label, self.y_label)
         for one in self.series:
             x, y = np.asarray(one.x), np.asarray(one.y)

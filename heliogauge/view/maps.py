@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
+from heliogauge.instruments import near_match
 from heliogauge.reporting.canvas import MapStyle, map_figure, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.html import Html, show
 from heliogauge.reporting.notation import number_text
@@ -126,9 +127,20 @@ class MapView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self._figure(layer) for layer in self.layers[:2]]))
+        return show(*(self.figures or [self.figure(layer.key) for layer in self.layers[:2]]))
 
-    def _figure(self, layer: MapLayer) -> Figure:
+    def figure(self, quantity: str | None = None) -> Figure:
+        """Draw one layer.
+
+        quantity: Its key; the first layer without it.
+        InputError: There is no such layer.
+        """
+        layers = {layer.key: layer for layer in self.layers}
+        layer = self.layers[0] if quantity is None else layers.get(quantity)
+        if layer is None:
+            raise InputError(
+                f"map {self.name}: quantity {quantity!r} is not in it; {near_match(str(quantity), layers)}"
+            )
         low, limit = _colors(layer)
         style = MapStyle(layer.name, layer.unit, layer.factor, layer.diverging, limit, low)
         return map_figure(self, layer.values, style)

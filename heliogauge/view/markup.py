@@ -4,6 +4,8 @@ import html
 import json
 from typing import Any, Protocol
 
+from matplotlib.figure import Figure
+
 from heliogauge.reporting.html import Html
 from heliogauge.view.arrays import PAGE, ArrayStore
 
@@ -13,6 +15,9 @@ class View(Protocol):
 
     def page_html(self, store: ArrayStore = PAGE) -> str:
         """Return the HTML for a page that has the assets of `heliogauge.view.assets`."""
+
+    def figure(self) -> Figure:
+        """Draw it, or what of it is seen first."""
 
     def _repr_html_(self) -> str:
         """Return the HTML for a notebook: the static figure."""

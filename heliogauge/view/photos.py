@@ -110,7 +110,7 @@ class PhotoView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self._figure()]))
+        return show(*(self.figures or [self.figure()]))
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -120,7 +120,8 @@ class PhotoView:
         spec = {"name": self.name, "photos": [_photo_spec(photo, store) for photo in self.photos]}
         return view_frame("photo", self.name, spec, self.static)
 
-    def _figure(self) -> Figure:
+    def figure(self) -> Figure:
+        """Draw the first photo with its marks."""
         photo = self.photos[0]
         width = 1.6 * WIDTH_IN - 0.8
         height = min(width * photo.height_px / photo.width_px, 5.0)

@@ -79,7 +79,7 @@ class SceneView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self._figure()]))
+        return show(*(self.figures or [self.figure()]))
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -99,7 +99,8 @@ class SceneView:
         }
         return view_frame("scene", self.name, spec, self.static)
 
-    def _figure(self) -> Figure:
+    def figure(self) -> Figure:
+        """Draw the scene from one side."""
         figure = new_figure(4.2, 1.6 * WIDTH_IN)
         axes = axes_in_inches(figure, 0.1, 0.1, 1.6 * WIDTH_IN - 0.2, 3.5)
         axes.set_axis_off()

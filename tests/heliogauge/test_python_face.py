@@ -161,3 +161,38 @@ def test_reports_from_python(result: hg.Result, tmp_path: Path) -> None:
     out = result.save(tmp_path / "out")
     assert hg.report(out) == out / "report.html"
     assert (out / "report.html").stat().st_size > 10_000
+
+
+def test_it_shows_itself_in_a_notebook(result: hg.Result) -> None:
+    text = result._repr_html_()
+    assert "<img" in text
+    assert "sdx_mrad" in text
+    assert "0.2747 ± 0.0019 mrad" in text or "mrad" in text
+    assert len(text) < 250_000
+
+
+def test_angles_of_the_normal_mean_the_same_for_all(result: hg.Result) -> None:
+    """SDx is their RMS; on this flat facet the sigma of the angle is that of the slope."""
+    angles = result.angles
+    assert 1e3 * float(np.sqrt((angles["angle_x"] ** 2).mean())) == pytest.approx(result.summary["sdx_mrad"], rel=0.02)
+    known = np.isfinite(angles["angle_x"].values)
+    np.testing.assert_allclose(
+        angles["sigma_angle_x"].values[known], result.slope_map["sigma_slope_x"].values[known], rtol=1e-4
+    )
+    assert angles["angle_x"].attrs["units"] == "rad"
+
+
+def test_plots_are_figures(result: hg.Result, tmp_path: Path) -> None:
+    result.plot().savefig(tmp_path / "map.png")
+    assert "Height" in [text.get_text() for text in result.plot("height").texts]
+    with pytest.raises(InputError, match="quantity 'heigth' is not in it; did you mean height"):
+        result.plot("heigth")
+
+
+def test_parts_are_results_within_results(tmp_path: Path) -> None:
+    folder = hg.synth("heliostat", tmp_path / "m")
+    field = hg.measure(folder, thorough=False, jobs=1, only="H01,H02")
+    assert list(field.parts) == ["H01", "H02"]
+    assert field.parts["H02"].kind == "heliostat"
+    with pytest.raises(InputError, match="'H03' is not among these; there are: H01, H02"):
+        field.parts["H03"]
