@@ -64,10 +64,10 @@ def canting_numbers(as_measured: SlopeMap) -> Numbers:
     canted = canting(as_measured)
     sigma = np.sqrt(np.diag(canted.covariance_components_rad2))
     return {
-        "canting_x_mrad": 1e3 * float(canted.components_rad[0]),
-        "sigma_canting_x_mrad": 1e3 * float(sigma[0]),
-        "canting_y_mrad": 1e3 * float(canted.components_rad[1]),
-        "sigma_canting_y_mrad": 1e3 * float(sigma[1]),
+        "canting_x_rad": float(canted.components_rad[0]),
+        "sigma_canting_x_rad": float(sigma[0]),
+        "canting_y_rad": float(canted.components_rad[1]),
+        "sigma_canting_y_rad": float(sigma[1]),
     }
 
 
@@ -79,8 +79,8 @@ def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
     }
     numbers: Numbers = {}
     for name, (value, sigma) in values.items():
-        numbers[f"{name}{view}_mrad"] = 1e3 * value
-        numbers[f"sigma_{name}{view}_mrad"] = 1e3 * sigma
+        numbers[f"{name}{view}_rad"] = value
+        numbers[f"sigma_{name}{view}_rad"] = sigma
     return numbers
 
 
@@ -89,10 +89,10 @@ def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
     valid = slope_map.valid
     sigma_x, sigma_y = slope_map.sigma_slope()
     numbers: Numbers = {
-        "sigma_slope_x_rms_mrad": 1e3 * _rms(sigma_x[valid]),
-        "sigma_slope_y_rms_mrad": 1e3 * _rms(sigma_y[valid]),
-        "sigma_random_x_rms_mrad": 1e3 * _rms(slope_map.sigma_random_x[valid]),
-        "sigma_random_y_rms_mrad": 1e3 * _rms(slope_map.sigma_random_y[valid]),
+        "sigma_slope_x_rms_rad": _rms(sigma_x[valid]),
+        "sigma_slope_y_rms_rad": _rms(sigma_y[valid]),
+        "sigma_random_x_rms_rad": _rms(slope_map.sigma_random_x[valid]),
+        "sigma_random_y_rms_rad": _rms(slope_map.sigma_random_y[valid]),
     }
     common = slope_map.common
     modes = common.evaluate(*(grid[valid] for grid in np.meshgrid(slope_map.x_m, slope_map.y_m)))
@@ -100,8 +100,8 @@ def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
         chosen = [k for k, name in enumerate(common.sources) if name == source]
         share = np.sqrt((modes[chosen] ** 2).sum(axis=0).mean(axis=-1))
         name = source.replace(" ", "_")
-        numbers[f"sigma_{name}_x_rms_mrad"] = 1e3 * float(share[0])
-        numbers[f"sigma_{name}_y_rms_mrad"] = 1e3 * float(share[1])
+        numbers[f"sigma_{name}_x_rms_rad"] = float(share[0])
+        numbers[f"sigma_{name}_y_rms_rad"] = float(share[1])
     turn = curl(slope_map)
     numbers["curl_rms_per_m"] = _rms(turn.value_per_m[valid & np.isfinite(turn.value_per_m)])
     numbers["curl_expected_rms_per_m"] = _rms(turn.sigma_per_m[valid & np.isfinite(turn.value_per_m)])
@@ -118,8 +118,9 @@ def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:
     numbers: Numbers = {
         "camera_distance_m": float(np.linalg.norm(pose.translation_m)),
         "noise_dn": float(evaluation.screen_map.noise.sigma_read_dn),
-        "alignment_turn_mrad": 1e3
-        * float(np.linalg.norm((located.pose.cam_from_mirror.inverse() @ pose).rotation_vector_rad)),
+        "alignment_turn_rad": float(
+            np.linalg.norm((located.pose.cam_from_mirror.inverse() @ pose).rotation_vector_rad)
+        ),
     }
     evidence = located.evidence
     if evidence is not None:
@@ -134,7 +135,7 @@ def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:
                 "distance_measured_m": test.measured_m,
                 "distance_from_image_m": test.image_only_m,
                 "sigma_distance_from_image_m": test.sigma_image_only_m,
-                "distance_residual_mm": 1e3 * test.residual_m,
+                "distance_residual_m": test.residual_m,
                 "distance_agreement_probability": test.probability,
             }
     return numbers
@@ -180,8 +181,8 @@ def headline_text(summary: Summary) -> str:
 
     lines = [
         f"{summary.name}: slope deviation of the normal against {summary.texts['design']}",
-        f"  as measured      SDx {number('sdx_mrad')}   SDy {number('sdy_mrad')}",
-        f"  best-fit focus   SDx {number('sdx_best_focus_mrad')}   SDy {number('sdy_best_focus_mrad')}",
+        f"  as measured      SDx {number('sdx_rad')}   SDy {number('sdy_rad')}",
+        f"  best-fit focus   SDx {number('sdx_best_focus_rad')}   SDy {number('sdy_best_focus_rad')}",
         f"  focal length     x {number('focal_length_x_m')}   y {number('focal_length_y_m')}",
         f"  removed          {summary.texts['removed']}",
         f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",

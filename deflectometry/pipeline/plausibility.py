@@ -63,7 +63,7 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
     yield from _rejection_doubt(evaluation)
     yield from _turn_doubt(evaluation)
     yield from _curl_doubt(facets or {"": numbers})
-    error, rest = _number(numbers, "sd_tilt_removed_mrad"), _number(numbers, "sd_best_quadratic_mrad")
+    error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
     lengths = (
         f"focal lengths x {_number(numbers, 'focal_length_x_m'):.4g} m, y {_number(numbers, 'focal_length_y_m'):.4g} m"
     )

@@ -285,7 +285,7 @@ def test_facets_get_a_line_each(tmp_path: Path) -> None:
 
 def test_only_numbers_with_a_name_stand_in_the_headline(tmp_path: Path) -> None:
     summary = make_summary(write_results(tmp_path))
-    numbers = {**summary.numbers, "alignment_turn_mrad": 3.0, "sigma_random_x_rms_mrad": 0.5}
+    numbers = {**summary.numbers, "alignment_turn_rad": 3e-3, "sigma_random_x_rms_rad": 0.5e-3}
     write_summary(tmp_path / "summary.json", replace(summary, numbers=numbers))
     headline, folded = page.headline_table(page.open_results(tmp_path)).text.split("<details>")
     assert "SDx, RMS angle of the normal" in headline
