@@ -90,15 +90,17 @@ class Removals:
 
 @dataclass(frozen=True, eq=False)
 class MapView:
-    """Quantities on one grid, seen from the front: x to the right, y up, in equal proportions.
+    """Quantities on one grid, x to the right, in equal proportions: a mirror from the front, or the image of a camera.
 
     name: What the map shows.
-    x_m (nx,), y_m (ny,): Columns and rows of the grid, ascending [m].
+    x_m (nx,), y_m (ny,): Columns and rows of the grid, ascending, in `axis_unit` [m].
     layers: Quantities; the first is shown at first.
     flags (ny, nx): Bits of `heliogauge.flags.SampleFlag`.
     aperture (ny, nx): Nodes that belong to the mirror, measured or not.
     removals: What may be taken out of slope errors; empty for maps of other quantities.
     note: A line under the map.
+    axis_unit: Unit of columns and rows: "m", or "px" for maps over an image.
+    y_down: y grows downwards, as in images; otherwise upwards.
     figures: Static figures for notebook and print; empty: the first two layers as maps.
     InputError: Sizes do not fit, or two layers have one key.
     """
@@ -111,6 +113,8 @@ class MapView:
     aperture: BoolArray
     removals: tuple[Removals, ...] = ()
     note: str = ""
+    axis_unit: str = "m"
+    y_down: bool = False
     figures: Sequence[Figure] = field(default=())
 
     def __post_init__(self) -> None:
@@ -186,6 +190,8 @@ class MapView:
         return {
             "name": self.name,
             "note": self.note,
+            "axis_unit": self.axis_unit,
+            "y_down": self.y_down,
             "x": thinned(self.x_m[None, :], most)[0].tolist(),
             "y": thinned(self.y_m[:, None], most)[:, 0].tolist(),
             "nodes": [self.x_m.size, self.y_m.size],
