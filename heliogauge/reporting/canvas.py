@@ -13,6 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import LogFormatter
 
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
@@ -60,10 +62,31 @@ class MapStyle:
 
 
 class ShownFigure(Figure):
-    """A figure that notebooks show without pyplot."""
+    """A figure that notebooks show without pyplot, and whose texts are what they say.
+
+    Names from files are no formulas, whatever signs they hold.
+    """
 
     def _repr_png_(self) -> bytes:
         return png_of(self)
+
+    def draw(self, renderer: Any) -> None:
+        """Draw it, with every text plain but the powers of ten at logarithmic axes."""
+        for axes in self.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                if not isinstance(axis.get_major_formatter(), LogFormatter):
+                    make_plain(*axis.get_ticklabels())
+            legend = axes.get_legend()
+            make_plain(axes.title, axes.xaxis.label, axes.yaxis.label, *axes.texts)
+            make_plain(*(legend.get_texts() if legend else ()))
+        make_plain(*self.texts, *(text for legend in self.legends for text in legend.get_texts()))
+        super().draw(renderer)
+
+
+def make_plain(*texts: Text) -> None:
+    """Let texts stand as they are; "$" begins no formula."""
+    for text in texts:
+        text.set_parse_math(False)
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:

@@ -1,31 +1,74 @@
-"""Pieces of HTML that report notebooks show: figures side by side, tables, numbers with their uncertainty."""
+"""Pieces of HTML that report notebooks show: figures side by side, tables, pieces below each other."""
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Protocol
 
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-from heliogauge.reporting.canvas import WIDTH_IN, png_of
+    from heliogauge.view.arrays import ArrayStore
+
+
+class Shown(Protocol):
+    """Anything that a notebook shows as HTML."""
+
+    def _repr_html_(self) -> str:
+        """Return the HTML for a notebook."""
 
 
 class Html:
-    """A piece of HTML that a notebook shows."""
+    """A piece of HTML.
 
-    def __init__(self, text: str) -> None:
+    text: What a notebook shows.
+    page: Returns what a page shows, where that differs: views that are alive.
+    """
+
+    def __init__(self, text: str, page: "Callable[[ArrayStore], str] | None" = None) -> None:
         self.text = text
+        self._page = page
 
     def _repr_html_(self) -> str:
         return self.text
 
+    def page_html(self, store: "ArrayStore") -> str:
+        """Return the HTML for a page; `store` takes the numbers of its views."""
+        return self.text if self._page is None else self._page(store)
 
-def show(*figures: Figure | None, caption: str = "") -> Html:
+
+def in_page(piece: Shown, store: "ArrayStore") -> str:
+    """Return a piece as a page shows it: alive where it can be.
+
+    store: Takes the numbers of views.
+    """
+    alive: Callable[[ArrayStore], str] | None = getattr(piece, "page_html", None)
+    return piece._repr_html_() if alive is None else alive(store)
+
+
+def wrap(before: str, pieces: Sequence[Shown], after: str) -> Html:
+    """Put pieces below each other between two pieces of markup.
+
+    before, after: Such as ``<div class="two">`` and ``</div>``.
+    """
+    text = before + "".join(piece._repr_html_() for piece in pieces) + after
+    return Html(text, lambda store: before + "".join(in_page(piece, store) for piece in pieces) + after)
+
+
+def join(*pieces: Shown) -> Html:
+    """Put pieces below each other."""
+    return wrap("", pieces, "")
+
+
+def show(*figures: "Figure | None", caption: str = "") -> Html:
     """Return figures side by side, as images within the page.
 
     *figures: The figures; None is left out.
     caption: A line under them.
     Returns: The images with a text for those who cannot see them.
     """
+    from heliogauge.reporting.canvas import WIDTH_IN, png_of
+
     parts = []
     for figure in filter(None, figures):
         words = ". ".join(text.get_text() for text in figure.texts if text.get_text())
@@ -35,11 +78,6 @@ def show(*figures: Figure | None, caption: str = "") -> Html:
         parts.append(f"<figure{kind}>{image}</figure>")
     below = f'<p class="caption">{html.escape(caption)}</p>' if caption else ""
     return Html(f'<div class="figures">{"".join(parts)}</div>{below}' if parts else "")
-
-
-def join(*pieces: Html) -> Html:
-    """Put pieces below each other."""
-    return Html("".join(piece.text for piece in pieces))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterable[int] = ()) -> Html:

@@ -1,15 +1,17 @@
 """What the report notebooks call: each function returns a piece of HTML that the cell shows."""
 
 import html
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import Html, Shown, join, show, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
+from heliogauge.reporting.verdict import State, Verdict, doubt_mark
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
@@ -22,8 +24,10 @@ __all__ = [
     "doubts_box",
     "duration_table",
     "facet_table",
+    "first_screen",
     "flag_table",
     "head",
+    "headline_numbers",
     "headline_table",
     "image_figures",
     "input_table",
@@ -41,6 +45,7 @@ __all__ = [
     "text_table",
     "title",
     "uncertainty_shares",
+    "verdict_box",
 ]
 
 #: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
@@ -63,6 +68,17 @@ LABELS: dict[str, str] = {
     "curl_expected_rms": "RMS curl expected from the noise",
     "target_distance": "Distance of the target",
 }
+
+
+#: What stands over the box of a verdict.
+STATE_WORDS: dict[State, str] = {
+    State.SOUND: "Sound: no check found anything doubtful",
+    State.DOUBTFUL: "Doubtful: look at these first",
+    State.INCOMPLETE: "Incomplete",
+    State.FAILED: "Not to be used as it is",
+}
+#: Doubts in the box of a verdict; the rest is a link away.
+MOST_REMARKS = 5
 
 
 class HasSummary(Protocol):
@@ -101,14 +117,60 @@ def title(results: Results) -> Html:
     return name_and_line(summary.name, line)
 
 
+def first_screen(
+    name: str, line: str, verdict: Verdict, numbers: Sequence[tuple[str, ...]], picture: Shown | None
+) -> Html:
+    """Return what a reader sees first: name, verdict and headline numbers on the left, the picture on the right.
+
+    name, line: What was measured, and how, as text.
+    numbers: Rows of `headline_numbers`.
+    picture: A view or figures; None: the numbers take the whole width.
+    """
+    left = wrap('<div class="answer">', [verdict_box(verdict), headline_numbers(numbers)], "</div>")
+    right = [] if picture is None else [wrap('<div class="picture">', [picture], "</div>")]
+    kind = "first" if right else "first alone"
+    return join(name_and_line(name, line), wrap(f'<div class="{kind}">', [left, *right], "</div>"))
+
+
+def verdict_box(verdict: Verdict) -> Html:
+    """Return the verdict: what is missing, what is doubtful, what passed."""
+    lines = [f'<li class="missing">{html.escape(text)}</li>' for text in verdict.missing]
+    for remark in verdict.doubtful[:MOST_REMARKS]:
+        text = html.escape(remark.text)
+        lines.append(f'<li class="doubtful"><a href="#{remark.mark}">{text}</a></li>')
+    more = len(verdict.doubtful) - MOST_REMARKS
+    if more > 0:
+        lines.append(f'<li class="doubtful"><a href="#{doubt_mark(1)}">and {more} more</a></li>')
+    lines += [f'<li class="passed">{html.escape(text)}</li>' for text in verdict.passed]
+    if verdict.notes:
+        words = "1 note" if verdict.notes == 1 else f"{verdict.notes} notes"
+        lines.append(f'<li class="note"><a href="#{doubt_mark(1)}">{words}</a></li>')
+    items = f"<ul>{''.join(lines)}</ul>" if lines else ""
+    return Html(f'<div class="verdict {verdict.state}"><strong>{STATE_WORDS[verdict.state]}</strong>{items}</div>')
+
+
+def headline_numbers(rows: Iterable[tuple[str, ...]]) -> Html:
+    """Return the headline numbers.
+
+    rows: Label, value with sigma and unit, and a note below the label where there is one.
+    """
+    lines = []
+    for label, value, *notes in rows:
+        note = "".join(f"<small>{html.escape(text)}</small>" for text in notes if text)
+        lines.append(f"<tr><th>{html.escape(label)}{note}</th><td>{html.escape(value)}</td></tr>")
+    return Html(f'<table class="numbers"><tbody>{"".join(lines)}</tbody></table>' if lines else "")
+
+
 def doubts_box(results: HasSummary) -> Html:
-    """Return the doubts, or the statement that there are none."""
+    """Return all doubts with all their words, or the statement that there are none."""
     doubts = results.summary.doubts
     if not doubts:
-        return Html('<div class="fine">No warnings: every check of the measurement passed.</div>')
-    items = "".join(f'<li class="{one.severity}">{html.escape(one.text)}</li>' for one in doubts)
-    word = "warning" if len(doubts) == 1 else "warnings"
-    return Html(f'<div class="warnings"><strong>{len(doubts)} {word}</strong><ul>{items}</ul></div>')
+        return Html("<p>No check found anything doubtful.</p>")
+    items = "".join(
+        f'<li class="{one.severity}" id="{doubt_mark(number)}">{html.escape(one.text)}</li>'
+        for number, one in enumerate(doubts, start=1)
+    )
+    return Html(f'<ul class="doubts">{items}</ul>')
 
 
 def headline_table(results: Results) -> Html:

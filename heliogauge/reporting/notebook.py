@@ -1,0 +1,115 @@
+"""Notebooks as values: read, run in this process, written with what their cells showed.
+
+A report notebook is package data; its cells are as trusted as any module. Files of results are numbers only and are
+never run.
+"""
+
+import ast
+import copy
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from heliogauge.reporting.html import in_page
+
+if TYPE_CHECKING:
+    from heliogauge.view.arrays import ArrayStore
+
+#: Tag of the cell that says where the results are: ``folder = Path.cwd()`` in Jupyter, the given folder here.
+FOLDER_TAG = "folder"
+#: Tag of a cell that is on the printed sheet.
+PRINT_TAG = "print"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownCell:
+    """What a reader sees of one cell.
+
+    html: Its markup in a page.
+    printed: Whether it is on the printed sheet.
+    """
+
+    html: str
+    printed: bool
+
+
+@dataclass(slots=True, eq=False)
+class Notebook:
+    """A notebook in the JSON of format 4.
+
+    content: All of it; running writes the outputs into it.
+    shown: What its cells show in a page, once it has run.
+    """
+
+    content: dict[str, Any]
+    shown: list[ShownCell] = field(default_factory=list)
+
+    def run(self, folder: Path, store: "ArrayStore") -> None:
+        """Run the cells of code in their order, in one namespace; the value of a cell's last expression is shown.
+
+        folder: What the cell with the tag `FOLDER_TAG` would have found.
+        store: Takes the numbers of views in the page.
+        Exception: What a cell raises.
+        """
+        namespace: dict[str, Any] = {"__name__": "report", "folder": folder, "Path": Path}
+        count = 0
+        for cell in self.content["cells"]:
+            source = "".join(cell["source"])
+            tags = cell.get("metadata", {}).get("tags", ())
+            if cell["cell_type"] == "markdown":
+                shown = markdown(source)
+            elif cell["cell_type"] == "code":
+                count += 1
+                value = None if FOLDER_TAG in tags else _run(source, f"<report, cell {count}>", namespace)
+                cell["execution_count"] = count
+                cell["outputs"] = [] if value is None else [_output(value, count)]
+                shown = "" if value is None else _in_page(value, store)
+            else:
+                continue
+            if shown:
+                self.shown.append(ShownCell(shown, PRINT_TAG in tags))
+
+    def text(self) -> str:
+        """Return the notebook as its file holds it."""
+        return json.dumps(self.content, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_notebook(text: str) -> Notebook:
+    """Return the notebook that a file's text holds, without outputs."""
+    content = copy.deepcopy(json.loads(text))
+    for cell in content["cells"]:
+        if cell["cell_type"] == "code":
+            cell.update(execution_count=None, outputs=[])
+    return Notebook(content)
+
+
+def markdown(text: str) -> str:
+    """Return Markdown as HTML; markup within it stays text."""
+    from markdown_it import MarkdownIt
+
+    return str(MarkdownIt("commonmark", {"html": False}).enable("table").render(text))
+
+
+def _run(source: str, name: str, namespace: dict[str, Any]) -> Any:
+    body: Sequence[ast.stmt] = ast.parse(source, name).body
+    last = body[-1] if body and isinstance(body[-1], ast.Expr) else None
+    statements = ast.Module(body=list(body[:-1] if last else body), type_ignores=[])
+    exec(compile(statements, name, "exec"), namespace)
+    return None if last is None else eval(compile(ast.Expression(last.value), name, "eval"), namespace)
+
+
+def _output(value: Any, count: int) -> dict[str, Any]:
+    text = value._repr_html_() if hasattr(value, "_repr_html_") else _plain(value)
+    data = {"text/html": text.splitlines(keepends=True), "text/plain": [f"<{type(value).__name__}>"]}
+    return {"output_type": "execute_result", "execution_count": count, "metadata": {}, "data": data}
+
+
+def _in_page(value: Any, store: "ArrayStore") -> str:
+    return in_page(value, store) if hasattr(value, "_repr_html_") else _plain(value)
+
+
+def _plain(value: Any) -> str:
+    return f"<pre>{html.escape(str(value))}</pre>"
