@@ -13,5 +13,9 @@ class EstimationError(MetrologyError):
     """The data are valid but do not determine the answer; the message gives the numbers and the remedy."""
 
 
+class ReportWarning(UserWarning):
+    """A report could not be made; the results it would have shown are complete on disk."""
+
+
 class NotConvergedError(EstimationError):
     """An adjustment ended where there is no minimum to the stated tolerance."""

@@ -1,5 +1,6 @@
 """What the result of any instrument has, and what is done with all of them alike."""
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from heliogauge.doubts import Doubt
+from heliogauge.errors import MetrologyError, ReportWarning
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, write_summary
 from heliogauge.running.progress import Progress
 
@@ -95,7 +97,7 @@ def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, f
 
     job: Does the work; is called when the folder is known to be usable.
     force: Replace an earlier result.
-    report: Add ``report.html``.
+    report: Add ``report.html`` when the results are in place (`add_report`).
     InputError: The folder cannot be used, or the job refuses its input.
     EstimationError: The job's answer is not determined.
     """
@@ -103,9 +105,28 @@ def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, f
         result = job()
         with progress.stage("write results"):
             result.write(working)
-        if report:
-            from heliogauge.reporting.build import build_report
-
-            with progress.stage("report"):
-                build_report(working)
+    if report:
+        add_report(out, progress)
     return result
+
+
+def add_report(folder: Path, progress: Progress) -> None:
+    """Add a report to results that are complete and in their place; one that fails costs the report alone.
+
+    Whatever goes wrong becomes a `ReportWarning` with its reason: hours of measuring are worth more than a picture.
+
+    KeyboardInterrupt: With what is kept in its text.
+    """
+    again = f"`heliogauge report {folder}` makes the report"
+    try:
+        from heliogauge.reporting.build import build_report
+
+        with progress.stage("report"):
+            build_report(folder)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"the results are complete in {folder}; {again}") from None
+    except Exception as error:
+        reason = str(error) if isinstance(error, MetrologyError) else f"{type(error).__name__}: {error}"
+        warnings.warn(
+            f"no report: {reason}; the results are complete in {folder}, and {again}", ReportWarning, stacklevel=2
+        )

@@ -11,16 +11,17 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
-from heliogauge.errors import MetrologyError
+from heliogauge.errors import MetrologyError, ReportWarning
 from heliogauge.instruments import Commands, every_kind, instruments, resolve
 from heliogauge.running.commands import Force, NoReport, Quiet, Verbose
 
@@ -155,6 +156,22 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     raise SystemExit(128 + number)
 
 
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    text = (
+        f"warning: {message}\n"
+        if issubclass(category, ReportWarning)
+        else warnings.formatwarning(message, category, filename, lineno, line)
+    )
+    (file or sys.stderr).write(text)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave the process.
 
@@ -164,6 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    warnings.showwarning = _show_warning
+    warnings.simplefilter("always", ReportWarning)
     try:
         typer.main.get_command(app).main(args=arguments, prog_name="heliogauge")
     except MetrologyError as error:

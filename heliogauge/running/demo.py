@@ -11,6 +11,7 @@ from data_synth.heliostats import HeliostatTruth, heliostat_scene, read_heliosta
 from deflectometry import Result, run
 from heliogauge.measurement.load import load
 from heliogauge.results.folder import ResultFolder
+from heliogauge.results.frame import add_report
 from heliogauge.running.progress import SilentProgress
 from heliogauge.slopes.map import monomials
 
@@ -32,13 +33,10 @@ def run_demo(out: Path, progress: SilentProgress, *, force: bool = False, report
         result = run(load(folder), progress=progress)
         with progress.stage("write results"):
             result.write(working)
-        if report:
-            from heliogauge.reporting.build import build_report
-
-            with progress.stage("report"):
-                build_report(working)
-        calibrated = calibrate_heliostats(working / HELIOSTATS, progress, report=report)
+        calibrated = calibrate_heliostats(working / HELIOSTATS, progress)
         compared = compare_with_truth(result, folder)
+    for place in (out, out / HELIOSTATS) if report else ():
+        add_report(place, progress)
     progress.say(result.headline())
     progress.say(compared)
     progress.say(calibrated)
@@ -77,11 +75,10 @@ def compare_with_truth(result: Result, folder: Path) -> str:
     )
 
 
-def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool) -> str:
+def calibrate_heliostats(folder: Path, progress: SilentProgress) -> str:
     """Draw the beams of four heliostats, calibrate them, and say how near their models come to the true ones.
 
     folder: Folder for the results, to be made; the tables lie in its folder ``measurement``.
-    report: Also write report.html.
     """
     folder.mkdir()
     place = folder / MEASUREMENT
@@ -93,11 +90,6 @@ def calibrate_heliostats(folder: Path, progress: SilentProgress, *, report: bool
         result = heliostats.run(load(place), options, SilentProgress())
     with progress.stage("write results"):
         result.write(folder)
-    if report:
-        from heliogauge.reporting.build import build_report
-
-        with progress.stage("report"):
-            build_report(folder)
     truth = read_heliostat_truth(place)
     lines = []
     for number, one in enumerate(result.heliostats):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from heliogauge.results.folder import ResultFolder
-from heliogauge.results.frame import into_folder
+from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.keys import ObserverMeasurement
 from observer.pipeline import modules
@@ -34,4 +34,9 @@ def run_into(
     if not measurement.model.module:
         return into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
     with ResultFolder(out, force=force) as working:
-        return modules.run(measurement, working, options, progress, report=report)
+        found = modules.run(measurement, working, options, progress)
+    if report:
+        measured = [out / one.name for one in measurement.model.module if (out / one.name).is_dir()]
+        for place in (*measured, out):
+            add_report(place, progress)
+    return found

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError, MetrologyError
-from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress, Stage
 from observer.keys import ModuleSection, ObserverMeasurement
@@ -38,13 +37,10 @@ def run(
     folder: Path,
     options: Options | None = None,
     progress: Progress | None = None,
-    *,
-    report: bool = False,
 ) -> pipeline_overview.Result:
     """Evaluate all modules of a flight and write each one's results, and the overview, into a folder.
 
     folder: An existing folder; gets a folder for each module. Only one module's results are in memory at a time.
-    report: Make the report of each module and that of the overview.
     Returns: What each module gave, or why it gave nothing.
     InputError: Photos, targets, camera or dimensions that cannot be used.
     EstimationError: No module could be measured; the message has each one's reason.
@@ -60,7 +56,7 @@ def run(
     for number, module in enumerate(modules):
         name = module.section.name
         try:
-            _solve(module, looks[number], folder / name, options, _Named(progress, name), hashes, report=report)
+            _solve(module, looks[number], folder / name, options, _Named(progress, name), hashes)
         except MetrologyError as error:
             failed[name] = str(error)
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -76,9 +72,6 @@ def run(
         durations = _by_module(progress.durations_s, found.labels)
         found = replace(found, name=measurement.model.name, input_sha256=hashes, durations_s=durations)
         found.write(folder)
-    if report:
-        with progress.stage("report"):
-            build_report(folder)
     return found
 
 
@@ -89,8 +82,6 @@ def _solve(
     options: Options,
     progress: Progress,
     hashes: dict[str, str],
-    *,
-    report: bool,
 ) -> None:
     """Evaluate one module and write its folder, which is there whole or not at all."""
     own = _own(look, module.targets)
@@ -112,9 +103,6 @@ def _solve(
     with progress.stage("write results"):
         folder.mkdir()
         result.write(folder)
-    if report:
-        with progress.stage("report"):
-            build_report(folder)
 
 
 def _is_photo(name: str, look: FirstLook) -> bool:

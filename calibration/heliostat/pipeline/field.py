@@ -31,7 +31,7 @@ from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
 from heliogauge.results.folder import Summary, hash_files, write_summary
-from heliogauge.results.frame import into_folder
+from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, run_each
 
@@ -108,16 +108,13 @@ def run_into(
         try:
             campaign = with_field(campaign, options.workers, progress)
             filled = _fill(folder, campaign, measurement, options, progress)
-            if report:
-                from heliogauge.reporting.build import build_report
-
-                with progress.stage("report"):
-                    build_report(folder.path)
-            return filled
         except KeyboardInterrupt:
             count = len(folder.finished.keys() | folder.before.keys())
             kept = f"{count} of {len(campaign.names)} heliostats are finished in {out}; the same command continues"
             raise KeyboardInterrupt(kept if count else "nothing was written") from None
+    if report:
+        add_report(out, progress)
+    return filled
 
 
 def _fill(
