@@ -1,17 +1,16 @@
 """The notebooks run from top to bottom, as a reader would run them."""
 
-import nbformat
 import pytest
 
-from heliogauge.reporting.build import _execute
+from tests.kernel import read, run_in_jupyter
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["deflectometry_tour"])
 def test_notebook_runs(repository, tmp_path, name):
-    notebook = nbformat.read(repository / "notebooks" / f"{name}.ipynb", as_version=4)
+    notebook = read(repository / "notebooks" / f"{name}.ipynb")
     assert not any(cell.get("outputs") for cell in notebook.cells), "commit notebooks without their outputs"
-    executed = _execute(notebook, tmp_path)
+    executed = run_in_jupyter(notebook, tmp_path, repository)
     cells = [cell for cell in executed.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     complaints = [output.text for cell in cells for output in cell.outputs if output.get("name") == "stderr"]

@@ -1,29 +1,28 @@
-"""Ctrl-C and termination while the report runs: one line, the right exit code, nothing left behind."""
+"""Whatever ends a report ends the report alone: the results are in their place before it starts."""
 
 import os
 import signal
-import time
 
 import pytest
+
+from heliogauge.results.folder import read_summary
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_interrupted_report_leaves_nothing(drawn, start, tmp_path, number, code):
-    """nbclient's own handling of the signals ended in a traceback and exit 1."""
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    process = start("deflectometry", drawn, "-o", tmp_path / "result", "-v", env_extra={"TMPDIR": str(scratch)})
+def test_an_interrupted_report_keeps_the_results(drawn, start, tmp_path, number, code):
+    process = start("deflectometry", drawn, "-o", tmp_path / "result", "-v")
     for line in process.stderr:
         if line.startswith("report"):
             break
-    # The kernel writes its history of input once it runs: nbclient would have taken over the signals by then.
-    while not list(scratch.glob("heliogauge-report-*/profile_default")):
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.02)
     os.killpg(process.pid, number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == code, said
     assert "Traceback" not in said
-    assert [path.name for path in tmp_path.iterdir()] == ["scratch"]
-    assert not list(scratch.glob("heliogauge-report-*"))
+    if number == signal.SIGINT:
+        assert f"heliogauge report {tmp_path / 'result'}" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+    names = {path.name for path in (tmp_path / "result").iterdir()}
+    assert {"summary.json", "slope_map.nc"} <= names
+    assert not {name for name in names if name.startswith((".", "report"))}
+    assert read_summary(tmp_path / "result").kind == "deflectometry"

@@ -9,7 +9,7 @@ from heliogauge.running.progress import SilentProgress
 
 
 def test_heliostats_of_the_demo_are_near_their_truth(tmp_path: Path) -> None:
-    said = calibrate_heliostats(tmp_path / "heliostats", SilentProgress(), report=False)
+    said = calibrate_heliostats(tmp_path / "heliostats", SilentProgress())
     missed = [float(text) for text in re.findall(r"misses by (\d+) mm", said)]
     assert len(missed) == len(read_table_csv(tmp_path / "heliostats" / "field.csv")["heliostat"]) == 4
     # Spots scatter by some 50 mm in the wind; 60 of them are averaged over eight parameters.
