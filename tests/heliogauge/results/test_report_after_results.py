@@ -83,7 +83,8 @@ def test_the_command_line_says_it_and_ends_well(tmp_path):
         "app.command('weigh')(lambda: weigh(Path(sys.argv[1])))\n"
         "cli.main(['weigh'])"
     )
-    done = subprocess.run([sys.executable, "-c", program, tmp_path / "out"], capture_output=True, text=True, timeout=60)
+    command = [sys.executable, "-c", program, tmp_path / "out"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     assert len(lines) == 1

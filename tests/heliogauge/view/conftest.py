@@ -13,6 +13,7 @@ from heliogauge.view.assets import page_assets
 # Names under which Debian, Fedora, Arch and Google install it.
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 OPTIONS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+HEAD = '<meta charset="utf-8"><title>t</title><meta name="viewport" content="width=device-width">'
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
 
@@ -41,7 +42,7 @@ class Opener:
 
     def body(self, body: str, **context: Any) -> Any:
         """Open a page that holds the body, with the assets of its views."""
-        head = f'<meta charset="utf-8"><title>t</title><meta name="viewport" content="width=device-width">{page_assets(body)}'
+        head = HEAD + page_assets(body)
         path = self.folder / "page.html"
         path.write_text(f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{body}</body></html>', "utf-8")
         return self.file(path, **context)
