@@ -82,7 +82,7 @@ def main() -> None:
         truth = write_folder(folder, n_photos, n_targets)
         begin = time.process_time()
         try:
-            command(["photogrammetry", "run", str(folder), "-o", str(out), "--no-report"])
+            command(["photogrammetry", "measure", str(folder), "-o", str(out), "--no-report"])
         except SystemExit:
             print(f"CPU {time.process_time() - begin:.1f} s without the report, ", end="")
         print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")

@@ -33,7 +33,7 @@ def drawn(folder: Path, preset: str, photos: str, scale: str) -> Path:
     """Draw a preset unless it is there."""
     place = folder / f"{preset}_{photos}_{scale}"
     if not place.exists():
-        command = ["-m", "heliogauge", "synth", "trough", str(place), "--preset", preset, "--photos", photos]
+        command = ["-m", "heliogauge", "observer", "synth", str(place), "--preset", preset, "--photos", photos]
         subprocess.run([sys.executable, *command, "--scale", scale, "--quiet"], check=True)
     return place
 

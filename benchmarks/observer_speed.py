@@ -1,7 +1,7 @@
 """From photos of a trough to the finished maps: processor time over that of merely decoding the photos, and memory.
 
 Run with one thread: ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/observer_speed.py FOLDER``; FOLDER
-is a measurement such as ``heliogauge synth trough FOLDER --preset ls2`` draws; without it a small one is drawn, whose
+is a measurement such as ``heliogauge observer synth FOLDER --preset ls2`` draws; without it a small one is drawn, whose
 photos are too small for the ratio to mean much. The photos are written as JPEG (quality 95), in colour with
 ``--colour``, as often as are needed for 400 (``--photos``): passes over the same places, one after the other. Decoding
 is OpenCV's, of the same files in the same run, with all that is in them: a colour photo becomes three colours, as in
@@ -69,7 +69,7 @@ def main() -> None:
         copy, folder = Path(scratch) / "repeated", chosen.folder or Path(scratch) / "drawn"
         copy.mkdir()
         if chosen.folder is None:
-            drawing = [sys.executable, "-m", "heliogauge", "synth", "trough", str(folder), "--preset", "small"]
+            drawing = [sys.executable, "-m", "heliogauge", "observer", "synth", str(folder), "--preset", "small"]
             subprocess.run(drawing, check=True, stdout=subprocess.DEVNULL)
         repeated(folder, copy, chosen.photos, chosen.colour)
         measurement = load(copy)

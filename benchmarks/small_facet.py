@@ -56,10 +56,10 @@ def main():
             "PYTHONPYCACHEPREFIX": f"{scratch}/bytecode",
         }
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        run = ("-m", "heliogauge", "deflectometry", str(folder), "-o", str(out), "--no-report", "--force")
+        run = ("-m", "heliogauge", "deflectometry", "measure", str(folder), "-o", str(out), "--no-report", "--force")
         libraries = "import numpy, cv2, h5netcdf, pydantic, typer"
         rows = {
-            "heliogauge deflectometry MEAS -o OUT --no-report": (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}"),
+            "heliogauge deflectometry measure MEAS -o OUT --no-report": (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}"),
             "heliogauge --version": ("< 0.5", ""),
             "heliogauge --help": ("< 0.5", ""),
             f"beside it: {libraries}": ("", ""),

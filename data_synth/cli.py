@@ -1,23 +1,47 @@
-"""``heliogauge synth``: measurement folders with known truth, for tests, demonstrations and test planning."""
+"""``heliogauge INSTRUMENT synth``: measurement folders with known truth, for tests, demonstrations and test planning.
+
+Each function is the ``synth`` of the instrument whose name it has.
+"""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from heliogauge.running.commands import Quiet, Verbose, parse_periods
+from heliogauge.running.commands import NewFolder, Quiet, Verbose, parse_periods
 
-app = typer.Typer(
-    help="Make a measurement folder with known truth.",
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+FringePreset = Literal[
+    "small",
+    "full",
+    "large",
+    "off-axis",
+    "off-axis-20",
+    "trough-panel",
+    "sphere",
+    "plane",
+    "curved-screen",
+    "ensemble",
+]
+TargetPreset = Literal["small", "panel", "single", "retro", "busy", "markers", "natural"]
+BoardPreset = Literal["chessboard", "charuco", "circles", "circles-asymmetric", "targets"]
+TroughPreset = Literal[
+    "small",
+    "flight",
+    "ls2",
+    "ls2-long",
+    "ls2-two-passes",
+    "displaced",
+    "sag",
+    "clouds",
+    "ground",
+    "mast",
+    "turning",
+    "absorber",
+    "panel",
+]
+HeliostatPreset = Literal["small", "field", "juelich", "faulty", "stellenbosch", "drone", "images", "images-lens"]
 
-
-OutFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)]
 Replace = Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")]
 Scale = Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")]
 NoiseDn = Annotated[float | None, typer.Option(min=0.0, help="Noise of each pixel; default: from the preset.")]
@@ -25,21 +49,9 @@ BlurPx = Annotated[float | None, typer.Option(min=0.0, help="Gaussian blur of th
 JpegQuality = Annotated[int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")]
 
 
-@app.callback()
-def synth() -> None:
-    """Make a measurement folder with known truth."""
-
-
-@app.command()
-def fringes(
-    out: OutFolder,
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="Scene: small, full, large, off-axis, off-axis-20, trough-panel, sphere, plane, curved-screen, "
-            "ensemble."
-        ),
-    ] = "small",
+def deflectometry(
+    folder: NewFolder,
+    preset: Annotated[FringePreset, typer.Option(help="Scene.")] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all noise; the same seed gives the same files.")] = 0,
     noise_dn: Annotated[float, typer.Option(min=0.0, help="Noise of each pixel, whatever its signal.")] = 1.0,
     shot_gain_dn: Annotated[float, typer.Option(min=0.0, help="DN per electron; 0: no shot noise.")] = 0.0,
@@ -81,15 +93,17 @@ def fringes(
         faults=tuple(Fault.parse(text) for text in fault or ()),
     )
     knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
-    write_dataset(out, scene, DatasetOptions(seed, knowledge, force), terminal_progress(quiet=quiet, verbose=verbose))
-    print(out)
+    write_dataset(
+        folder, scene, DatasetOptions(seed, knowledge, force), terminal_progress(quiet=quiet, verbose=verbose)
+    )
+    if not quiet:
+        print(folder)
 
 
-@app.command()
-def targets(
-    out: OutFolder,
+def photogrammetry(
+    folder: NewFolder,
     preset: Annotated[
-        str,
+        TargetPreset,
         typer.Option(
             help="Scene: small (8 photos, 40 codes, 12 dots), panel (40 photos, 300 codes, 8 m), single (one photo of "
             "24 megapixel), retro, busy, markers (ArUco), natural (textured tiles)."
@@ -125,16 +139,14 @@ def targets(
     scene = replace(scene, views=scene.views[:photos])
     options = PhotoOptions(seed, sigma_px if points_only else None, jpeg_quality, force)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    write_target_dataset(out, scene, photogrammetry_content(scene), options, progress)
-    print(out)
+    write_target_dataset(folder, scene, photogrammetry_content(scene), options, progress)
+    if not quiet:
+        print(folder)
 
 
-@app.command()
-def board(
-    out: OutFolder,
-    preset: Annotated[
-        str, typer.Option(help="Board: chessboard, charuco, circles, circles-asymmetric, targets.")
-    ] = "chessboard",
+def camera(
+    folder: NewFolder,
+    preset: Annotated[BoardPreset, typer.Option(help="Board.")] = "chessboard",
     photos: Annotated[int, typer.Option(min=1, help="Number of photos.")] = 12,
     flat: Annotated[bool, typer.Option("--flat", help="A flat and square print; real ones are neither.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses and noise; the same seed gives the same files.")] = 0,
@@ -156,15 +168,15 @@ def board(
     scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
     options = PhotoOptions(seed, None, jpeg_quality, force)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    write_target_dataset(out, scene, camera_content(scene, board_table(preset)), options, progress)
-    print(out)
+    write_target_dataset(folder, scene, camera_content(scene, board_table(preset)), options, progress)
+    if not quiet:
+        print(folder)
 
 
-@app.command()
-def trough(
-    out: OutFolder,
+def observer(
+    folder: NewFolder,
     preset: Annotated[
-        str,
+        TroughPreset,
         typer.Option(
             help="Scene: small (24 photos of a short piece), flight (two such pieces in one flight), ls2 (100 photos "
             "of 2 megapixel), ls2-long (longitudinal errors too), ls2-two-passes, displaced, sag, clouds, ground, "
@@ -220,15 +232,15 @@ def trough(
     if rolling_shutter_ms:
         scene = scene.with_rolling_shutter(1e-3 * rolling_shutter_ms)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    write_trough_dataset(out, scene, TroughOptions(seed, jpeg_quality, force), progress)
-    print(out)
+    write_trough_dataset(folder, scene, TroughOptions(seed, jpeg_quality, force), progress)
+    if not quiet:
+        print(folder)
 
 
-@app.command()
 def heliostat(
-    out: OutFolder,
+    folder: NewFolder,
     preset: Annotated[
-        str,
+        HeliostatPreset,
         typer.Option(
             help="Plant: small (4 heliostats of 60 beams), field (100 of 100), juelich (20 with linear actuators, "
             "three targets), faulty (24, half of them with one fault each), stellenbosch (one with a worm gear, four "
@@ -274,5 +286,6 @@ def heliostat(
     wind_rad = None if wind_mrad is None else 1e-3 * wind_mrad
     scene = scene.with_disturbances(spot_m=spot_m, wind_rad=wind_rad, outliers=outliers).with_faults(tuple(fault or ()))
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    write_heliostat_dataset(out, scene, HeliostatOptions(seed, force), progress)
-    print(out)
+    write_heliostat_dataset(folder, scene, HeliostatOptions(seed, force), progress)
+    if not quiet:
+        print(folder)

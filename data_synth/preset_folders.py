@@ -1,4 +1,4 @@
-"""Measurement folders of each kind of scene from a preset and a seed alone: what ``heliogauge.synth`` asks for."""
+"""Measurement folders for each instrument from a preset and a seed alone: what ``heliogauge.synth`` asks for."""
 
 from pathlib import Path
 
@@ -17,14 +17,14 @@ from data_synth.troughs import TroughChoice, TroughOptions, trough_scene, write_
 from heliogauge.running.progress import Progress
 
 
-def fringes(
+def deflectometry(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Draw fringe images of a screen seen in a mirror."""
     write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
 
 
-def targets(
+def photogrammetry(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Photograph coded targets and dots on a panel."""
@@ -32,7 +32,7 @@ def targets(
     write_target_dataset(folder, scene, photogrammetry_content(scene), PhotoOptions(seed, force=force), progress)
 
 
-def board(
+def camera(
     folder: Path, *, preset: str = "chessboard", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Photograph a calibration board."""
@@ -41,14 +41,14 @@ def board(
     write_target_dataset(folder, scene, content, PhotoOptions(seed, force=force), progress)
 
 
-def trough(
+def observer(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Photograph a parabolic trough as a drone does."""
     write_trough_dataset(folder, trough_scene(preset, TroughChoice(seed)), TroughOptions(seed, force=force), progress)
 
 
-def heliostats(
+def heliostat(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Let heliostats throw the sun on a tower's targets."""

@@ -1,4 +1,4 @@
-"""Commands of deflectometry: make patterns, evaluate a measurement folder, import one made with OpenCSP."""
+"""``heliogauge deflectometry``: images of fringes seen in a mirror to its slope map; patterns to display."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -6,23 +6,29 @@ from typing import Annotated, Literal
 import typer
 
 from heliogauge.running.commands import (
+    AsJson,
     Force,
+    ForceMeasurement,
     Jobs,
     MeasurementFolder,
     NoReport,
     OutFolder,
+    OutMeasurement,
     Quiet,
     Verbose,
+    add_formats,
     deliver,
     make_app,
     parse_periods,
+    say_doubts,
 )
 
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
+imports = add_formats(app, "import")
 
 
-@app.command("run")
-def run_command(
+@app.command("measure")
+def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     align: Annotated[
@@ -39,6 +45,7 @@ def run_command(
     jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -64,21 +71,22 @@ def run_command(
         force=force,
         quiet=quiet,
         report=not no_report,
+        as_json=as_json,
     )
 
 
-@app.command("import-opencsp")
+@imports.command("opencsp")
 def import_opencsp_command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILES...",
+            metavar="FILE",
             help="HDF5 and JSON files of one OpenCSP/SOFAST fringe measurement, in any order: measurement, camera, "
             "display, spatial orientation, facet; image calibration, ensemble and result file where there are any.",
             show_default=False,
         ),
     ],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write.", show_default=False)],
+    out: OutMeasurement,
     pose_from: Annotated[
         Path | None, typer.Option("--pose-from", help="Result file whose pose of the mirror is taken over.")
     ] = None,
@@ -92,6 +100,9 @@ def import_opencsp_command(
         bool,
         typer.Option("--correct-principal-point", help="Move the principal point to where averaging pixels put it."),
     ] = False,
+    force: ForceMeasurement = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Write a measurement folder from files made with OpenCSP (SOFAST)."""
     from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
@@ -102,17 +113,17 @@ def import_opencsp_command(
         focal_length_m=focal_length_m,
         sigma_distance_mm=sigma_distance_mm,
     )
-    imported = import_opencsp(files, folder, options)
-    for line in imported.taken:
-        typer.echo(line)
-    for doubt in imported.doubts:
-        typer.echo(f"warning: {doubt.text}", err=True)
-    typer.echo(f"measurement folder: {folder}; evaluate it with `heliogauge deflectometry {folder} -o RESULT`")
+    imported = import_opencsp(files, out, options, force=force)
+    say_doubts(imported.doubts)
+    if not quiet:
+        for line in imported.taken:
+            typer.echo(line)
+        typer.echo(f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`")
 
 
 @app.command("patterns")
 def patterns_command(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.", show_default=False)],
     width_px: Annotated[int, typer.Option("--width-px", min=1, help="Width of the displayed image.")],
     height_px: Annotated[int, typer.Option("--height-px", min=1, help="Height of the displayed image.")],
     periods: Annotated[

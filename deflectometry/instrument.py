@@ -1,26 +1,23 @@
 """What deflectometry offers: found by `heliogauge.instruments`."""
 
-from heliogauge.instruments import Commands, Instrument, Kind
+from heliogauge.instruments import Instrument, Kind
 
 INSTRUMENT = Instrument(
     name="deflectometry",
     summary="Fringe images of a mirror -> slope map.",
-    commands=Commands(
-        "deflectometry",
-        "deflectometry.cli:app",
-        "Fringe images of a mirror -> slope map (and patterns, import-opencsp).",
-    ),
+    commands="deflectometry.cli:app",
     kinds=(
         Kind(
             name="deflectometry",
             model="deflectometry.keys:DeflectometryModel",
             load="deflectometry.keys:load_deflectometry",
             template="deflectometry:template.toml",
-            command="deflectometry",
+            command="deflectometry measure",
             run="deflectometry.pipeline.measure:run",
             options="deflectometry.pipeline.choices:Options",
         ),
     ),
     reports={"deflectometry": "deflectometry:report.ipynb"},
-    synth="data_synth.preset_folders:fringes",
+    synth="data_synth.preset_folders:deflectometry",
+    synth_command="data_synth.cli:deflectometry",
 )

@@ -28,7 +28,7 @@ class Kind:
     model: Type of what the file may say, a `heliogauge.measurement.models.MeasurementModel`.
     load: Function ``(folder) -> measurement`` that reads and checks a folder.
     template: File with a commented measurement.toml to start from.
-    command: What follows ``heliogauge`` on the command line to evaluate a folder.
+    command: What follows ``heliogauge`` on the command line to evaluate a folder: ``"observer measure"``.
     run: Function ``(measurement, options, progress) -> InstrumentResult``, without options where the kind has none.
     options: Dataclass of the choices that override those of measurement.toml.
     run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run, where a measurement
@@ -46,41 +46,37 @@ class Kind:
     run_into: str = ""
     recognises: str = ""
 
+    def init_command(self, folder: str) -> str:
+        """Return what follows ``heliogauge`` to write a commented measurement.toml of this kind.
 
-@dataclass(frozen=True, slots=True)
-class Commands:
-    """Commands that the front door shows under one name.
-
-    name: The word after ``heliogauge``.
-    app: The ``typer.Typer``.
-    summary: What they do, in one line: ``--help`` imports no commands.
-    """
-
-    name: str
-    app: str
-    summary: str
+        folder: The folder, as it is to be named.
+        """
+        instrument, verb = self.command.split()
+        return f"{instrument} init {folder}" + (" --plan" if verb == "plan" else "")
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """What an instrument offers.
 
-    name: Its name, one word.
-    summary: What it measures, in one line.
-    commands: Its commands; instruments may share them.
-    kinds: Kinds of measurement.toml that it evaluates.
+    name: Its name, one word: that after ``heliogauge`` on the command line, and that of ``heliogauge.synth``.
+    summary: What it measures, in one line; ``--help`` shows it without importing the commands.
+    commands: The ``typer.Typer`` of its verbs; ``init`` and ``synth`` are added to them.
+    kinds: Kinds of measurement.toml that it evaluates: the measurement first, then its plan where it has one.
     reports: File of the report notebook of each kind of result.
     pictures: Function ``(folder) -> view`` that shows a result best, of each kind of result without a slope map.
     synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
+    synth_command: The same as a command, with all that can be chosen.
     """
 
     name: str
     summary: str
-    commands: Commands
+    commands: str
     kinds: tuple[Kind, ...] = ()
     reports: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, str] = field(default_factory=dict)
     synth: str | None = None
+    synth_command: str | None = None
 
 
 @cache

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from heliogauge.running.commands import (
+    AsJson,
     Force,
     Jobs,
     MeasurementFolder,
@@ -17,18 +18,18 @@ from heliogauge.running.commands import (
     make_app,
     say_ending,
 )
-from heliogauge.running.progress import SilentProgress
 
 app = make_app("Photos of the absorber's reflection in a trough -> slope errors, absorber position, intercept factor.")
 
 
-@app.command("run")
-def run_command(
+@app.command("measure")
+def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -43,13 +44,13 @@ def run_command(
 
     progress, options = terminal_progress(quiet=quiet, verbose=verbose), Options(jobs=jobs)
     result = run_into(load_observer(folder), out, options, progress, force=force, report=not no_report)
-    say_ending(result.doubts, result.headline(), f"results: {out}", quiet=quiet)
+    say_ending(result, out, quiet=quiet, as_json=as_json)
 
 
 @app.command("align")
 def align_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Result of heliogauge observer.", show_default=False)
+        Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge observer measure`.", show_default=False)
     ],
     out: OutFolder,
     mounts: Annotated[
@@ -58,25 +59,43 @@ def align_command(
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
+    from heliogauge.running.terminal import terminal_progress
     from observer.studies.align import run
 
-    deliver(out, lambda: run(folder, mounts), SilentProgress(), force=force, quiet=quiet, report=not no_report)
+    deliver(
+        out,
+        lambda: run(folder, mounts),
+        terminal_progress(quiet=quiet, verbose=verbose),
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+    )
 
 
 @app.command("overview")
 def overview_command(
-    results: Annotated[list[Path], typer.Argument(metavar="RESULT RESULT ...", help="Results of the modules.")],
+    results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results of the modules.")],
     out: OutFolder,
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Put the results of several modules beside each other: overview.csv, report.html."""
+    from heliogauge.running.terminal import terminal_progress
     from observer.studies.overview import run
 
-    deliver(out, lambda: run(results), SilentProgress(), force=force, quiet=quiet, report=not no_report)
+    deliver(
+        out,
+        lambda: run(results),
+        terminal_progress(quiet=quiet, verbose=verbose),
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+    )
 
 
 @app.command("absorber")
@@ -132,15 +151,22 @@ def plan_command(
 
 @app.command("compare")
 def compare_command(
-    results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT RESULT ...", help="Results at different orientations.")
-    ],
+    results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at different orientations.")],
     out: OutFolder,
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
+    from heliogauge.running.terminal import terminal_progress
     from observer.studies.compare import run
 
-    deliver(out, lambda: run(results), SilentProgress(), force=force, quiet=quiet, report=not no_report)
+    deliver(
+        out,
+        lambda: run(results),
+        terminal_progress(quiet=quiet, verbose=verbose),
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+    )

@@ -1,20 +1,18 @@
 """What the Observer offers: found by `heliogauge.instruments`."""
 
-from heliogauge.instruments import Commands, Instrument, Kind
+from heliogauge.instruments import Instrument, Kind
 
 INSTRUMENT = Instrument(
     name="observer",
     summary="Photos of a trough's absorber reflection -> slope errors, absorber.",
-    commands=Commands(
-        "observer", "observer.cli:app", "Photos of a trough's absorber reflection -> slope errors, absorber."
-    ),
+    commands="observer.cli:app",
     kinds=(
         Kind(
             name="observer",
             model="observer.keys:ObserverModel",
             load="observer.keys:load_observer",
             template="observer:template.toml",
-            command="observer",
+            command="observer measure",
             run_into="observer.pipeline.measure_folder:run_into",
             options="observer.pipeline.measure:Options",
         ),
@@ -35,5 +33,6 @@ INSTRUMENT = Instrument(
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },
-    synth="data_synth.preset_folders:trough",
+    synth="data_synth.preset_folders:observer",
+    synth_command="data_synth.cli:observer",
 )

@@ -1,32 +1,40 @@
 """``heliogauge photogrammetry``: photos of targets to coordinates; targets to print."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from heliogauge.running.commands import (
+    AsJson,
     Force,
+    ForceMeasurement,
     Jobs,
     MeasurementFolder,
     NoReport,
     OutFolder,
+    OutMeasurement,
     Quiet,
+    ResultsFolder,
     Verbose,
+    add_formats,
     deliver,
     make_app,
 )
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
+imports = add_formats(app, "import")
+exports = add_formats(app, "export")
 
 
-@app.command("run")
-def run_command(
+@app.command("measure")
+def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -43,39 +51,48 @@ def run_command(
         force=force,
         quiet=quiet,
         report=not no_report,
+        as_json=as_json,
     )
 
 
-@app.command("import-colmap")
+@imports.command("colmap")
 def import_colmap_command(
     model: Annotated[
         Path,
         typer.Argument(metavar="MODEL", help="Folder with cameras, images, points3D (.bin/.txt).", show_default=False),
     ],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write.", show_default=False)],
+    out: OutMeasurement,
+    force: ForceMeasurement = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Write a measurement folder from a COLMAP model, with its poses and points as start values."""
     from photogrammetry.exchange.colmap import import_colmap
 
-    for line in import_colmap(model, folder):
-        typer.echo(line)
-    typer.echo(f"measurement folder: {folder}; evaluate it with `heliogauge photogrammetry {folder} -o RESULT`")
+    lines = import_colmap(model, out, force=force)
+    if not quiet:
+        for line in lines:
+            typer.echo(line)
+        typer.echo(f"measurement folder: {out}; evaluate it with `heliogauge photogrammetry measure {out} -o RESULT`")
 
 
-@app.command("export-colmap")
+@exports.command("colmap")
 def export_colmap_command(
-    result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Results folder of photogrammetry.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Model folder; absent or empty.", show_default=False)],
+    result: ResultsFolder,
+    out: OutFolder,
     binary: Annotated[bool, typer.Option("--binary", help="Write .bin files instead of .txt.")] = False,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Write a COLMAP model from a results folder; covariances have no place in it."""
+    """Write a COLMAP model of cameras, photos and points; covariances have no place in it."""
     from photogrammetry.exchange.colmap import export_colmap
 
-    for line in export_colmap(result, out, binary=binary):
-        typer.echo(line)
-    typer.echo(f"COLMAP model: {out}")
+    lines = export_colmap(result, out, binary=binary, force=force)
+    if not quiet:
+        for line in lines:
+            typer.echo(line)
+        typer.echo(f"COLMAP model: {out}")
 
 
 @app.command("plan")
@@ -103,9 +120,9 @@ def plan_command(
     )
 
 
-@app.command()
-def sheets(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; absent or empty.", show_default=False)],
+@app.command("sheets")
+def sheets_command(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.", show_default=False)],
     dictionary: Annotated[
         str,
         typer.Option(
@@ -118,16 +135,18 @@ def sheets(
     dot_mm: Annotated[float, typer.Option(min=0.5, help="Diameter of the dot; a marker's side is five times it.")] = 10,
     light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Ring codes white on black.")] = False,
     board: Annotated[
-        str | None,
-        typer.Option(help="A calibration board instead: chessboard, charuco, circles, circles-asymmetric."),
+        Literal["chessboard", "charuco", "circles", "circles-asymmetric"] | None,
+        typer.Option(help="A calibration board instead of targets."),
     ] = None,
     columns: Annotated[int, typer.Option(min=3, help="Columns of the board.")] = 7,
     rows: Annotated[int, typer.Option(min=3, help="Rows of the board.")] = 10,
     pitch_mm: Annotated[float, typer.Option(min=1, help="Squares' side or circles' distance of the board.")] = 22,
-    paper: Annotated[str, typer.Option(help="A4, A3 or letter.")] = "A4",
+    paper: Annotated[Literal["A4", "A3", "letter"], typer.Option(help="Size of the paper.")] = "A4",
     landscape: Annotated[bool, typer.Option("--landscape", help="Paper on its side.")] = False,
     no_svg: Annotated[bool, typer.Option("--no-svg", help="Write the PDF only.")] = False,
-    force: Force = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace earlier sheets.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Write sheets of coded targets or a calibration board, in true scale with rulers to check the printer."""
     from photogrammetry.targets.ring_codes import Polarity, RingCode
@@ -151,4 +170,5 @@ def sheets(
         polarity = Polarity.WHITE_ON_BLACK if light_on_dark else Polarity.BLACK_ON_WHITE
         pages = ring_pages(codes, dot_mm, sheet, title=known.name, polarity=polarity)
     write_sheets(out, pages, codes, svg=not no_svg, force=force)
-    print(out)
+    if not quiet:
+        typer.echo(out)

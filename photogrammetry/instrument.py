@@ -1,22 +1,18 @@
 """What photogrammetry offers: found by `heliogauge.instruments`."""
 
-from heliogauge.instruments import Commands, Instrument, Kind
+from heliogauge.instruments import Instrument, Kind
 
 INSTRUMENT = Instrument(
     name="photogrammetry",
     summary="Photos of coded targets -> coordinates.",
-    commands=Commands(
-        "photogrammetry",
-        "photogrammetry.cli:app",
-        "Photos of coded targets -> coordinates (and sheets to print).",
-    ),
+    commands="photogrammetry.cli:app",
     kinds=(
         Kind(
             name="photogrammetry",
             model="photogrammetry.keys.measurement:PhotogrammetryModel",
             load="photogrammetry.keys.load:load_photogrammetry",
             template="photogrammetry:template.toml",
-            command="photogrammetry",
+            command="photogrammetry measure",
             run="photogrammetry.pipeline.measure:run",
             options="photogrammetry.pipeline.measure:Options",
         ),
@@ -33,5 +29,6 @@ INSTRUMENT = Instrument(
         "photogrammetry": "photogrammetry.report:report.ipynb",
         "photogrammetry-plan": "photogrammetry.report:report_plan.ipynb",
     },
-    synth="data_synth.preset_folders:targets",
+    synth="data_synth.preset_folders:photogrammetry",
+    synth_command="data_synth.cli:photogrammetry",
 )

@@ -1,14 +1,28 @@
-"""Command of the calibration of cameras."""
+"""``heliogauge camera``: photos of a board or targets to a calibrated camera."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from heliogauge.running.commands import Force, Jobs, MeasurementFolder, NoReport, OutFolder, Quiet, Verbose, deliver
+from heliogauge.running.commands import (
+    AsJson,
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    deliver,
+    make_app,
+)
+
+app = make_app("Photos of a calibration board or of targets -> calibrated camera, with covariance.")
 
 
-def camera_command(
+@app.command("measure")
+def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     compare: Annotated[
@@ -27,10 +41,11 @@ def camera_command(
     jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Photos of a board or targets -> cameras.json, camera_opencv.yaml, points.csv (its shape), report.html in OUT."""
+    """Calibrate a camera: cameras.json, camera_opencv.yaml, points.csv (the board's shape), report.html."""
     from calibration.camera.keys import load_camera_calibration
     from calibration.camera.pipeline.measure import Options, run
     from heliogauge.running.terminal import terminal_progress
@@ -44,9 +59,6 @@ def camera_command(
         force=force,
         quiet=quiet,
         report=not no_report,
+        as_json=as_json,
         hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
-
-
-#: Commands by the names that they have in the group ``calibrate``.
-COMMANDS = {"camera": camera_command}

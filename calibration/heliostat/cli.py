@@ -1,15 +1,36 @@
-"""Commands of heliostats: calibrate, export, plan the next measurements."""
+"""``heliogauge heliostat``: beams and drive readings to tracking models; plans of measurements; exports."""
 
 import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from heliogauge.running.commands import Force, Jobs, NoReport, OutFolder, Quiet, Scheduler, Verbose, say_ending
+from heliogauge.running.commands import (
+    AsJson,
+    Force,
+    Jobs,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Scheduler,
+    Verbose,
+    add_formats,
+    make_app,
+    say_ending,
+)
+
+app = make_app("Where beams were seen and the drive readings -> tracking models of heliostats.")
+exports = add_formats(app, "export")
+
+HeliostatResults = Annotated[
+    Path,
+    typer.Argument(metavar="OUT", help="Results of `heliogauge heliostat measure`.", show_default=False),
+]
 
 
-def heliostat_command(
+@app.command("measure")
+def measure_command(
     folder: Annotated[
         Path,
         typer.Argument(
@@ -18,13 +39,15 @@ def heliostat_command(
     ],
     out: OutFolder,
     split: Annotated[
-        str | None,
-        typer.Option(help="What is held out: chronological, random, azimuth, azimuth-reversed, high-variance, column."),
+        Literal["chronological", "random", "azimuth", "azimuth-reversed", "high-variance", "column"] | None,
+        typer.Option(help="What is held out; default: as measurement.toml says."),
     ] = None,
     model: Annotated[
         str | None, typer.Option(help='Free parameters: "auto", or a usual choice of the preset, such as 4, 8, 15.')
     ] = None,
-    label: Annotated[str | None, typer.Option(help="Centres of beams in PAINT's records: UTIS or HeliOS.")] = None,
+    label: Annotated[
+        Literal["UTIS", "HeliOS"] | None, typer.Option(help="Centres of beams in PAINT's records.")
+    ] = None,
     only: Annotated[
         str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
     ] = None,
@@ -38,10 +61,11 @@ def heliostat_command(
     scheduler: Scheduler = None,
     force: Force = False,
     no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Where beams were seen and the drive readings -> tracking models: heliostat.json, residuals.csv, field.csv in OUT.
+    """Estimate tracking models: heliostat.json, residuals.csv, field.csv, report.html.
 
     An interrupted field is continued by the same command; --force begins anew.
     """
@@ -53,30 +77,60 @@ def heliostat_command(
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(split, model, label, only, thorough, jobs, scheduler)
     result = run_into(load_heliostat(folder), out, options, progress, force=force, report=not no_report)
-    say_ending(result.doubts, result.headline(), f"results: {out}", quiet=quiet)
+    say_ending(result, out, quiet=quiet, as_json=as_json)
 
 
-def heliostat_export_command(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge calibrate heliostat`.")],
-    out: OutFolder,
-    date: Annotated[
-        str | None, typer.Option(metavar="YYYY-MM-DD", help="Also tables of corrections over this day.")
-    ] = None,
-    step_minutes: Annotated[float, typer.Option(help="Step of the tables of corrections.")] = 10.0,
-    target: Annotated[
-        str | None, typer.Option(help="Target whose centre the tables aim at; default: the first.")
-    ] = None,
-    force: Force = False,
+@exports.command("controllers")
+def export_controllers_command(
+    result: HeliostatResults, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
 ) -> None:
-    """Calibrated heliostats -> parameters for controllers, tables of corrections, properties as of PAINT and ARTIST."""
+    """Write controllers.csv: what controllers of azimuth-elevation heliostats store."""
     from calibration.heliostat.pipeline.export import ExportOptions, run
 
-    for name in run(result, out, ExportOptions(_day("--date", date), step_minutes, target, force)):
-        typer.echo(out / name)
+    _say_files(out, run(result, out, "controllers", ExportOptions(force=force)), quiet=quiet)
 
 
-def heliostat_plan_command(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge calibrate heliostat`.")],
+@exports.command("artist")
+def export_artist_command(
+    result: HeliostatResults, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
+) -> None:
+    """Write properties of heliostats with linear actuators as of the PAINT database, which ARTIST reads."""
+    from calibration.heliostat.pipeline.export import ExportOptions, run
+
+    _say_files(out, run(result, out, "artist", ExportOptions(force=force)), quiet=quiet)
+
+
+@exports.command("table")
+def export_table_command(
+    result: HeliostatResults,
+    out: OutFolder,
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
+    ] = None,
+    step_minutes: Annotated[float, typer.Option(help="Step of the table.")] = 10.0,
+    target: Annotated[
+        str | None, typer.Option(help="Target whose centre is aimed at; default: the first.", show_default=False)
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a table of each heliostat's readings over a day that put the beam on its target."""
+    from calibration.heliostat.pipeline.export import ExportOptions, run
+
+    options = ExportOptions(_day("date", date), step_minutes, target, force)
+    _say_files(out, run(result, out, "table", options), quiet=quiet)
+
+
+def _say_files(out: Path, names: list[str], *, quiet: bool) -> None:
+    if not quiet:
+        for name in names:
+            typer.echo(out / name)
+
+
+@app.command("plan")
+def plan_command(
+    result: HeliostatResults,
     out: OutFolder,
     first_day: Annotated[
         str | None, typer.Option(metavar="YYYY-MM-DD", help="First day of the measurements; default: today.")
@@ -91,32 +145,27 @@ def heliostat_plan_command(
         str | None, typer.Option(help="Target whose centre stands for where the beam shall go; default: the first.")
     ] = None,
     force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Calibrated heliostats -> what to measure next, at which suns, and a schedule, the worst first."""
+    """Plan what to measure next of calibrated heliostats, at which suns, and a schedule, the worst first."""
     from calibration.heliostat.planning.plan import NextOptions, run
 
-    first, goal_rad, sigma_m = _day("--first-day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
+    first, goal_rad, sigma_m = _day("first_day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
     options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)
     sentences = run(result, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
-    for text in [*sentences[:-1][:20], sentences[-1]]:
-        typer.echo(text)
-    typer.echo(f"results: {out}")
+    if not quiet:
+        for text in [*sentences[:-1][:20], sentences[-1]]:
+            typer.echo(text)
+        typer.echo(f"results: {out}")
 
 
-def _day(flag: str, text: str | None) -> datetime.date | None:
-    """Return the day that a flag names; None without it."""
+def _day(name: str, text: str | None) -> datetime.date | None:
+    """Return the day that an argument names; None without it."""
     from heliogauge.errors import InputError
 
     try:
         return None if text is None else datetime.date.fromisoformat(text)
     except ValueError as error:
-        raise InputError(f"{flag} {text}: a day such as 2026-06-21 is needed ({error})") from error
-
-
-#: Commands by the names that they have in the group ``calibrate``.
-COMMANDS = {
-    "heliostat": heliostat_command,
-    "heliostat-export": heliostat_export_command,
-    "heliostat-plan": heliostat_plan_command,
-}
+        raise InputError(f"{name}={text}: a day such as 2026-06-21 is needed ({error})") from error

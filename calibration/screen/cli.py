@@ -1,17 +1,33 @@
-"""Command of the response of camera and display."""
+"""``heliogauge screen``: photographs of grey levels to the response of camera and display."""
 
-from heliogauge.running.commands import Force, Jobs, MeasurementFolder, OutFolder, Quiet, Verbose, deliver
+from heliogauge.running.commands import (
+    AsJson,
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    Verbose,
+    deliver,
+    make_app,
+)
+
+app = make_app("Photographs of uniform grey levels -> response of camera and display.")
 
 
-def response_command(
+@app.command("measure")
+def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     jobs: Jobs = None,
     force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Photographs of uniform grey levels -> response.csv, response.png, summary.json in the folder OUT."""
+    """Evaluate photographs of uniform grey levels: response.csv, response.png, summary.json."""
     from calibration.screen.keys import load_response
     from calibration.screen.pipeline import Options, run
     from heliogauge.errors import InputError
@@ -27,9 +43,6 @@ def response_command(
         force=force,
         quiet=quiet,
         report=False,
+        as_json=as_json,
         hint="; use it with response_file in [screen] of measurement.toml",
     )
-
-
-#: Commands by the names that they have in the group ``calibrate``.
-COMMANDS = {"response": response_command}

@@ -86,7 +86,9 @@ def read_truth(folder: Path) -> FringeTruth:
     except (OSError, ValueError, BadZipFile) as error:
         raise InputError(f"{arrays}: cannot be read ({error})") from error
     except KeyError as error:
-        raise InputError(f"{folder}: the truth lacks {error}; write it again with `heliogauge synth`") from error
+        raise InputError(
+            f"{folder}: the truth lacks {error}; write it again with `heliogauge deflectometry synth`"
+        ) from error
     return FringeTruth(facets, pixels, parameters)
 
 

@@ -54,7 +54,7 @@ def measurement_content(
     return {
         "kind": "deflectometry",
         "name": scene.name,
-        "notes": "Synthetic: drawn by heliogauge synth.",
+        "notes": "Synthetic: drawn by heliogauge deflectometry synth.",
         "camera": _camera(scene, knowledge, rng),
         "screen": _screen(scene, knowledge, rng),
         "pattern": {

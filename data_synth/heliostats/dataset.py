@@ -139,7 +139,7 @@ def read_heliostat_truth(folder: Path) -> HeliostatTruth:
         raise InputError(f"{file}: cannot be read ({error})") from error
     except KeyError as error:
         raise InputError(
-            f"{folder}: the truth lacks {error}; write it again with `heliogauge synth heliostat`"
+            f"{folder}: the truth lacks {error}; write it again with `heliogauge heliostat synth`"
         ) from error
 
 
@@ -157,7 +157,7 @@ def heliostat_content(scene: HeliostatScene, corners_px: Mapping[str, FloatArray
     content: dict[str, Any] = {
         "kind": "heliostat",
         "name": scene.name,
-        "notes": "Synthetic: made by heliogauge synth.",
+        "notes": "Synthetic: made by heliogauge heliostat synth.",
         "site": {
             "latitude_deg": site.latitude_deg,
             "longitude_deg": site.longitude_deg,

@@ -1,4 +1,4 @@
-"""Plants, heliostats and campaigns for `heliogauge synth heliostat`."""
+"""Plants, heliostats and campaigns for `heliogauge heliostat synth`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -175,10 +175,10 @@ class HeliostatScene:
         for number, text in enumerate(faults):
             fault, _, name = text.partition(":")
             if name and name not in names:
-                raise InputError(f"--fault {text}: there is no heliostat {name}; the first is {names[0]}")
+                raise InputError(f"fault={text}: there is no heliostat {name}; the first is {names[0]}")
             index = names.index(name) if name else number
             if index >= len(units):
-                raise InputError(f"--fault: {len(faults)} faults for {len(units)} heliostats; ask for more heliostats")
+                raise InputError(f"{len(faults)} faults for {len(units)} heliostats; ask for more heliostats")
             units[index] = spoiled(units[index], fault, self.schedule.days)
         has_south = any("south-azimuth" in unit.faults for unit in units)
         return replace(self, units=tuple(units), states_sun=self.states_sun or has_south)

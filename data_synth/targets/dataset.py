@@ -200,6 +200,6 @@ def _write_photo(path: Path, image: UnsignedArray, jpeg_quality: int | None) -> 
         write_image(path, image)
         return
     if image.dtype != np.uint8:
-        raise InputError(f"{path.name}: JPEG holds 8 bit; leave --jpeg-quality out for 16-bit photos")
+        raise InputError(f"{path.name}: JPEG holds 8 bit; leave jpeg_quality out for 16-bit photos")
     _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
     path.write_bytes(encoded.tobytes())

@@ -154,7 +154,9 @@ def read_trough_truth(folder: Path) -> TroughTruth:
     except (OSError, ValueError, BadZipFile) as error:
         raise InputError(f"{arrays}: cannot be read ({error})") from error
     except KeyError as error:
-        raise InputError(f"{folder}: the truth lacks {error}; write it again with `heliogauge synth trough`") from error
+        raise InputError(
+            f"{folder}: the truth lacks {error}; write it again with `heliogauge observer synth`"
+        ) from error
 
 
 def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
@@ -167,7 +169,7 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
     content: dict[str, Any] = {
         "kind": "observer",
         "name": scene.name,
-        "notes": "Synthetic: drawn by heliogauge synth.",
+        "notes": "Synthetic: drawn by heliogauge observer synth.",
         "collector": _collector_content(scene),
         "camera": _camera_content(scene),
         "images": {"photos": photos.get("reflection", photos.get("absorber"))},

@@ -59,7 +59,7 @@ def with_panel_heights(mirror: TroughMirror, sigma_m: float, rng: np.random.Gene
     """
     panels = mirror.panels
     if not mirror.is_shaped or panels is None:
-        raise InputError("panel heights: only a mirror that is shaped has them (--shaped), with panels that err")
+        raise InputError("panel heights: only a mirror that is shaped has them (shaped=True), with panels that err")
     higher = panels.heights + sigma_m * rng.standard_normal(panels.heights.size)
     collector = replace(mirror.collector, panel_height_sigma_m=sigma_m)
     return replace(mirror, collector=collector, panels=replace(panels, height_m=higher))

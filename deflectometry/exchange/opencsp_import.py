@@ -27,15 +27,14 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import write_image
+from heliogauge.measurement.imported import IMPORTED, write_imported
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.tables import write_table_csv
-from heliogauge.results.whole_folder import FolderKind, WholeFolder
+from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.validate import FloatArray, positive
 
 _T = TypeVar("_T")
-#: An import is never replaced: somebody may have corrected its measurement.toml by hand.
-_MEASUREMENT = FolderKind(content="measurements", remedy="give a new folder")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,9 @@ class Imported:
     doubts: tuple[Doubt, ...]
 
 
-def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions | None = None) -> Imported:
+def import_opencsp(
+    files: Sequence[Path], folder: Path, options: OpencspOptions | None = None, *, force: bool = False
+) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
     files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
@@ -82,9 +83,10 @@ def import_opencsp(files: Sequence[Path], folder: Path, options: OpencspOptions 
     The measured distance is written as an observation with its sigma. SOFAST instead shifts the mirror until it is
     met exactly.
     """
-    with WholeFolder(folder, _MEASUREMENT) as working:
+    with WholeFolder(folder, IMPORTED, force=force) as working:
         parts = _Parts([read_opencsp_file(Path(path)) for path in files])
         _write(working, parts, options or OpencspOptions())
+        write_imported(working, "opencsp", [Path(path) for path in files])
     return Imported(tuple(parts.taken), tuple(parts.doubts))
 
 
@@ -189,7 +191,7 @@ def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dic
         text = (
             f"camera '{camera.name}' belongs to images averaged over {camera.averaged:.4g} x {camera.averaged:.4g} px,"
             f" but its principal point misses the shift of {camera.principal_point_shift_px:.4f} px that averaging"
-            " causes; imported as given (import again with --correct-principal-point to repair it)"
+            " causes; imported as given (import again with correct_principal_point=True to repair it)"
         )
         parts.doubts.append(Doubt("principal_point_not_shifted", text, {"shift_px": camera.principal_point_shift_px}))
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
@@ -275,7 +277,7 @@ def _design_keys(parts: _Parts, options: OpencspOptions) -> dict[str, Any]:
     if start is None:
         text = (
             "no file given holds the design focal length; the design is written as a plane, so slope errors will"
-            " contain the mirror's curvature (give --focal-length-m, or edit [mirror] in measurement.toml)"
+            " contain the mirror's curvature (give focal_length_m, or edit [mirror] in measurement.toml)"
         )
         parts.doubts.append(Doubt("design_focal_length_missing", text))
         return {"design": "plane"}

@@ -139,7 +139,7 @@ def display_levels(display: DisplayOptions) -> DisplayLevels:
             raise InputError(
                 f"{display.response_file}: display_level goes up to {level.max() * display.response_full_level:g}, "
                 f"above full range {display.response_full_level:g}; say what level is full range with "
-                "--response-full-level (255 for levels of 8 bit)"
+                "response_full_level (255 for levels of 8 bit)"
             )
         table = response_table(camera_dn, level)
         # Rounding of a share written as text must not cut off the ends.
@@ -149,7 +149,7 @@ def display_levels(display: DisplayOptions) -> DisplayLevels:
     if display.response_file is not None and (minimum < lowest - 1e-9 or maximum > highest + 1e-9):
         raise InputError(
             f"levels {minimum:g} to {maximum:g}: {display.response_file} covers {lowest:.4g} to {highest:.4g} only; "
-            "choose --level-min and --level-max within, or calibrate the response over more levels"
+            "choose level_min and level_max within, or calibrate the response over more levels"
         )
     return DisplayLevels(minimum, maximum, display.bits, table)
 
@@ -218,6 +218,6 @@ def _write_tables(
     parse_measurement(content, Path(GREY_FILE))
     text = (
         "# Show grey_000.png, grey_001.png ... as the fringes, photograph each with the exposure of the fringes, and\n"
-        "# put this file beside the photographs as measurement.toml; then `heliogauge calibrate response`.\n\n"
+        "# put this file beside the photographs as measurement.toml; then `heliogauge screen measure`.\n\n"
     )
     write_text(folder / GREY_FILE, text + dump_toml(content))

@@ -1,6 +1,6 @@
 """Draw the picture of drawn beams for the documentation: ``python docs/images/render_heliostat.py FOLDER OUT.png``.
 
-FOLDER is that of ``heliogauge synth heliostat FOLDER --preset images``; three beams and the empty target.
+FOLDER is that of ``heliogauge heliostat synth FOLDER --preset images``; three beams and the empty target.
 """
 
 import sys

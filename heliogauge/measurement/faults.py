@@ -99,10 +99,12 @@ def _fault_text(fault: Any, model: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         return _unknown_key_text(place, sections)
     if kind == "missing":
-        return f"{place.shown} is missing; `heliogauge init` writes a template that explains it"
+        return f"{place.shown} is missing; `heliogauge INSTRUMENT init` writes a template that explains it"
     if kind == "union_tag_not_found":
         key = str(context["discriminator"]).strip("'")
-        said = 'say "rectangle" or "table"' if key == "shape" else "`heliogauge init` writes a template with it"
+        said = (
+            'say "rectangle" or "table"' if key == "shape" else "`heliogauge INSTRUMENT init` writes a template with it"
+        )
         return f"{place.shown}.{key} is missing; {said}"
     if kind == "union_tag_invalid":
         key = str(context["discriminator"]).strip("'")

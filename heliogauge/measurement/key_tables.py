@@ -62,7 +62,12 @@ def key_pages(kinds: Iterable[Kind]) -> str:
     lines = []
     for kind in kinds:
         model: type[MeasurementModel] = resolve(kind.model)
-        lines += [f'## `kind = "{kind.name}"`', "", f"`heliogauge init {kind.name} FOLDER` writes a template.", ""]
+        lines += [
+            f'## `kind = "{kind.name}"`',
+            "",
+            f"`heliogauge {kind.init_command('FOLDER')}` writes a template.",
+            "",
+        ]
         earlier = ""
         for section in key_sections(model):
             head = f"`{section.head}`" if section.head else "Top of the file"

@@ -52,7 +52,7 @@ def kind_of(folder: Path) -> Kind:
         for kind in every_kind().values():
             if kind.recognises and resolve(kind.recognises)(folder):
                 return kind
-    return _kind(_read_toml(folder, "KIND"), folder / MEASUREMENT_FILE)
+    return _kind(_read_toml(folder), folder / MEASUREMENT_FILE)
 
 
 def read_measurement(folder: Path, model_type: type[_ModelT]) -> tuple[Path, _ModelT]:
@@ -106,14 +106,13 @@ def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path) -
         raise InputError(f"{file}:{separator}" + "\n  ".join(lines)) from None
 
 
-def _read_toml(folder: Path, kind: str) -> dict[str, Any]:
+def _read_toml(folder: Path, kind: str = "") -> dict[str, Any]:
     file = folder / MEASUREMENT_FILE
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; give a folder with {MEASUREMENT_FILE} and its images")
     if not file.is_file():
-        raise InputError(
-            f"{file}: there is no such file; write one with `heliogauge init {kind} {folder}` and fill it in"
-        )
+        command = every_kind()[kind].init_command(str(folder)) if kind else f"INSTRUMENT init {folder}"
+        raise InputError(f"{file}: there is no such file; write one with `heliogauge {command}` and fill it in")
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError as error:

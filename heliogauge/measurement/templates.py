@@ -16,10 +16,10 @@ def write_template(kind: str, folder: Path, *, force: bool = False) -> Path:
     """
     kinds = every_kind()
     if kind not in kinds:
-        raise InputError(f"init: kind {kind!r} is not known; {near_match(kind, kinds)}")
+        raise InputError(f"kind {kind!r} is not known; {near_match(kind, kinds)}")
     file = folder / MEASUREMENT_FILE
     if file.exists() and not force:
-        raise InputError(f"{file}: the file exists already; add --force to replace it, or give another folder")
+        raise InputError(f"{file}: the file exists already; give force=True to replace it, or give another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -69,9 +69,7 @@ __all__ = [
 
 SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 1
-RESULTS = FolderKind(
-    content="results", mark=SUMMARY_FILE, strangers=frozenset({"measurement.toml"}), remedy="choose another with --out"
-)
+RESULTS = FolderKind(content="results", mark=SUMMARY_FILE, strangers=frozenset({"measurement.toml"}))
 
 #: A key of a number ends with one of these: the unit it is in.
 UNITS: dict[str, str] = {

@@ -103,12 +103,12 @@ class WholeFolder:
             raise InputError(f"{target}: holds files already; {kind.remedy}")
         if not self._force:
             raise InputError(
-                f"{target}: holds files already; choose another folder or give --force to replace {kind.content}"
+                f"{target}: holds files already; choose another folder or give force=True to replace {kind.content}"
             )
-        # --force must never cost photographs or a home folder.
+        # It must never cost photographs or a home folder.
         if kind.mark not in names or names & kind.strangers:
             raise InputError(
-                f"{target}: --force replaces earlier {kind.content} only, and this folder holds something else"
+                f"{target}: force=True replaces earlier {kind.content} only, and this folder holds something else"
             )
 
     def _move_into_place(self) -> None:

@@ -1,7 +1,7 @@
-"""The front door: ``heliogauge COMMAND ...``.
+"""The front door: ``heliogauge INSTRUMENT VERB ...``, and a few commands for all instruments.
 
-Commands of the instruments are mounted lazily, by name: `heliogauge.instruments` says where each ``typer.Typer`` lives,
-and the module is imported only when its command is called. ``--version`` and ``--help`` import nothing but typer.
+The instruments are mounted lazily, by name: `heliogauge.instruments` says where each ``typer.Typer`` lives, and the
+module is imported only when its instrument is called. ``--version`` and ``--help`` import nothing but typer.
 
 A user's mistake and a measurement that does not determine its answer are `MetrologyError`: one message on standard
 error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends with 130 and a termination signal with
@@ -9,6 +9,7 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 """
 
 import os
+import re
 import signal
 import sys
 import warnings
@@ -22,53 +23,121 @@ from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
 from heliogauge.errors import MetrologyError, ReportWarning
-from heliogauge.instruments import Commands, every_kind, instruments, resolve
-from heliogauge.running.commands import Force, NoReport, Quiet, Verbose
+from heliogauge.instruments import Instrument, instruments, resolve
+from heliogauge.running.commands import (
+    AsJson,
+    Force,
+    Jobs,
+    MeasurementFolder,
+    NoReport,
+    OutFolder,
+    Quiet,
+    ResultsFolder,
+    Verbose,
+    say_ending,
+)
+from heliogauge.running.help_text import HelpContext, show_whole, write_commands
 
-#: Commands before those of the instruments, and after them.
-FIRST, LAST = ("demo", "init", "synth"), ("report",)
-SYNTH = Commands("synth", "data_synth.cli:app", "Make a measurement folder with known truth.")
+
+def group_of(instrument: Instrument) -> Any:
+    """Return the group of an instrument's verbs: ``init`` and ``synth``, which all have alike, and its own."""
+    app: typer.Typer = resolve(instrument.commands)
+    verbs = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
+    verbs.callback()(lambda: None)
+    if instrument.kinds:
+        verbs.command("init")(_init_with_plan(instrument) if len(instrument.kinds) > 1 else _init(instrument))
+    if instrument.synth_command:
+        verbs.command("synth")(resolve(instrument.synth_command))
+    first: Any = typer.main.get_command(verbs)
+    group: Any = typer.main.get_command(app)
+    every = first.commands | group.commands
+    group.commands = {name: every[name] for name in sorted(every, key=_place)}
+    group.name = instrument.name
+    return show_whole(group)
 
 
-def mounted() -> dict[str, Commands]:
-    """Return the commands that are imported only when they are called, by the word that calls them."""
-    return {one.name: one for one in (SYNTH, *(instrument.commands for instrument in instruments()))}
+#: The verbs of all instruments come first and in this order; their own follow as they are defined.
+_VERBS = ("init", "synth", "measure", "plan", "import", "export")
 
 
-class LazyGroup(TyperGroup):
-    """A group that knows its commands by name and loads a package only when its command is called.
+def _place(verb: str) -> int:
+    return _VERBS.index(verb) if verb in _VERBS else len(_VERBS)
+
+
+def _init(instrument: Instrument) -> Any:
+    def init(folder: InitFolder, force: ForceInit = False, quiet: Quiet = False, verbose: Verbose = False) -> None:
+        """Write a commented measurement.toml to start from."""
+        _write_template(instrument.kinds[0].name, folder, force=force, quiet=quiet)
+
+    return init
+
+
+def _init_with_plan(instrument: Instrument) -> Any:
+    def init(
+        folder: InitFolder,
+        plan: Annotated[
+            bool, typer.Option("--plan", help="For a plan of a measurement, made before it, instead of a measurement.")
+        ] = False,
+        force: ForceInit = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+    ) -> None:
+        """Write a commented measurement.toml to start from."""
+        _write_template(instrument.kinds[plan].name, folder, force=force, quiet=quiet)
+
+    return init
+
+
+InitFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.", show_default=False)
+]
+ForceInit = Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")]
+
+
+def _write_template(kind: str, folder: Path, *, force: bool, quiet: bool) -> None:
+    from heliogauge.measurement.templates import write_template
+
+    file = write_template(kind, folder, force=force)
+    if not quiet:
+        print(file)
+
+
+class FrontDoor(TyperGroup):
+    """The commands for all instruments, and the instruments, of which each is imported only when it is called.
 
     Contexts and formatters are `Any`: typer below 0.26 takes them from click, later ones carry their own copy.
     """
 
+    context_class = HelpContext
+
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self._mounted = mounted()
-        for name, one in self._mounted.items():
+        for command in self.commands.values():
+            show_whole(command)
+        self._instruments = {one.name: one for one in instruments()}
+        self._own = list(self.commands)
+        for name, one in self._instruments.items():
             # A stand-in with the name and the summary: enough for the list and for "did you mean".
             self.commands[name] = TyperCommand(name, help=one.summary)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """List all names, those of the instruments in the middle."""
-        between = sorted(self.commands.keys() - {*FIRST, *LAST})
-        return [*FIRST, *between, *LAST]
+        """List the instruments, then the commands for all of them."""
+        return [*self._instruments, *self._own]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, importing its package if it is a mounted one."""
-        if cmd_name not in self._mounted:
-            command: Any = super().get_command(ctx, cmd_name)
-            if cmd_name == "init":
-                command.params[0].help = f"{', '.join(every_kind())}."
-            return command
-        command = typer.main.get_command(resolve(self._mounted[cmd_name].app))
-        command.name = cmd_name
-        return command
+        """Return a command, importing its package if it is an instrument."""
+        if cmd_name in self._instruments:
+            return group_of(self._instruments[cmd_name])
+        return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the list of commands from what is known without importing them."""
-        names = self.list_commands(ctx)
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=200)) for name in names])
+        """Write the lists of instruments and commands from what is known without importing them."""
+        write_commands(
+            formatter,
+            "Instruments (heliogauge INSTRUMENT -h lists its verbs)",
+            ((name, self.commands[name]) for name in self._instruments),
+        )
+        write_commands(formatter, "Commands for all instruments", ((name, self.commands[name]) for name in self._own))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; Ctrl-C ends it with exit code 130 in every version of typer."""
@@ -80,11 +149,12 @@ class LazyGroup(TyperGroup):
 
 
 app = typer.Typer(
-    cls=LazyGroup,
+    cls=FrontDoor,
     help="Metrology of solar mirrors: images in, slope maps with uncertainty out.",
+    # The width is the terminal's; commands below take this over from the context above them.
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 10_000},
     rich_markup_mode=None,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -105,40 +175,28 @@ def front_door(
 
 
 @app.command()
-def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")] = Path(
-        "demo-result"
-    ),
+def measure(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    jobs: Jobs = None,
     force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
-    no_report: NoReport = False,
 ) -> None:
-    """Measure embedded synthetic data, from images to report; no hardware, no download."""
-    from heliogauge.running.demo import run_demo
+    """Evaluate a measurement folder of any kind, as its measurement.toml says."""
     from heliogauge.running.terminal import terminal_progress
+    from heliogauge.running.verbs import measure_into
 
-    run_demo(out, terminal_progress(quiet=quiet, verbose=verbose), force=force, report=not no_report)
-
-
-@app.command()
-def init(
-    kind: Annotated[
-        str,
-        typer.Argument(metavar="KIND", help="Kind of measurement."),
-    ],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the measurement; made if absent.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing measurement.toml.")] = False,
-) -> None:
-    """Write a commented measurement.toml to start from."""
-    from heliogauge.measurement.templates import write_template
-
-    print(write_template(kind, folder, force=force))
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    result = measure_into(folder, out, progress, jobs=jobs, force=force, report=not no_report)
+    say_ending(result, out, quiet=quiet, as_json=as_json)
 
 
 @app.command()
 def report(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with results.")],
+    out: ResultsFolder,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -148,7 +206,40 @@ def report(
 
     with terminal_progress(quiet=quiet, verbose=verbose).stage("report"):
         path = build_report(out)
-    print(path)
+    if not quiet:
+        print(path)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")] = Path(
+        "demo-result"
+    ),
+    force: Force = False,
+    no_report: NoReport = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure embedded synthetic data, from images to report; no hardware, no download."""
+    from heliogauge.running.demo import run_demo
+    from heliogauge.running.terminal import terminal_progress
+
+    run_demo(out, terminal_progress(quiet=quiet, verbose=verbose), force=force, report=not no_report)
+
+
+#: How messages name an argument, so that it is right in Python: ``force=True``, ``only=BE36``.
+_ARGUMENT = re.compile(r"(?<![\w./`'\"])([a-z][a-z_]+)=(True\b)?")
+
+
+def on_command_line(message: str) -> str:
+    """Respell the arguments that a message names as options.
+
+    >>> on_command_line("facet: holds files already; choose another folder or give force=True to replace results")
+    'facet: holds files already; choose another folder or give --force to replace results'
+    >>> on_command_line("hold_out=check_*: no photo of that name shows the board")
+    '--hold-out check_*: no photo of that name shows the board'
+    """
+    return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{'' if found[2] else ' '}", message)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
@@ -186,6 +277,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     try:
         typer.main.get_command(app).main(args=arguments, prog_name="heliogauge")
     except MetrologyError as error:
-        print(f"heliogauge: {error}", file=sys.stderr)
+        print(f"heliogauge: {on_command_line(str(error))}", file=sys.stderr)
         sys.exit(2)
     sys.exit(0)

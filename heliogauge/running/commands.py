@@ -1,19 +1,19 @@
-"""What every package's command line is built from: the common flags and the group with a default command.
+"""What every instrument's command line is built from: the common flags, the groups of verbs, and how a command ends.
 
-A package that has commands exposes ``app: typer.Typer`` in its ``cli.py``; `heliogauge.running.cli` mounts it by name
+An instrument exposes ``app: typer.Typer`` with its verbs in its ``cli.py``; `heliogauge.running.cli` mounts it by name
 and imports it only when it is called. Flags that mean the same everywhere are the annotated types below, so that they
 have one name, one help text and one meaning.
 """
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
-from typer.core import TyperGroup
 
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
+from heliogauge.running.help_text import VerbGroup
 from heliogauge.running.progress import Progress
 
 if TYPE_CHECKING:
@@ -22,15 +22,27 @@ if TYPE_CHECKING:
 MeasurementFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Folder with measurement.toml and its images.", show_default=False)
 ]
+ResultsFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder with results.", show_default=False)]
+NewFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write; absent or empty.", show_default=False)
+]
+OutMeasurement = Annotated[
+    Path, typer.Option("-o", "--out", metavar="FOLDER", help="Measurement folder to write.", show_default=False)
+]
+OutPath = Annotated[
+    Path, typer.Option("-o", "--out", metavar="PATH", help="File or folder to write.", show_default=False)
+]
 OutFolder = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.", show_default=False)
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
+ForceMeasurement = Annotated[bool, typer.Option("--force", help="Replace an earlier measurement folder.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but warnings.")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say when each stage starts, in plain lines.")]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Leave out report.html; `heliogauge report` makes it later.")
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print summary.json on standard output, and nothing else there.")]
 Jobs = Annotated[
     int | None,
     typer.Option("--jobs", metavar="N", min=1, help="Work side by side on this machine; default: what it has."),
@@ -41,30 +53,15 @@ Scheduler = Annotated[
 ]
 
 #: Parameters of a command that are not options of its pipeline.
-COMMON_PARAMETERS = frozenset({"folder", "out", "force", "quiet", "verbose", "no_report", "jobs", "scheduler"})
-
-
-class DefaultCommandGroup(TyperGroup):
-    """A group whose command ``run`` needs no name: ``heliogauge deflectometry FOLDER`` beside named commands.
-
-    Anything that is not the name of a command is taken as the first argument of ``run``. A folder that is called like
-    a command is given as ``./name``.
-    """
-
-    default_command = "run"
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the default command's name in front where no command is named; a group may have none."""
-        has_default = self.default_command in self.commands
-        if has_default and args and args[0] not in self.commands and args[0] != "--help":
-            args = [self.default_command, *args]
-        return super().parse_args(ctx, args)
+COMMON_PARAMETERS = frozenset(
+    {"folder", "out", "force", "quiet", "verbose", "no_report", "as_json", "jobs", "scheduler"}
+)
 
 
 def make_app(summary: str) -> typer.Typer:
-    """Make the typer application of a package: plain help (no rich, 0.2 s quicker), ``run`` as default command."""
+    """Make the group of an instrument's verbs, or of the formats of one of its verbs: plain help, no rich (0.2 s)."""
     app = typer.Typer(
-        cls=DefaultCommandGroup,
+        cls=VerbGroup,
         help=summary,
         rich_markup_mode=None,
         no_args_is_help=True,
@@ -76,6 +73,21 @@ def make_app(summary: str) -> typer.Typer:
     return app
 
 
+def add_formats(app: typer.Typer, verb: str) -> typer.Typer:
+    """Add ``import`` or ``export`` to the verbs of an instrument.
+
+    Returns: The group to which each format is a command.
+    """
+    formats = make_app(
+        {
+            "import": "Files of another program become a measurement folder.",
+            "export": "Results in the form of another program.",
+        }[verb]
+    )
+    app.add_typer(formats, name=verb)
+    return formats
+
+
 def deliver(
     out: Path,
     job: Callable[[], "InstrumentResult"],
@@ -84,16 +96,16 @@ def deliver(
     force: bool,
     quiet: bool,
     report: bool,
+    as_json: bool = False,
     hint: str = "",
 ) -> None:
     """Do a command's work, write its result into a folder that is whole or not there, and report how it ended.
-
-    Doubts go to standard error, headline and place of the result to standard output.
 
     job: Does the work; is called when the folder is known to be usable.
     force: Replace an earlier result.
     quiet: Only doubts are reported.
     report: Add ``report.html``.
+    as_json: The summary is printed instead of headline and place.
     hint: What can be done with the result.
     InputError: The folder cannot be used, or the job refuses its input.
     EstimationError: The job's answer is not determined.
@@ -101,16 +113,46 @@ def deliver(
     from heliogauge.results.frame import into_folder
 
     result = into_folder(out, job, progress, force=force, report=report)
-    say_ending(result.doubts, result.headline(), f"results: {out}{hint}", quiet=quiet)
+    say_ending(result, out, quiet=quiet, as_json=as_json, hint=hint)
 
 
-def say_ending(doubts: Iterable[Doubt], headline: str, ending: str, *, quiet: bool) -> None:
-    """Report how a command ended: doubts on standard error, the numbers and where they are on standard output."""
+class Ended(Protocol):
+    """What came of a command that measures."""
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What makes the result doubtful."""
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+
+
+def say_ending(result: Ended, out: Path, *, quiet: bool, as_json: bool = False, hint: str = "") -> None:
+    """Report how a command ended: doubts on standard error, the numbers and where they are on standard output.
+
+    out: Folder of results that was written.
+    quiet: Only doubts are reported.
+    as_json: The summary is printed instead of headline and place.
+    hint: What can be done with the result.
+    """
+    say_doubts(result.doubts)
+    if as_json:
+        from heliogauge.results.folder import SUMMARY_FILE
+
+        typer.echo((out / SUMMARY_FILE).read_text(encoding="utf-8").rstrip())
+    elif not quiet:
+        typer.echo(result.headline())
+        typer.echo(f"results: {out}{hint}")
+
+
+#: What stands before a doubt on the terminal.
+_SEVERITY_WORDS = {Severity.NOTE: "note", Severity.DOUBT: "warning", Severity.SERIOUS: "error"}
+
+
+def say_doubts(doubts: Iterable[Doubt]) -> None:
+    """Write doubts on standard error, each with how much it weighs."""
     for one in doubts:
-        typer.echo(f"warning: {one.text}", err=True)
-    if not quiet:
-        typer.echo(headline)
-        typer.echo(ending)
+        typer.echo(f"{_SEVERITY_WORDS[one.severity]}: {one.text}", err=True)
 
 
 def parse_periods(text: str) -> tuple[float, ...]:

@@ -210,29 +210,29 @@ def _client(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError(f"--scheduler {address}: Dask is not installed; pip install 'heliogauge[cluster]'") from error
+        raise InputError(f"scheduler={address}: Dask is not installed; pip install 'heliogauge[cluster]'") from error
     try:
         return Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(
-            f"--scheduler {address}: no scheduler answers there ({str(error)[:120]}); is the address as it printed it?"
+            f"scheduler={address}: no scheduler answers there ({str(error)[:120]}); is the address as it printed it?"
         ) from error
 
 
 def _check_workers(client: Any, address: str) -> int:
     threads: Mapping[str, int] = client.nthreads()
     if not threads:
-        raise InputError(f"--scheduler {address}: the cluster has no workers; start some")
+        raise InputError(f"scheduler={address}: the cluster has no workers; start some")
     try:
         versions: Mapping[str, str] = client.run(_version_there)
     except ImportError as error:
         raise InputError(
-            f"--scheduler {address}: its workers cannot import heliogauge ({error}); install {__version__} there"
+            f"scheduler={address}: its workers cannot import heliogauge ({error}); install {__version__} there"
         ) from error
     others = {version for version in versions.values() if version != __version__}
     if others:
         raise InputError(
-            f"--scheduler {address}: workers have heliogauge {', '.join(sorted(others))}, here is {__version__}; "
+            f"scheduler={address}: workers have heliogauge {', '.join(sorted(others))}, here is {__version__}; "
             "results of two versions must not be mixed"
         )
     return sum(threads.values())

@@ -1,6 +1,7 @@
 """What is done from Python with any instrument: measure a folder, open results, make synthetic data, build a report."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from tempfile import mkdtemp
@@ -11,6 +12,7 @@ from heliogauge.instruments import Kind, instrument_named, instruments, near_mat
 
 if TYPE_CHECKING:
     from heliogauge.results.opened import Result
+    from heliogauge.running.commands import Ended
     from heliogauge.running.progress import Progress
 
 
@@ -54,6 +56,7 @@ def measure(
     """
     from heliogauge.measurement.load import kind_of
     from heliogauge.results.opened import Result
+    from heliogauge.running.progress import SilentProgress
 
     folder = Path(folder).expanduser()
     kind = kind_of(folder)
@@ -61,7 +64,7 @@ def measure(
     measurement = resolve(kind.load)(folder)
     target = Path(mkdtemp(prefix="heliogauge-")) if out is None else Path(out).expanduser()
     try:
-        _measure_into(kind, measurement, target, choices, progress, force=force, report=report)
+        _measure_into(kind, measurement, target, choices, progress or SilentProgress(), force=force, report=report)
     except BaseException:
         if out is None:
             shutil.rmtree(target, ignore_errors=True)
@@ -179,15 +182,36 @@ def _options(kind: Kind, given: dict[str, Any]) -> Any:
         raise InputError(f"option {fault['loc'][0]} = {fault['input']!r}: {fault['msg']}") from None
 
 
-def _measure_into(
-    kind: Kind, measurement: Any, out: Path, options: Any, progress: "Progress | None", *, force: bool, report: bool
-) -> None:
-    from heliogauge.results.frame import into_folder
-    from heliogauge.running.progress import SilentProgress
+def measure_into(
+    folder: Path, out: Path, progress: "Progress", *, jobs: int | None, force: bool, report: bool
+) -> "Ended":
+    """Evaluate a measurement folder of any kind into a folder of results, as its measurement.toml says.
 
-    progress = progress or SilentProgress()
+    jobs: Processes or threads side by side, where the kind can use several.
+    force: Replace earlier results.
+    report: Also make report.html.
+    Returns: What came of it, with `doubts` and `headline`.
+    InputError: A measurement that cannot be meant, or a folder that cannot be used.
+    EstimationError: The data do not determine the answer.
+    """
+    from heliogauge.measurement.load import kind_of
+
+    kind = kind_of(folder)
+    has_jobs = kind.options and any(field.name == "jobs" for field in fields(resolve(kind.options)))
+    options = _options(kind, {"jobs": jobs} if has_jobs else {})
+    has_report = any(kind.name in instrument.reports for instrument in instruments())
+    measurement = resolve(kind.load)(folder)
+    return _measure_into(kind, measurement, out, options, progress, force=force, report=report and has_report)
+
+
+def _measure_into(
+    kind: Kind, measurement: Any, out: Path, options: Any, progress: "Progress", *, force: bool, report: bool
+) -> "Ended":
+    from heliogauge.results.frame import InstrumentResult, into_folder
+
     if kind.run_into:
-        resolve(kind.run_into)(measurement, out, options, progress, force=force, report=report)
-        return
+        result: Ended = resolve(kind.run_into)(measurement, out, options, progress, force=force, report=report)
+        return result
     chosen = [] if options is None else [options]
-    into_folder(out, lambda: resolve(kind.run)(measurement, *chosen, progress), progress, force=force, report=report)
+    run: Callable[..., InstrumentResult] = resolve(kind.run)
+    return into_folder(out, lambda: run(measurement, *chosen, progress), progress, force=force, report=report)

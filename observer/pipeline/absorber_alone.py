@@ -147,7 +147,7 @@ def _bearings(cameras: Cameras, meant: set[str], expected: Expectation) -> Beari
     if not parts:
         raise EstimationError(
             "absorber: none of its photos shows enough targets to know where it was taken from; see rejected.csv of "
-            "`heliogauge observer`, or show more targets in them"
+            "`heliogauge observer measure`, or show more targets in them"
         )
     return Bearings(*(np.concatenate([getattr(one, name) for one in parts]) for name in Bearings.__slots__))
 

@@ -128,8 +128,8 @@ def refuse_modules(measurement: ObserverMeasurement) -> None:
     """
     if measurement.model.module:
         raise InputError(
-            f"module: a flight over {len(measurement.model.module)} collectors; `heliogauge observer FOLDER -o OUT` or "
-            "observer.pipeline.modules, evaluates it"
+            f"module: a flight over {len(measurement.model.module)} collectors; "
+            "`heliogauge observer measure FOLDER -o OUT` evaluates it"
         )
 
 

@@ -150,7 +150,9 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     files = [folder / name for name in names]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
-        raise InputError(f"{folder}: there is no {missing[0]}; give the folder that `heliogauge observer` wrote")
+        raise InputError(
+            f"{folder}: there is no {missing[0]}; give the folder that `heliogauge observer measure` wrote"
+        )
     slope_map, collector = read_slope_map(files[0]), read_collector(files[2])
     angles, _ = read_arrays(files[1], ("theta_ra", "theta_r"))
     theta_ra, theta_r = (np.asarray(angles[name], dtype=np.float64) for name in ("theta_ra", "theta_r"))
@@ -250,7 +252,7 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> Iterator[D
             {"unknown_count": unknown, "panels_count": tilts.tilt_rad.size},
         )
     if assumed:
-        text = f"no --mounts: mounts are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
+        text = f"no table of mounts: they are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
         yield Doubt("mounts_assumed", text, {"inset_m": _INSET_M})
     if slope_map.removed != "nothing":
         text = f"the slope map has {slope_map.removed} removed; the prescription lacks it"

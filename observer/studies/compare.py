@@ -110,7 +110,7 @@ class Comparison(InstrumentResult):
 def run(folders: Sequence[Path]) -> Comparison:
     """Compare results of one trough at several orientations.
 
-    folders: Results of ``heliogauge observer`` or ``heliogauge observer absorber``, two at least.
+    folders: Results of ``heliogauge observer measure`` or ``heliogauge observer absorber``, two at least.
     Returns: Sags by weight, profiles, maps on one grid.
     InputError: Fewer than two results, a folder that holds none, or results of different collectors.
     """
@@ -158,7 +158,8 @@ def run(folders: Sequence[Path]) -> Comparison:
 def _read(folder: Path) -> OneOrientation:
     if not (folder / "absorber_spans.csv").is_file():
         raise InputError(
-            f"{folder}: no absorber_spans.csv; give results of `heliogauge observer` or `heliogauge observer absorber`"
+            f"{folder}: no absorber_spans.csv; give results of `heliogauge observer measure` or "
+            "`heliogauge observer absorber`"
         )
     summary = read_summary(folder / "summary.json")
     if "orientation_rad" not in summary.numbers:

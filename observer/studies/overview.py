@@ -88,7 +88,7 @@ def run(
     places_m: Mapping[str, FloatArray] | None = None,
     failed: Mapping[str, str] | None = None,
 ) -> Result:
-    """Collect results of ``heliogauge observer``.
+    """Collect results of ``heliogauge observer measure``.
 
     base: Folder that their names are given from.
     places_m: Where modules are in a common frame, by their names from there [m].
@@ -100,7 +100,9 @@ def run(
     modules = tuple(read_summary(folder) for folder in folders)
     for folder, module in zip(folders, modules, strict=True):
         if module.kind != "observer":
-            raise InputError(f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer` are needed')
+            raise InputError(
+                f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer measure` are needed'
+            )
     labels = tuple(str(folder if base is None else folder.relative_to(base)) for folder in folders)
     not_measured = (
         Doubt("module_not_measured", f"{name}: not measured: {reason}") for name, reason in (failed or {}).items()

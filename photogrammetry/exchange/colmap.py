@@ -14,6 +14,7 @@ from heliogauge.camera.formats import COLMAP_MODELS, to_colmap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
+from heliogauge.measurement.imported import IMPORTED, write_imported
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.folder import (
     PhotoPose,
@@ -28,24 +29,24 @@ from heliogauge.results.folder import (
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.validate import FloatArray
 from photogrammetry.bundle.state import INTRINSIC_NAMES, intrinsics_of
-from photogrammetry.exchange.colmap_files import ColmapImage, ColmapModel, read_colmap, write_colmap
+from photogrammetry.exchange.colmap_files import ColmapImage, ColmapModel, model_files, read_colmap, write_colmap
 
-_MEASUREMENT = FolderKind("a measurement")
-_MODEL = FolderKind("a COLMAP model")
 _COMMENT = """\
 Imported from a COLMAP model. Its image points have no sigma: their size comes from the residuals.
 Frame and scale are the model's until scale bars or control points say something else."""
 #: Beside an exported model: the names of its points, which `import_colmap` takes over again.
 NAMES_FILE = "point_names.csv"
+_MODEL = FolderKind(content="exported COLMAP models", mark=NAMES_FILE)
 #: What COLMAP's names of parameters are here.
 _INTRINSIC = {"f": "focal_px", "fx": "focal_px", "fy": "aspect", "cx": "center_x_px", "cy": "center_y_px"}
 
 
-def import_colmap(model_folder: Path, folder: Path) -> tuple[str, ...]:
+def import_colmap(model_folder: Path, folder: Path, *, force: bool = False) -> tuple[str, ...]:
     """Write a measurement folder from a COLMAP model.
 
     model_folder: Folder with cameras, images and points3D, .bin or .txt.
     folder: The measurement folder; must be absent or empty.
+    force: Replace a folder that was imported earlier.
     Returns: What was taken over and what not, in lines to print.
     InputError: The model cannot be read (see `photogrammetry.exchange.colmap_files.read_colmap`), or the folder is
         in use.
@@ -69,11 +70,12 @@ def import_colmap(model_folder: Path, folder: Path) -> tuple[str, ...]:
         "image_points": {"file": "image_points.csv", "pixel_origin": "corner"},
         "start": {"cameras": "cameras.json", "points": "points.csv"},
     }
-    with WholeFolder(folder, _MEASUREMENT) as working:
+    with WholeFolder(folder, IMPORTED, force=force) as working:
         write_table_csv(working / "image_points.csv", columns)
         write_cameras_json(working / "cameras.json", {names[k]: one for k, one in model.cameras.items()}, poses)
         write_points_csv(working / "points.csv", _point_table(model, names_of_points, columns["target"]))
         write_measurement(working, content, comment=_COMMENT)
+        write_imported(working, "colmap", model_files(model_folder))
     said = [f"{len(model.images)} images, {len(model.points_m)} points, {len(columns['image'])} image points"]
     lonely = [one["name"] for one in sections if len(one.get("photos", "many")) == 1]
     if lonely:
@@ -145,11 +147,12 @@ def _point_table(model: ColmapModel, names: dict[int, str], targets: Sequence[st
     return PointTable(ids, np.array(list(model.points_m.values())), unknown, counts, np.zeros(len(ids), np.uint32))
 
 
-def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str, ...]:
+def export_colmap(result: Path, out: Path, *, binary: bool = False, force: bool = False) -> tuple[str, ...]:
     """Write a COLMAP model from a results folder of photogrammetry.
 
     out: Folder for cameras, images and points3D; must be absent or empty.
     binary: Write .bin instead of .txt.
+    force: Replace a model that was exported earlier.
     Returns: What was written and what the format does not hold, in lines to print.
     InputError: The results cannot be read, do not belong together, or a camera cannot be held by COLMAP (skew); or
         the folder is in use.
@@ -159,7 +162,9 @@ def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str
     """
     for name in ("cameras.json", "points.csv", "residuals.csv"):
         if not (result / name).is_file():
-            raise InputError(f"{result}: there is no {name}; a results folder of `heliogauge photogrammetry` is needed")
+            raise InputError(
+                f"{result}: there is no {name}; a results folder of `heliogauge photogrammetry measure` is needed"
+            )
     cameras, poses = read_cameras_json(result / "cameras.json")
     said: list[str] = []
     numbers = {name: number for number, name in enumerate(cameras, 1)}
@@ -169,7 +174,7 @@ def export_colmap(result: Path, out: Path, *, binary: bool = False) -> tuple[str
     point_ids = _number_targets([name for name, one in zip(table.ids, known, strict=True) if one])
     points = {point_ids[name]: xyz for name, xyz, one in zip(table.ids, table.xyz_m, known, strict=True) if one}
     images = _images(result / "residuals.csv", poses, numbers, point_ids)
-    with WholeFolder(out, _MODEL) as working:
+    with WholeFolder(out, _MODEL, force=force) as working:
         write_colmap(working, ColmapModel(lenses, images, points), binary=binary)
         write_table_csv(working / NAMES_FILE, {"id": list(point_ids.values()), "name": list(point_ids)})
     said.insert(0, f"{len(images)} images, {len(points)} points, {sum(one.point_ids.size for one in images)} keypoints")

@@ -91,6 +91,14 @@ def read_colmap(folder: Path) -> ColmapModel:
     return model
 
 
+def model_files(folder: Path) -> list[Path]:
+    """Return the files that `read_colmap` reads.
+
+    InputError: The model is not there whole.
+    """
+    return [folder / (name + _suffix(folder)) for name in _FILES]
+
+
 def _suffix(folder: Path) -> str:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; a COLMAP model is a folder, often called sparse/0")

@@ -157,7 +157,7 @@ def board_page(
     if wide > width or high > height:
         raise InputError(
             f"board of {wide:g} x {high:g} mm: {paper.name} has room for {width:.0f} x {height:.0f} mm; "
-            "take larger paper, --landscape or fewer squares"
+            "take larger paper, turn it (landscape=True) or take fewer squares"
         )
     origin = (left + (width - wide) / 2, top + (height - high) / 2)
     if kind in ("circles", "circles-asymmetric"):

@@ -9,18 +9,18 @@ from typing import Any
 import pytest
 import typer
 
-from heliogauge.instruments import resolve
+from heliogauge.instruments import Instrument, instrument_named, instruments, resolve
 from heliogauge.running import cli, commands
 from tests.architecture.source_tree import PACKAGES, REPOSITORY
 
-#: Pipelines, whose Options must agree with the flags of a command.
+#: Pipelines, whose Options must agree with the flags of an instrument's ``measure``.
 PIPELINES = {
-    "deflectometry.pipeline.measure": ("deflectometry.cli", "run"),
-    "photogrammetry.pipeline.measure": ("photogrammetry.cli", "run"),
-    "observer.pipeline.measure": ("observer.cli", "run"),
-    "calibration.screen.pipeline": ("calibration.cli", "response"),
-    "calibration.camera.pipeline.measure": ("calibration.cli", "camera"),
-    "calibration.heliostat.pipeline.measure": ("calibration.cli", "heliostat"),
+    "deflectometry.pipeline.measure": "deflectometry",
+    "photogrammetry.pipeline.measure": "photogrammetry",
+    "observer.pipeline.measure": "observer",
+    "calibration.screen.pipeline": "screen",
+    "calibration.camera.pipeline.measure": "camera",
+    "calibration.heliostat.pipeline.measure": "heliostat",
 }
 
 #: Units of the command line, and what they are in the pipeline.
@@ -61,18 +61,16 @@ def _same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def parameters_of(app: typer.Typer, command: str) -> dict[str, Any]:
-    """Return names and defaults of a command's parameters."""
-    group: Any = typer.main.get_command(app)
-    chosen = group.commands[command] if hasattr(group, "commands") else group
-    return {parameter.name: parameter.default for parameter in chosen.params if parameter.name != "help"}
+def parameters_of(instrument: str) -> dict[str, Any]:
+    """Return names and defaults of the parameters of an instrument's ``measure``."""
+    command = cli.group_of(instrument_named(instrument)).commands["measure"]
+    return {parameter.name: parameter.default for parameter in command.params if parameter.name != "help"}
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_flags_and_options_agree(pipeline: str) -> None:
-    commands_module, command = PIPELINES[pipeline]
     options = import_module(pipeline).Options
-    found = differences(options, parameters_of(import_module(commands_module).app, command))
+    found = differences(options, parameters_of(PIPELINES[pipeline]))
     assert not found, "\n".join(found)
 
 
@@ -86,9 +84,9 @@ def test_every_pipeline_is_compared() -> None:
     assert existing == set(PIPELINES)
 
 
-@pytest.mark.parametrize("name", cli.mounted())
-def test_what_is_mounted_exists(name: str) -> None:
-    assert isinstance(resolve(cli.mounted()[name].app), typer.Typer)
+@pytest.mark.parametrize("instrument", instruments(), ids=lambda one: one.name)
+def test_what_is_mounted_exists(instrument: Instrument) -> None:
+    assert isinstance(resolve(instrument.commands), typer.Typer)
 
 
 class Removal(Enum):

@@ -28,8 +28,9 @@ def test_what_an_instrument_names_exists() -> None:
     for one in instruments():
         for file in one.reports.values():
             assert read_resource(file)
-        if one.synth:
-            assert callable(resolve(one.synth))
+        assert bool(one.synth) == bool(one.synth_command)
+        for name in filter(None, (one.synth, one.synth_command)):
+            assert callable(resolve(name))
 
 
 def test_unknown_instrument_suggests_the_near_one() -> None:
@@ -58,9 +59,9 @@ def test_a_new_instrument_needs_no_change_here(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "__init__.py").touch()
     (folder / "instrument.py").write_text(
-        "from heliogauge.instruments import Commands, Instrument, Kind\n"
-        "KIND = Kind('gloss', 'gloss.keys:Model', 'gloss.keys:load', 'gloss:template.toml', 'gloss')\n"
-        "GLOSS = Instrument('gloss', 'Gloss.', Commands('gloss', 'gloss.cli:app', 'Gloss of a mirror.'), (KIND,))\n"
+        "from heliogauge.instruments import Instrument, Kind\n"
+        "KIND = Kind('gloss', 'gloss.keys:Model', 'gloss.keys:load', 'gloss:template.toml', 'gloss measure')\n"
+        "GLOSS = Instrument('gloss', 'Gloss of a mirror.', 'gloss.cli:app', (KIND,))\n"
     )
     (folder / "template.toml").write_text('kind = "gloss"\nname = "a"\nangle_deg = 60.0\n')
     (folder / "keys.py").write_text(
@@ -95,7 +96,7 @@ main(["--help"])
 OWN_FILES = ["observer.py", "calibration.py", "photogrammetry/__init__.py"]
 BORDERS = [
     "from heliogauge.measurement.load import load; load('m')",
-    "from heliogauge.running.cli import main; main(['init', 'observer', 'm'])",
+    "from heliogauge.running.cli import main; main(['observer', 'init', 'm'])",
     "import data_synth.fringes",
     "from heliogauge.instruments import read_resource; read_resource('observer.report:report.ipynb')",
 ]
@@ -123,7 +124,7 @@ def test_a_module_of_the_users_that_is_loaded_already_is_named(tmp_path: Path) -
 
 def test_a_script_with_our_name_is_named(tmp_path: Path) -> None:
     script = tmp_path / "data_synth.py"
-    script.write_text("print('once')\nfrom heliogauge.instruments import resolve\nresolve('data_synth.cli:app')\n")
+    script.write_text("print('once')\nfrom heliogauge.instruments import resolve\nresolve('data_synth.cli:observer')\n")
     answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert answer.stdout == "once\n"
     assert "data_synth.py has the name of a package of heliogauge" in answer.stderr

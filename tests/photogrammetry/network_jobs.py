@@ -26,7 +26,7 @@ def write_job(folder: Path, points, **content) -> Path:
 def command(folder: Path, out: Path) -> int:
     """Run the command; return its exit code."""
     try:
-        main(["photogrammetry", "run", str(folder), "-o", str(out), "--no-report", "--quiet"])
+        main(["photogrammetry", "measure", str(folder), "-o", str(out), "--no-report", "--quiet"])
     except SystemExit as left:
         return int(left.code or 0)
     return 0

@@ -1,4 +1,4 @@
-"""``heliogauge synth heliostat`` and ``heliogauge calibrate heliostat`` against the truth beside the input."""
+"""``heliogauge heliostat synth`` and ``heliogauge heliostat measure`` against the truth beside the input."""
 
 import csv
 import json
@@ -19,10 +19,10 @@ def measured(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recovery")
     runner = CliRunner()
     spoiled = [text for name in RECORD_FAULTS for text in ("--fault", name)]
-    made = ["synth", "heliostat", str(folder / "plant"), "--preset", "juelich", "--seed", "4", "-q"]
+    made = ["heliostat", "synth", str(folder / "plant"), "--preset", "juelich", "--seed", "4", "-q"]
     made += ["--heliostats", "8", "--observations", "60", "--wind-mrad", "0", *spoiled]
     assert runner.invoke(app, made, catch_exceptions=False).exit_code == 0
-    asked = ["calibrate", "heliostat", str(folder / "plant"), "-o", str(folder / "out"), "--no-report", "-q"]
+    asked = ["heliostat", "measure", str(folder / "plant"), "-o", str(folder / "out"), "--no-report", "-q"]
     done = runner.invoke(app, asked, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return folder / "out", read_heliostat_truth(folder / "plant")

@@ -19,9 +19,9 @@ def measured(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trough")
     scene, results = folder / "scene", folder / "results"
     runner = CliRunner()
-    drawn = runner.invoke(app, ["synth", "trough", str(scene), "--preset", "small", "--quiet"])
+    drawn = runner.invoke(app, ["observer", "synth", str(scene), "--preset", "small", "--quiet"])
     assert drawn.exit_code == 0, drawn.output
-    done = runner.invoke(app, ["observer", "run", str(scene), "-o", str(results), "--no-report", "--quiet"])
+    done = runner.invoke(app, ["observer", "measure", str(scene), "-o", str(results), "--no-report", "--quiet"])
     assert done.exit_code == 0, done.output
     return read_trough_truth(scene), results
 

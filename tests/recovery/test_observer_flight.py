@@ -20,7 +20,7 @@ def flown(tmp_path_factory):
     scene, results = folder / "scene", folder / "results"
     runner = CliRunner()
     drawn = runner.invoke(
-        app, ["synth", "trough", str(scene), "--preset", "flight", "--shaped", "--scale", "0.8", "--quiet"]
+        app, ["observer", "synth", str(scene), "--preset", "flight", "--shaped", "--scale", "0.8", "--quiet"]
     )
     assert drawn.exit_code == 0, drawn.output
     with (scene / "measurement.toml").open("a") as file:

@@ -20,8 +20,8 @@ APART_M = 0.4
 def test_chi_square_of_a_drawn_trough_is_within_its_band(tmp_path: Path, seed: int) -> None:
     scene, results = tmp_path / "scene", tmp_path / "results"
     for command in (
-        ["synth", "trough", str(scene), "--preset", "small", "--seed", str(seed), "--quiet"],
-        ["observer", "run", str(scene), "-o", str(results), "--no-report", "--quiet"],
+        ["observer", "synth", str(scene), "--preset", "small", "--seed", str(seed), "--quiet"],
+        ["observer", "measure", str(scene), "-o", str(results), "--no-report", "--quiet"],
     ):
         done = CliRunner().invoke(app, command)
         assert done.exit_code == 0, done.output

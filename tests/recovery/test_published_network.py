@@ -45,7 +45,7 @@ def folder_of(shared_data, folder, camera, more=None):
 
 def run(folder, out):
     with pytest.raises(SystemExit) as left:
-        main(["photogrammetry", "run", str(folder), "-o", str(out), "--no-report", "--quiet"])
+        main(["photogrammetry", "measure", str(folder), "-o", str(out), "--no-report", "--quiet"])
     assert left.value.code == 0
     return json.loads((out / "summary.json").read_text())
 

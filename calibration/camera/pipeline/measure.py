@@ -75,7 +75,7 @@ def run(
     model = measurement.model
     board = described_board(measurement)
     if isinstance(board, UnknownField) and not options.refine_board:
-        raise InputError("--board-as-drawn: the places of the targets are not given; give [board] file")
+        raise InputError("refine_board=False: the places of the targets are not given; give [board] file")
     other = None if options.compare is None else read_camera_json(options.compare)
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)

@@ -193,7 +193,7 @@ def put_aside(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tu
     texts = [text.strip() for text in patterns.split(",")]
     for text in texts:
         if not any(fnmatch(one.photo, text) for one in found.points):
-            raise InputError(f"--hold-out {text}: no photo of that name shows the board; names as in [images] photos")
+            raise InputError(f"hold_out={text}: no photo of that name shows the board; names as in [images] photos")
     aside = [any(fnmatch(one.photo, text) for text in texts) for one in found.points]
     used = tuple(one for one, away in zip(found.points, aside, strict=True) if not away)
     return replace(found, points=used), tuple(one for one, away in zip(found.points, aside, strict=True) if away)

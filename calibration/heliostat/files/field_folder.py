@@ -105,7 +105,7 @@ class FieldFolder:
         if not path.exists():
             return
         if not path.is_dir():
-            raise InputError(f"{path}: a file stands where the folder of results should; choose another with --out")
+            raise InputError(f"{path}: a file stands where the folder of results should; choose another folder")
         try:
             names = {one.name for one in path.iterdir()}
         except OSError as error:
@@ -114,9 +114,9 @@ class FieldFolder:
             return
         is_ours = bool(names & {SUMMARY_FILE, JOURNAL_FILE}) and "measurement.toml" not in names
         if not is_ours:
-            raise InputError(f"{path}: holds files that are no results; choose another folder with --out")
+            raise InputError(f"{path}: holds files that are no results; choose another folder")
         if JOURNAL_FILE not in names and not self._force:
-            raise InputError(f"{path}: holds results already; choose another folder or give --force to replace them")
+            raise InputError(f"{path}: holds results already; choose another folder or give force=True to replace them")
 
 
 def _read_journal(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:

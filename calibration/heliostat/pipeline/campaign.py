@@ -57,9 +57,9 @@ def choose(
     shared = Shared(
         plant=source.plant,
         model=measurement.model,
-        split=_one_of("--split", split, get_args(Split)) or evaluation.split,
+        split=_one_of("split", split, get_args(Split)) or evaluation.split,
         free=model or evaluation.model or AUTO,
-        label=_one_of("--label", label, get_args(Label)) or evaluation.label,
+        label=_one_of("label", label, get_args(Label)) or evaluation.label,
         folder=measurement.folder.absolute(),
         thorough=len(names) <= THOROUGH_UP_TO if thorough is None else thorough,
     )
@@ -91,11 +91,11 @@ def with_field(campaign: Campaign, workers: Workers, progress: Progress) -> Camp
     return replace(campaign, shared=replace(shared, population=Population.estimated_from(in_order)))
 
 
-def _one_of(flag: str, value: str | None, known: tuple[str, ...]) -> str | None:
+def _one_of(name: str, value: str | None, known: tuple[str, ...]) -> str | None:
     if value is not None and value not in known:
         near = get_close_matches(value, known, n=1)
         raise InputError(
-            f"{flag} {value}: " + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}")
+            f"{name}={value}: " + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}")
         )
     return value
 
@@ -107,5 +107,5 @@ def _asked_for(names: tuple[str, ...], only: str | None) -> Iterator[str]:
     patterns = [text.strip() for text in only.split(",")]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise InputError(f"--only {pattern}: no heliostat of that name; there are {', '.join(names[:8])}")
+            raise InputError(f"only={pattern}: no heliostat of that name; there are {', '.join(names[:8])}")
     yield from (name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))

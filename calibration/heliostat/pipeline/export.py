@@ -1,8 +1,8 @@
 """What a calibration is for: parameters for controllers, tables of corrections, files for other programs."""
 
 import datetime
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +21,35 @@ from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.validate import FloatArray
 
 CONTROLLER_FILE = "controllers.csv"
-EXPORT = FolderKind(content="exported files", mark="README.txt", remedy="choose another with --out")
-_README = """\
-Exported from a heliostat calibration.
+EXPORT = FolderKind(content="exported files", mark="README.txt")
+_READMES = {
+    "controllers": """\
+Exported from a heliostat calibration, for controllers of azimuth-elevation heliostats.
 
-controllers.csv      azimuth-elevation heliostats: base rotation R = rm1..rm9 (row by row; it turns vectors east, north,
-                     up from the heliostat's own axes to the field's), biases [rad] and non-orthogonality e [rad].
+controllers.csv      base rotation R = rm1..rm9 (row by row; it turns vectors east, north, up from the heliostat's own
+                     axes to the field's), biases [rad] and non-orthogonality e [rad].
                      Wanted normal h -> g = R^T h; elevation = asin(g_z / cos e), azimuth = atan2(g_e, g_n)
                      + atan2(sin(elevation) sin e, cos(elevation)); command = angle - bias.
-corrections_*.csv    readings over a day that put the beam on the aim point: as without calibration, as with it, and the
-                     difference, every few minutes of UTC.
-*_properties.json    heliostats with linear actuators in the convention of the PAINT database, which ARTIST reads. The
-                     tilts, which that convention has no place for, stand beside as first_joint_tilt_n,
-                     first_joint_tilt_u, second_joint_tilt_e, second_joint_tilt_n [rad].
-"""
+""",
+    "table": """\
+Exported from a heliostat calibration: readings over a day that put the beam on the aim point.
+
+corrections_*.csv    as without calibration, as with it, and the difference, every few minutes of UTC.
+""",
+    "artist": """\
+Exported from a heliostat calibration, in the convention of the PAINT database, which ARTIST reads.
+
+*_properties.json    heliostats with linear actuators. The tilts, which that convention has no place for, stand beside
+                     as first_joint_tilt_n, first_joint_tilt_u, second_joint_tilt_e, second_joint_tilt_n [rad].
+""",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """What to export.
+    """Choices of an export.
 
-    date: Day of the tables of corrections; none without.
+    date: Day of the tables of corrections; today if None.
     step_minutes: Step of the tables [min].
     target: Target whose centre is aimed at; the first one if None.
     force: Replace earlier exported files.
@@ -53,32 +61,56 @@ class ExportOptions:
     force: bool = False
 
 
-def run(result: Path, out: Path, options: ExportOptions | None = None) -> list[str]:
+def run(result: Path, out: Path, form: str, options: ExportOptions | None = None) -> list[str]:
     """Export calibrated heliostats.
 
     result: Folder with ``heliostat.json``, or one with a folder for each heliostat.
+    form: "controllers", "table" or "artist".
     Returns: Names of the files, in order.
-    InputError: No results there, the folder cannot be used, no such target, or a step that cannot be.
+    InputError: No results there, none that have this form, the folder cannot be used, no such target, or a step that
+        cannot be.
     """
     options = options or ExportOptions()
     if not 0.1 <= options.step_minutes <= 240:
-        raise InputError(f"--step-minutes {options.step_minutes:g}: between 0.1 and 240 minutes are needed")
+        raise InputError(f"step_minutes={options.step_minutes:g}: between 0.1 and 240 minutes are needed")
     with WholeFolder(out, EXPORT, force=options.force) as folder:
-        controllers: list[dict[str, Any]] = []
-        for content in read_results(result):
-            design = design_from(content["design"], content["parameters"], key="value")
-            if isinstance(design.drives[0], LinearActuator):
-                write_json(folder / f"{design.name}_properties.json", exported_properties(content, design))
-            elif (row := controller_row(design)) is not None:
-                controllers.append(row)
-            if options.date is not None:
-                columns = correction_columns(content, options)
-                write_table_csv(folder / f"corrections_{design.name}_{options.date}.csv", columns)
-        if controllers:
-            table = {key: [row[key] for row in controllers] for key in controllers[0]}
-            write_table_csv(folder / CONTROLLER_FILE, table)
-        (folder / "README.txt").write_text(_README, encoding="utf-8")
+        _FORMS[form](folder, read_results(result), options, result)
+        (folder / "README.txt").write_text(_READMES[form], encoding="utf-8")
         return sorted(file.name for file in folder.iterdir())
+
+
+def _controllers(folder: Path, contents: Iterable[Mapping[str, Any]], options: ExportOptions, result: Path) -> None:
+    designs = [design_from(content["design"], content["parameters"], key="value") for content in contents]
+    rows = [row for row in map(controller_row, designs) if row is not None]
+    if not rows:
+        raise InputError(
+            f"{result}: no heliostat turns about azimuth and elevation, so none has what controllers.csv holds; export "
+            "artist (linear actuators) or table (any)"
+        )
+    write_table_csv(folder / CONTROLLER_FILE, {key: [row[key] for row in rows] for key in rows[0]})
+
+
+def _artist(folder: Path, contents: Iterable[Mapping[str, Any]], options: ExportOptions, result: Path) -> None:
+    count = 0
+    for content in contents:
+        design = design_from(content["design"], content["parameters"], key="value")
+        if isinstance(design.drives[0], LinearActuator):
+            write_json(folder / f"{design.name}_properties.json", exported_properties(content, design))
+            count += 1
+    if not count:
+        raise InputError(
+            f"{result}: no heliostat has linear actuators, so none has properties as of PAINT and ARTIST; export "
+            "controllers (azimuth and elevation) or table (any)"
+        )
+
+
+def _table(folder: Path, contents: Iterable[Mapping[str, Any]], options: ExportOptions, result: Path) -> None:
+    dated = replace(options, date=options.date or datetime.datetime.now(datetime.UTC).date())
+    for content in contents:
+        write_table_csv(folder / f"corrections_{content['design']['name']}_{dated.date}.csv", correction_columns(content, dated))
+
+
+_FORMS = {"controllers": _controllers, "table": _table, "artist": _artist}
 
 
 def controller_row(design: HeliostatDesign) -> dict[str, Any] | None:
@@ -127,9 +159,9 @@ def correction_columns(content: Mapping[str, Any], options: ExportOptions) -> di
     targets = content["targets"]
     name = next(iter(targets)) if options.target is None else options.target
     if name not in targets:
-        raise InputError(f"--target {name}: no such target; there are {', '.join(targets)}")
+        raise InputError(f"target={name}: no such target; there are {', '.join(targets)}")
     if options.date is None:
-        raise InputError("--date: a day is needed for the table of corrections")
+        raise InputError("date=None: a day is needed for the table of corrections")
     times, suns = _day(options, stored_site(content))
     readings = []
     for key in ("nominal", "value"):
@@ -160,5 +192,5 @@ def _day(options: ExportOptions, site: Site) -> tuple[Any, FloatArray]:
     suns = sun_directions(times, site)
     up = suns[:, 2] > 0
     if not up.any():
-        raise InputError(f"--date {options.date}: the sun does not rise there on that day")
+        raise InputError(f"date={options.date}: the sun does not rise there on that day")
     return times[up], np.asarray(suns[up])

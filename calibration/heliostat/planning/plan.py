@@ -30,7 +30,7 @@ from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.validate import FloatArray
 
 PLAN_FILE, NEEDS_FILE, SCHEDULE_FILE, MARK = "measurements.csv", "heliostats.csv", "schedule.csv", "plan.json"
-PLAN = FolderKind(content="plans", mark=MARK, remedy="choose another with --out")
+PLAN = FolderKind(content="plans", mark=MARK)
 # The sun's way changes by less than 2 degrees in 5 days: more dates add no other positions.
 _DATES, _STEP_MINUTES = 8, 30
 _PER_DAY_OF_YEAR = 12
@@ -64,7 +64,7 @@ class NextOptions:
 
     def __post_init__(self) -> None:
         if not 1 <= self.days <= 366:
-            raise InputError(f"--days {self.days}: between 1 and 366 days are needed")
+            raise InputError(f"days={self.days}: between 1 and 366 days are needed")
 
     @property
     def dates(self) -> "np.ndarray[tuple[int, ...], np.dtype[np.datetime64]]":
@@ -185,7 +185,7 @@ def _target(name: str, one: Mapping[str, Any]) -> PlaneTarget:
 
 def _aim_point(targets: Mapping[str, PlaneTarget], name: str | None) -> FloatArray:
     if name is not None and name not in targets:
-        raise InputError(f"--target {name}: no such target; there are {', '.join(targets)}")
+        raise InputError(f"target={name}: no such target; there are {', '.join(targets)}")
     return (next(iter(targets.values())) if name is None else targets[name]).center_m
 
 

@@ -1,4 +1,4 @@
-"""`heliogauge calibrate response`: photographs of grey levels with a known response, from folder to results."""
+"""`heliogauge screen measure`: photographs of grey levels with a known response, from folder to results."""
 
 import csv
 import json
@@ -177,12 +177,12 @@ def test_too_few_levels(folder: Path) -> None:
 
 
 def test_folders_of_the_other_kind_name_the_command(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="evaluate this folder with `heliogauge calibrate response`"):
+    with pytest.raises(InputError, match="evaluate this folder with `heliogauge screen measure`"):
         load_deflectometry(folder)
     write_template("deflectometry", tmp_path / "other")
-    with pytest.raises(InputError, match="evaluate this folder with `heliogauge deflectometry`"):
+    with pytest.raises(InputError, match="evaluate this folder with `heliogauge deflectometry measure`"):
         load_response(tmp_path / "other")
-    with pytest.raises(InputError, match="heliogauge init response"):
+    with pytest.raises(InputError, match="heliogauge screen init"):
         load_response(tmp_path)
 
 
@@ -211,19 +211,19 @@ def test_command_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
     def leave(*arguments: str) -> int:
         with pytest.raises(SystemExit) as caught:
-            cli.main(["calibrate", *arguments])
+            cli.main([*arguments])
         return int(caught.value.code or 0)
 
-    assert leave("response", str(folder), "-o", str(out), "--jobs", "1") == 0
+    assert leave("screen", "measure", str(folder), "-o", str(out), "--jobs", "1") == 0
     assert "+-" in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["response.csv", "response.png", "summary.json"]
-    assert leave("response", str(folder), "-o", str(out)) == 2
+    assert leave("screen", "measure", str(folder), "-o", str(out)) == 2
     assert "--force" in capsys.readouterr().err
-    assert leave("response", str(folder), "-o", str(tmp_path / "response.csv")) == 2
+    assert leave("screen", "measure", str(folder), "-o", str(tmp_path / "response.csv")) == 2
     assert "give a folder" in capsys.readouterr().err
-    assert leave("heliostat", str(folder), "-o", str(tmp_path / "other")) == 2
-    assert "evaluate this folder with `heliogauge calibrate response`" in capsys.readouterr().err
-    assert leave("telescope", str(folder), "-o", str(out)) == 2
+    assert leave("heliostat", "measure", str(folder), "-o", str(tmp_path / "other")) == 2
+    assert "evaluate this folder with `heliogauge screen measure`" in capsys.readouterr().err
+    assert leave("telescope", "measure", str(folder), "-o", str(out)) == 2
     assert "No such command 'telescope'" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["grey", "result"]
 

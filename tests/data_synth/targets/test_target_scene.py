@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth import cli
 from data_synth.optics.sensor import Sensor
 from data_synth.targets.boards import board_scene
 from data_synth.targets.presets import PrintChoice, look_at, target_scene
@@ -17,6 +16,7 @@ from heliogauge.errors import InputError
 from heliogauge.images.photos import read_image
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import app
 
 QUIET = Sensor(exposure=1.0, read_noise_dn=0.0)
 
@@ -135,7 +135,8 @@ def test_opencv_finds_the_corners_of_the_bent_board() -> None:
 def test_folder_of_photos(tmp_path) -> None:
     out = tmp_path / "m"
     arguments = [
-        "targets",
+        "photogrammetry",
+        "synth",
         str(out),
         "--scale",
         "0.25",
@@ -147,7 +148,7 @@ def test_folder_of_photos(tmp_path) -> None:
         "--dictionary",
         "metashape-12",
     ]
-    answer = CliRunner().invoke(cli.app, arguments)
+    answer = CliRunner().invoke(app, arguments)
     assert answer.exit_code == 0, answer.output
     content = tomllib.loads((out / "measurement.toml").read_text())
     assert content["kind"] == "photogrammetry"
@@ -166,7 +167,9 @@ def test_folder_of_photos(tmp_path) -> None:
 
 def test_folder_of_points(tmp_path) -> None:
     out = tmp_path / "m"
-    answer = CliRunner().invoke(cli.app, ["targets", str(out), "--points-only", "--sigma-px", "0.05", "--quiet"])
+    answer = CliRunner().invoke(
+        app, ["photogrammetry", "synth", str(out), "--points-only", "--sigma-px", "0.05", "--quiet"]
+    )
     assert answer.exit_code == 0, answer.output
     content = tomllib.loads((out / "measurement.toml").read_text())
     assert content["image_points"] == {"file": "image_points.csv", "pixel_origin": "center"}
@@ -179,7 +182,7 @@ def test_folder_of_points(tmp_path) -> None:
 
 def test_folder_of_a_board(tmp_path) -> None:
     out = tmp_path / "m"
-    answer = CliRunner().invoke(cli.app, ["board", str(out), "--photos", "2", "--scale", "0.25", "--quiet"])
+    answer = CliRunner().invoke(app, ["camera", "synth", str(out), "--photos", "2", "--scale", "0.25", "--quiet"])
     assert answer.exit_code == 0, answer.output
     content = tomllib.loads((out / "measurement.toml").read_text())
     assert content["kind"] == "camera"
@@ -191,13 +194,12 @@ def test_folder_of_a_board(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["targets", "--preset", "none"], "one of small, panel"),
-        (["board", "--preset", "none"], "one of chessboard"),
-        (["targets", "--bits", "12", "--jpeg-quality", "90", "--scale", "0.1"], "JPEG holds 8 bit"),
+        (["--dictionary", "aicon-13"], "an even number of 8 to 20 bit"),
+        (["--bits", "12", "--jpeg-quality", "90", "--scale", "0.1"], "JPEG holds 8 bit"),
     ],
 )
 def test_impossible_wishes_leave_nothing(tmp_path, arguments: list[str], message: str) -> None:
-    answer = CliRunner().invoke(cli.app, [arguments[0], str(tmp_path / "m"), *arguments[1:], "--quiet"])
+    answer = CliRunner().invoke(app, ["photogrammetry", "synth", str(tmp_path / "m"), *arguments, "--quiet"])
     assert isinstance(answer.exception, InputError)
     assert message in str(answer.exception)
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth import cli
 from data_synth.optics.surface_errors import HeightGrid, Polynomial, Ripple, SurfaceErrors
 from data_synth.troughs.dataset import (
     TroughOptions,
@@ -28,6 +27,7 @@ from heliogauge.images.photos import read_image
 from heliogauge.results.json_file import read_json
 from heliogauge.results.slope_map_file import write_slope_map
 from heliogauge.results.tables import read_table_csv
+from heliogauge.running.cli import app
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from observer.trough import ls2
 
@@ -35,8 +35,8 @@ from observer.trough import ls2
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("trough") / "set"
-    arguments = ["trough", str(out), "--photos", "2", "--seed", "3", "--scale", "0.5", "-q"]
-    result = CliRunner().invoke(cli.app, arguments)
+    arguments = ["observer", "synth", str(out), "--photos", "2", "--seed", "3", "--scale", "0.5", "-q"]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     return out
 
@@ -131,9 +131,9 @@ def test_a_folder_of_jpeg_with_a_rolling_shutter_and_slopes_of_a_file(tmp_path: 
     )
     write_slope_map(tmp_path / "slopes.nc", {"mirror": measured})
     out = tmp_path / "set"
-    arguments = ["trough", str(out), "--photos", "2", "--scale", "0.3", "-q", "--jpeg-quality", "95"]
+    arguments = ["observer", "synth", str(out), "--photos", "2", "--scale", "0.3", "-q", "--jpeg-quality", "95"]
     arguments += ["--rolling-shutter-ms", "20", "--slopes", str(tmp_path / "slopes.nc"), "--noise-dn", "0"]
-    result = CliRunner().invoke(cli.app, arguments)
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     content = tomllib.loads((out / "measurement.toml").read_text(encoding="utf-8"))
     assert content["images"] == {"photos": "photo_*.jpg"}

@@ -125,7 +125,7 @@ def test_levels_stay_where_the_response_was_measured(tmp_path: Path) -> None:
 
 def test_levels_of_other_programs(tmp_path: Path) -> None:
     file = response_file(tmp_path, np.linspace(0, 1, 33), full=255.0)
-    with pytest.raises(InputError, match=r"goes up to 255, above full range 1; .*--response-full-level"):
+    with pytest.raises(InputError, match=r"goes up to 255, above full range 1; .*response_full_level"):
         display_levels(DisplayOptions(96, 64, response_file=file))
     table = display_levels(DisplayOptions(96, 64, response_file=file, response_full_level=255.0)).level_from_light
     light = np.linspace(0, 1, table.size)
@@ -184,7 +184,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     def leave(*arguments: str) -> int:
         size = ["--width-px", "96", "--height-px", "64", "--periods", "0.9,3.9"]
         with pytest.raises(SystemExit) as caught:
-            cli.main(["deflectometry", "patterns", str(out), *size, *arguments])
+            cli.main(["deflectometry", "patterns", "-o", str(out), *size, *arguments])
         return int(caught.value.code or 0)
 
     assert leave("--steps", "3", "--grey-steps", "4", "--first", "x") == 0

@@ -145,7 +145,7 @@ class TestFolder:
             load_deflectometry(tmp_path / "absent")
 
     def test_no_file(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="heliogauge init deflectometry"):
+        with pytest.raises(InputError, match="heliogauge deflectometry init"):
             load_deflectometry(tmp_path)
 
     def test_not_toml(self, tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ class TestTemplate:
     def test_existing_file_is_kept_unless_forced(self, tmp_path: Path) -> None:
         file = tmp_path / "measurement.toml"
         file.write_text("mine", encoding="utf-8")
-        with pytest.raises(InputError, match="--force"):
+        with pytest.raises(InputError, match="force=True"):
             write_template("deflectometry", tmp_path)
         assert file.read_text(encoding="utf-8") == "mine"
         write_template("deflectometry", tmp_path, force=True)

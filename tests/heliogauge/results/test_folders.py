@@ -26,7 +26,7 @@ def fail(target: Path, error: BaseException) -> None:
 def test_an_earlier_folder_is_told_by_its_mark(tmp_path: Path) -> None:
     target = tmp_path / "a"
     make(target, PLANS, "old")
-    with pytest.raises(InputError, match="--force to replace plans"):
+    with pytest.raises(InputError, match="force=True to replace plans"):
         make(target, PLANS, "new")
     make(target, PLANS, "new", force=True)
     assert (target / "plan.toml").read_text() == "new"

@@ -396,7 +396,7 @@ def test_force_replaces_the_whole_earlier_result(tmp_path: Path) -> None:
     with ResultFolder(target) as folder:
         put_result(folder, "old")
         (folder / "left_over.txt").write_text("x")
-    with pytest.raises(InputError, match="--force"), ResultFolder(target):
+    with pytest.raises(InputError, match="force=True"), ResultFolder(target):
         pytest.fail("an existing result must be refused before any work")
     with ResultFolder(target, force=True) as folder:
         put_result(folder, "new")
@@ -423,7 +423,7 @@ def test_an_empty_folder_is_a_fine_target(tmp_path: Path) -> None:
 def test_places_that_cannot_hold_a_result_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("x")
     for target in (tmp_path / "file", tmp_path / "file" / "result", Path("/proc/heliogauge-result")):
-        with pytest.raises(InputError, match="--out"), ResultFolder(target):
+        with pytest.raises(InputError, match="choose another folder"), ResultFolder(target):
             pytest.fail("must be refused before any work")
 
     def refuse(*_: object, **__: object) -> None:
@@ -436,7 +436,7 @@ def test_places_that_cannot_hold_a_result_are_refused(tmp_path: Path, monkeypatc
 
 def test_results_that_appeared_meanwhile_are_not_overwritten(tmp_path: Path) -> None:
     target = tmp_path / "result"
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="force=True"):
         be_overtaken(target)
     assert (target / "summary.json").read_text() == "first"
     assert [path.name for path in tmp_path.iterdir()] == ["result"]

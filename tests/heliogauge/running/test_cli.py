@@ -11,8 +11,8 @@ import pytest
 import typer
 
 from heliogauge import __version__
-from heliogauge.errors import EstimationError
-from heliogauge.instruments import Commands, Instrument, every_kind, instruments
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.instruments import Instrument, Kind, every_kind, instruments
 from heliogauge.running import cli, commands
 
 
@@ -39,27 +39,30 @@ def _keep_signal_and_environment(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.fixture
 def instrument(monkeypatch: pytest.MonkeyPatch) -> typer.Typer:
-    """A package that is mounted as ``probe`` and has the default command and a named one."""
+    """An instrument that is mounted as ``probe`` with two verbs."""
     app = commands.make_app("A probe.")
 
-    @app.command("run")
+    @app.command("measure")
     def measure(folder: commands.MeasurementFolder, out: commands.OutFolder, jobs: commands.Jobs = 1) -> None:
+        """Measure with the probe, and say it in a sentence that is much longer than a terminal is wide: to the end."""
         if folder.name == "undetermined":
             raise EstimationError("3 targets seen, 4 needed")
+        if folder.name == "used":
+            raise InputError("used: holds files already; choose another folder or give force=True to replace results")
         if folder.name == "interrupted":
             raise KeyboardInterrupt
         if folder.name == "bug":
             raise ZeroDivisionError
         print(f"{folder} -> {out} with {jobs}")
 
-    @app.command("import-other")
-    def import_other(files: list[Path], folder: Path) -> None:
-        print(f"{[str(file) for file in files]} -> {folder}")
+    @commands.add_formats(app, "import").command("other")
+    def import_other(files: list[Path], out: commands.OutMeasurement) -> None:
+        print(f"{[str(file) for file in files]} -> {out}")
 
     module = ModuleType("probe_cli")
     module.app = app  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "probe_cli", module)
-    probe = Instrument("probe", "A probe.", Commands("probe", "probe_cli:app", "A probe."))
+    probe = Instrument("probe", "A probe.", "probe_cli:app")
     monkeypatch.setattr(cli, "instruments", lambda: (*instruments(), probe))
     return app
 
@@ -68,8 +71,9 @@ def test_version_and_help() -> None:
     assert run("--version").stdout == f"heliogauge {__version__}\n"
     answer = run("--help")
     assert answer.returncode == 0
-    for name in (*cli.FIRST, *cli.mounted(), *cli.LAST):
+    for name in (*(one.name for one in instruments()), "measure", "report", "demo"):
         assert f"\n  {name} " in answer.stdout
+    assert run("-h").stdout == answer.stdout
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
@@ -94,61 +98,67 @@ def test_unknown_command_suggests_the_near_one() -> None:
     assert "Did you mean 'deflectometry'?" in answer.stderr
 
 
-def test_init_names_every_kind() -> None:
-    text = run("init", "--help").stdout
-    assert [kind for kind in every_kind() if kind not in text] == []
+@pytest.mark.parametrize("kind", every_kind().values(), ids=every_kind())
+def test_init_writes_the_template_of_every_kind(kind: Kind, tmp_path: Path) -> None:
+    assert leave(*kind.init_command(str(tmp_path / "m")).split()) == 0
+    assert f'kind = "{kind.name}"' in (tmp_path / "m" / "measurement.toml").read_text(encoding="utf-8")
 
 
-def test_init_writes_a_template_and_refuses_to_overwrite(tmp_path: Path) -> None:
+def test_init_refuses_to_overwrite(tmp_path: Path) -> None:
     folder = tmp_path / "a b"
-    assert run("init", "deflectometry", str(folder)).stdout.strip() == str(folder / "measurement.toml")
-    again = run("init", "deflectometry", str(folder))
+    assert run("deflectometry", "init", str(folder)).stdout.strip() == str(folder / "measurement.toml")
+    again = run("deflectometry", "init", str(folder))
     assert again.returncode == 2
     assert again.stderr.count("\n") == 1
     assert again.stderr.startswith("heliogauge: ")
     assert "--force" in again.stderr
-    assert run("init", "deflectometry", str(folder), "--force").returncode == 0
+    assert run("deflectometry", "init", str(folder), "--force").returncode == 0
 
 
 @pytest.mark.usefixtures("instrument")
 class TestMounted:
-    def test_default_command_needs_no_name(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "FOLDER", "-o", "OUT") == 0
+    def test_verb(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert leave("probe", "measure", "FOLDER", "-o", "OUT") == 0
         assert capsys.readouterr().out == "FOLDER -> OUT with 1\n"
 
     def test_options_may_come_first(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "--jobs", "2", "-o", "OUT", "FOLDER") == 0
+        assert leave("probe", "measure", "--jobs", "2", "-o", "OUT", "FOLDER") == 0
         assert capsys.readouterr().out == "FOLDER -> OUT with 2\n"
 
-    def test_named_command(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "import-other", "a.h5", "b.json", "FOLDER") == 0
+    def test_format(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert leave("probe", "import", "other", "a.h5", "b.json", "-o", "FOLDER") == 0
         assert capsys.readouterr().out == "['a.h5', 'b.json'] -> FOLDER\n"
 
-    def test_help_of_the_group_lists_both(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "--help") == 0
-        text = capsys.readouterr().out
-        assert "run" in text
-        assert "import-other" in text
+    def test_a_folder_without_a_verb_is_a_usage_error(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert leave("probe", "FOLDER", "-o", "OUT") == 2
+        assert "FOLDER" in capsys.readouterr().err
 
-    def test_help_of_the_default_command(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "FOLDER", "--help") == 0
-        assert "--jobs" in capsys.readouterr().out
+    @pytest.mark.parametrize("option", ["-h", "--help"])
+    def test_help_of_the_group_lists_the_verbs(self, capsys: pytest.CaptureFixture[str], option: str) -> None:
+        assert leave("probe", option) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "much longer than a terminal is wide: to the end." in text
+        assert text.index(" measure Measure with the probe") < text.index(" import Files of another program")
 
     def test_missing_out_is_a_usage_error(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "FOLDER") == 2
+        assert leave("probe", "measure", "FOLDER") == 2
         assert "--out" in capsys.readouterr().err
 
     def test_metrology_error_is_one_message_and_exit_2(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "undetermined", "-o", "OUT") == 2
+        assert leave("probe", "measure", "undetermined", "-o", "OUT") == 2
         assert capsys.readouterr().err == "heliogauge: 3 targets seen, 4 needed\n"
 
+    def test_arguments_in_messages_are_named_as_options(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert leave("probe", "measure", "used", "-o", "OUT") == 2
+        assert "choose another folder or give --force to replace results\n" in capsys.readouterr().err
+
     def test_interrupt_is_130(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert leave("probe", "interrupted", "-o", "OUT") == 130
+        assert leave("probe", "measure", "interrupted", "-o", "OUT") == 130
         assert "interrupted" in capsys.readouterr().err
 
     def test_a_bug_is_not_hidden(self) -> None:
         with pytest.raises(ZeroDivisionError):
-            cli.main(["probe", "bug", "-o", "OUT"])
+            cli.main(["probe", "measure", "bug", "-o", "OUT"])
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -160,9 +170,10 @@ from types import ModuleType
 import typer
 # A test run started in the background hands down an ignored SIGINT.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+from heliogauge.instruments import Instrument
 from heliogauge.running import cli, commands
 app = commands.make_app("A probe.")
-@app.command("run")
+@app.command("measure")
 def measure(folder: str) -> None:
     try:
         os.kill(os.getpid(), {int(number)})
@@ -172,8 +183,8 @@ def measure(folder: str) -> None:
 module = ModuleType("probe_cli")
 module.app = app
 sys.modules["probe_cli"] = module
-cli.SYNTH = cli.Commands("synth", "probe_cli:app", "")
-cli.main(["synth", "x"])
+cli.instruments = lambda: (Instrument("probe", "A probe.", "probe_cli:app"),)
+cli.main(["probe", "measure", "x"])
 """
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=30)
     assert answer.stdout == "cleaned up\n"

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth import cli as synth_cli
 from data_synth.troughs.dataset import read_trough_truth
 from heliogauge.results.tables import read_table_csv
-from observer import cli
+from heliogauge.running.cli import app
 
 OUTER_M, INNER_M, INDEX, RADIUS_M = 0.115 / 2, 0.109 / 2, 1.47, 0.035
 
@@ -67,9 +66,9 @@ def test_refraction_displaces_the_absorber_by_less_than_a_tenth_of_a_millimetre(
 @pytest.mark.slow
 def test_two_photos_of_the_thesis_give_the_absorber_within_half_a_millimetre(tmp_path: Path) -> None:
     folder, out = tmp_path / "absorber", tmp_path / "result"
-    made = CliRunner().invoke(synth_cli.app, ["trough", str(folder), "--preset", "absorber", "-q"])
+    made = CliRunner().invoke(app, ["observer", "synth", str(folder), "--preset", "absorber", "-q"])
     assert made.exit_code == 0, made.output
-    done = CliRunner().invoke(cli.app, ["absorber", str(folder), "-o", str(out), "-q"])
+    done = CliRunner().invoke(app, ["observer", "absorber", str(folder), "-o", str(out), "-q"])
     assert done.exit_code == 0, done.output
     truth = read_trough_truth(folder)
     table = read_table_csv(out / "absorber.csv")

@@ -84,7 +84,7 @@ def mirror(change_rad: float = 0.0, noise_rad: float = 0.0) -> SlopeMap:
 
 
 def result_at(folder: Path, degrees: float, *, with_map: bool = True) -> Path:
-    """Write what `heliogauge observer` writes, as far as the study reads it."""
+    """Write what `heliogauge observer measure` writes, as far as the study reads it."""
     folder.mkdir()
     turn = np.radians(degrees)
     shape = 1 - (Y_M / 3.9) ** 2

@@ -185,7 +185,7 @@ def columns_x(columns: dict[str, list[str]]) -> dict[tuple[str, str], float]:
 def test_export_and_import_again(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, folder = tmp_path / "model", tmp_path / "measurement"
     with pytest.raises(SystemExit) as ended:
-        main(["photogrammetry", "export-colmap", str(result), str(model)])
+        main(["photogrammetry", "export", "colmap", str(result), "-o", str(model)])
     assert ended.value.code == 0
     assert "any covariance" in capsys.readouterr().out
     cameras, poses = read_cameras_json(result / "cameras.json")
@@ -195,7 +195,7 @@ def test_export_and_import_again(result: Path, tmp_path: Path, capsys: pytest.Ca
         pose = poses[image.name].cam_from_world
         np.testing.assert_allclose(image.cam_from_world.rotation, pose.rotation, atol=1e-12)
     with pytest.raises(SystemExit) as ended:
-        main(["photogrammetry", "import-colmap", str(model), str(folder)])
+        main(["photogrammetry", "import", "colmap", str(model), "-o", str(folder)])
     assert ended.value.code == 0
     assert "conditional" in capsys.readouterr().out
 

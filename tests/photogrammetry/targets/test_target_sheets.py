@@ -173,17 +173,17 @@ def test_white_on_black_is_the_negative() -> None:
 def test_commands_write_a_whole_folder(tmp_path) -> None:
     out = tmp_path / "sheets"
     answer = CliRunner().invoke(
-        cli.app, ["sheets", str(out), "--dictionary", "metashape-12", "--first", "5", "--last", "9"]
+        cli.app, ["sheets", "-o", str(out), "--dictionary", "metashape-12", "--first", "5", "--last", "9"]
     )
     assert answer.exit_code == 0, answer.output
     assert sorted(path.name for path in out.iterdir()) == ["codes.csv", "sheet_01.svg", "sheets.pdf"]
     table = read_table_csv(out / "codes.csv")
     assert table["target"] == ["5", "6", "7", "8", "9"]
     assert int(table["bits_clockwise"][0], 2) == int(table["word"][0])
-    again = CliRunner().invoke(cli.app, ["sheets", str(out), "--board", "chessboard"])
+    again = CliRunner().invoke(cli.app, ["sheets", "-o", str(out), "--board", "chessboard"])
     assert isinstance(again.exception, InputError)
     forced = CliRunner().invoke(
-        cli.app, ["sheets", str(out), "--dictionary", "DICT_4X4_50", "--first", "0", "--last", "3", "--force"]
+        cli.app, ["sheets", "-o", str(out), "--dictionary", "DICT_4X4_50", "--first", "0", "--last", "3", "--force"]
     )
     assert forced.exit_code == 0, forced.output
     assert sorted(path.name for path in out.iterdir()) == ["sheet_01.svg", "sheets.pdf"]
@@ -195,7 +195,7 @@ def test_commands_write_a_whole_folder(tmp_path) -> None:
         (lambda: Paper("A9"), "A4, A3, letter"),
         (lambda: ring_pages(CODES[:1], 60.0, Paper(), title=""), "larger paper or smaller dots"),
         (lambda: ring_pages([], 10.0, Paper(), title=""), "at least one target"),
-        (lambda: board_page("chessboard", 12, 9, 20.0, Paper()), "larger paper, --landscape"),
+        (lambda: board_page("chessboard", 12, 9, 20.0, Paper()), "larger paper, turn it"),
         (lambda: board_page("triangles", 12, 9, 20.0, Paper()), "one of chessboard"),
         (lambda: board_page("circles", 2, 9, 20.0, Paper()), "3 columns and 3 rows"),
         (lambda: marker_pages("DICT_4X4_50", [50], 40.0, Paper()), "goes from 0 to 49"),

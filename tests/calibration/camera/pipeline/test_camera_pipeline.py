@@ -181,7 +181,7 @@ def test_targets_need_a_drawing_to_be_held_to(boards: dict[str, Path], tmp_path:
     head, tail = text.split("[board]")[0], "[images]" + text.split("[images]")[1]
     board = '[board]\ntype = "targets"\ndictionary = "aicon-12"\n'
     (folder / "measurement.toml").write_text(head + board + tail, encoding="utf-8")
-    with pytest.raises(InputError, match="--board-as-drawn"):
+    with pytest.raises(InputError, match="refine_board=False"):
         run(load_camera_calibration(folder), Options(refine_board=False))
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calibration.camera.cli import app
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
 from calibration.camera.keys import load_camera_calibration
 from calibration.camera.pipeline.measure import Options, run
-from calibration.cli import app
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
 from data_synth.targets.presets import target_scene
 from deflectometry.pipeline import inputs
@@ -105,7 +105,7 @@ def test_photos_held_out_are_predicted(folder: Path) -> None:
     assert [one.name for one in result.held_out] == ["photo_002.png", "photo_007.png"]
     assert len(result.photos) == 6
     assert result.held_out_px < 0.02
-    with pytest.raises(InputError, match="--hold-out nothing"):
+    with pytest.raises(InputError, match="hold_out=nothing"):
         run(load_camera_calibration(folder), Options(hold_out="nothing*"))
 
 
@@ -145,7 +145,7 @@ def test_other_commands_use_the_camera(good: Result, board_photos: Callable[[str
 
 def test_command_line(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
-    words = ["camera", str(folder), "-o", str(out), "--no-report", "--no-leave-one-out", "--jobs", "1", "-q"]
+    words = ["measure", str(folder), "-o", str(out), "--no-report", "--no-leave-one-out", "--jobs", "1", "-q"]
     assert CliRunner().invoke(app, words).exit_code == 0
     written = {path.name for path in out.iterdir()}
     assert {

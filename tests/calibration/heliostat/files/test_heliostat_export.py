@@ -127,7 +127,7 @@ class TestControllers:
         assert controller_row(linear_actuators("e", [10.0, 80.0, 2.0], ACTUATORS)) is None
 
     def test_the_file_has_a_row_for_each(self, tables: Path, tmp_path: Path) -> None:
-        assert run(tables, tmp_path / "e") == ["README.txt", "controllers.csv"]
+        assert run(tables, tmp_path / "e", "controllers") == ["README.txt", "controllers.csv"]
         table = read_table_csv(tmp_path / "e" / "controllers.csv")
         assert table["heliostat"] == ["H1", "H2"]
         value = read_heliostat(tables / "H2")["parameters"]["azimuth_offset"]["value"]
@@ -161,19 +161,19 @@ class TestCorrections:
     @pytest.mark.parametrize(
         ("options", "wanted"),
         [
-            (ExportOptions(datetime.date(2026, 3, 20), target="roof"), "--target roof: no such target; there are"),
-            (ExportOptions(step_minutes=0.0), "--step-minutes 0: between"),
+            (ExportOptions(datetime.date(2026, 3, 20), target="roof"), "target=roof: no such target; there are"),
+            (ExportOptions(step_minutes=0.0), "step_minutes=0: between"),
         ],
     )
     def test_choices_that_cannot_be(self, paint: Path, tmp_path: Path, options: ExportOptions, wanted: str) -> None:
         with pytest.raises(InputError, match=wanted):
-            run(paint, tmp_path / "e", options)
+            run(paint, tmp_path / "e", "table", options)
         assert not (tmp_path / "e").exists()
 
 
 class TestPaint:
     def test_exported_properties_read_as_the_calibrated_heliostat(self, paint: Path, tmp_path: Path) -> None:
-        run(paint, tmp_path / "e")
+        run(paint, tmp_path / "e", "artist")
         content = read_heliostat(paint)
         calibrated = design_from(content["design"], content["parameters"], key="value")
         text = (tmp_path / "e" / "AA11_properties.json").read_text(encoding="utf-8")
@@ -186,7 +186,7 @@ class TestPaint:
         np.testing.assert_allclose(one.centre_m, other.centre_m, atol=1e-8)
 
     def test_keys_are_those_that_artist_reads(self, paint: Path, tmp_path: Path) -> None:
-        run(paint, tmp_path / "e")
+        run(paint, tmp_path / "e", "artist")
         content = json.loads((tmp_path / "e" / "AA11_properties.json").read_text(encoding="utf-8"))
         kinematics = content["kinematics_properties"]
         assert content["initial_orientation"] == [0.0, -1.0, 0.0]
@@ -200,11 +200,26 @@ class TestPaint:
 
 def test_no_results_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no heliostat\.json here or one folder below"):
-        run(tmp_path, tmp_path / "e")
+        run(tmp_path, tmp_path / "e", "controllers")
 
 
 def test_earlier_exports_are_replaced_only_when_asked(paint: Path, tmp_path: Path) -> None:
-    run(paint, tmp_path / "e")
-    with pytest.raises(InputError, match="--force"):
-        run(paint, tmp_path / "e")
-    run(paint, tmp_path / "e", ExportOptions(force=True))
+    run(paint, tmp_path / "e", "artist")
+    with pytest.raises(InputError, match="force=True"):
+        run(paint, tmp_path / "e", "artist")
+    run(paint, tmp_path / "e", "artist", ExportOptions(force=True))
+
+
+def test_a_form_that_no_heliostat_has_is_refused(paint: Path, tables: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no heliostat turns about azimuth and elevation"):
+        run(paint, tmp_path / "e", "controllers")
+    with pytest.raises(InputError, match="no heliostat has linear actuators"):
+        run(tables, tmp_path / "e", "artist")
+    assert not (tmp_path / "e").exists()
+
+
+def test_the_table_is_of_today_where_no_day_is_named(paint: Path, tmp_path: Path) -> None:
+    earliest = datetime.datetime.now(datetime.UTC).date()
+    names = run(paint, tmp_path / "e", "table", ExportOptions(step_minutes=60.0))
+    latest = datetime.datetime.now(datetime.UTC).date()
+    assert names[1] in {f"corrections_AA11_{day}.csv" for day in (earliest, latest)}

@@ -125,10 +125,10 @@ class TestOneHeliostat:
     @pytest.mark.parametrize(
         ("options", "wanted"),
         [
-            (Options(split="chronologic"), "--split chronologic: did you mean chronological"),
-            (Options(label="utis"), "--label utis: did you mean UTIS|--label utis: known are UTIS, HeliOS"),
+            (Options(split="chronologic"), "split=chronologic: did you mean chronological"),
+            (Options(label="utis"), "label=utis: did you mean UTIS|label=utis: known are UTIS, HeliOS"),
             (Options(model="9"), r"no choice of free parameters '9'; known: 2, 5, 8"),
-            (Options(only="X*"), r"--only X\*: no heliostat of that name; there are H1"),
+            (Options(only="X*"), r"only=X\*: no heliostat of that name; there are H1"),
         ],
     )
     def test_choices_that_do_not_exist(self, tmp_path: Path, options: Options, wanted: str) -> None:
@@ -245,7 +245,7 @@ class TestField:
 
     def test_force(self, folder: Path) -> None:
         self.calibrate(folder)
-        with pytest.raises(InputError, match="holds results already; choose another folder or give --force"):
+        with pytest.raises(InputError, match="holds results already; choose another folder or give force=True"):
             self.calibrate(folder)
         assert self.calibrate(folder, force=True).resumed == 0
         assert not [file for file in folder.parent.iterdir() if file.name not in {"in", "out"}]
@@ -354,12 +354,12 @@ class TestCommand:
         write_paint(tmp_path / "in", names=("AA11", "AA12"), observations=24)
         (tmp_path / "in" / "AA12" / "AA12_properties.json").write_text("{", encoding="utf-8")
         done = command(
-            "calibrate", "heliostat", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--model", "4", "--quick"
+            "heliostat", "measure", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--model", "4", "--quick"
         )
         assert done.returncode == 0, done.stderr
         assert "warning: AA12 failed: properties of AA12: not valid JSON" in done.stderr
         assert "AA11: 24 of 24 observations" in done.stdout
-        alone = command("calibrate", "heliostat", str(tmp_path / "in" / "AA12"), "-o", str(tmp_path / "alone"))
+        alone = command("heliostat", "measure", str(tmp_path / "in" / "AA12"), "-o", str(tmp_path / "alone"))
         assert alone.returncode == 2
         assert alone.stderr.splitlines()[-1].startswith("heliogauge: properties of AA12: not valid JSON")
 
@@ -370,8 +370,8 @@ class TestCommand:
             sys.executable,
             "-m",
             "heliogauge",
-            "calibrate",
             "heliostat",
+            "measure",
             str(tmp_path / "in"),
             "-o",
             str(tmp_path / "out"),

@@ -82,14 +82,14 @@ class TestPaintFolder:
             assert measurement.input_files == ()
 
     def test_is_recognised_among_all_kinds(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="there is no such file; write one with `heliogauge init KIND"):
+        with pytest.raises(InputError, match="there is no such file; write one with `heliogauge INSTRUMENT init"):
             load(tmp_path)
         (tmp_path / "AA39_properties.json").touch()
         assert load(str(tmp_path)).has_file is False
 
     def test_calibrations_alone_are_none(self, tmp_path: Path) -> None:
         (tmp_path / "1_calibration_properties.json").touch()
-        with pytest.raises(InputError, match="heliogauge init heliostat"):
+        with pytest.raises(InputError, match="heliogauge heliostat init"):
             load_heliostat(tmp_path)
 
     def test_a_measurement_file_may_set_the_evaluation(self, tmp_path: Path) -> None:

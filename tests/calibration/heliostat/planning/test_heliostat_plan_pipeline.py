@@ -1,4 +1,4 @@
-"""`heliogauge calibrate heliostat-plan`: from results to tables of measurements and slots."""
+"""`heliogauge heliostat plan`: from results to tables of measurements and slots."""
 
 import dataclasses
 import datetime
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import typer
 
-from calibration.cli import app
+from calibration.heliostat.cli import app
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options as CalibrationOptions
@@ -64,9 +64,9 @@ def test_tables(results, tmp_path):
 
 def test_wrong_choices(results, tmp_path):
     """No target of that name, too many days, no results, a plan that is there already."""
-    with pytest.raises(InputError, match="--target nowhere"):
+    with pytest.raises(InputError, match="target=nowhere"):
         run(results, tmp_path / "a", NextOptions(FIRST, target="nowhere"))
-    with pytest.raises(InputError, match="--days 0"):
+    with pytest.raises(InputError, match="days=0"):
         NextOptions(FIRST, days=0)
     with pytest.raises(InputError, match=r"heliostat\.json"):
         run(tmp_path, tmp_path / "b", NextOptions(FIRST))
@@ -77,12 +77,12 @@ def test_wrong_choices(results, tmp_path):
 
 def test_flags_are_options():
     """Flags and options agree in name and default, up to the unit."""
-    parameters = typer.main.get_command(app).commands["heliostat-plan"].params
+    parameters = typer.main.get_command(app).commands["plan"].params
     flags = {one.name: one.default for one in parameters}
     options = {field.name: field.default for field in dataclasses.fields(NextOptions)}
     scaled = {"goal_mrad": ("goal_rad", 1e-3), "sigma_mm": ("sigma_m", 1e-3)}
     for name, default in flags.items():
-        if name not in ("result", "out", "help"):
+        if name not in ("result", "out", "quiet", "verbose"):
             field, factor = scaled.get(name, (name, 1))
             assert options[field] == pytest.approx(default * factor if factor != 1 else default), name
             options.pop(field)

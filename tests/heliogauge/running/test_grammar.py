@@ -1,0 +1,235 @@
+"""The grammar of the command line: every command is there, has its options, and shows its whole help at every width."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+import typer
+
+from data_synth import cli as synth
+from data_synth.fringes.presets import PRESETS as FRINGE_PRESETS
+from data_synth.heliostats.presets import PRESETS as HELIOSTAT_PRESETS
+from data_synth.targets import boards
+from data_synth.targets import presets as targets
+from data_synth.troughs.presets import TROUGH_PRESETS
+from heliogauge.instruments import instruments
+from heliogauge.running.cli import app
+from tests.conftest import REPOSITORY
+
+FOR_ALL = ["measure", "report", "demo"]
+COMMANDS = FOR_ALL + [
+    "camera init",
+    "camera synth",
+    "camera measure",
+    "screen init",
+    "screen measure",
+    "photogrammetry init",
+    "photogrammetry synth",
+    "photogrammetry measure",
+    "photogrammetry plan",
+    "photogrammetry import colmap",
+    "photogrammetry export colmap",
+    "photogrammetry sheets",
+    "deflectometry init",
+    "deflectometry synth",
+    "deflectometry measure",
+    "deflectometry import opencsp",
+    "deflectometry patterns",
+    "observer init",
+    "observer synth",
+    "observer measure",
+    "observer plan",
+    "observer align",
+    "observer compare",
+    "observer overview",
+    "observer absorber",
+    "heliostat init",
+    "heliostat synth",
+    "heliostat measure",
+    "heliostat plan",
+    "heliostat export controllers",
+    "heliostat export artist",
+    "heliostat export table",
+]
+
+
+def command(words: str) -> tuple[Any, Any]:
+    """Return a command and the context in which it runs."""
+    one: Any = typer.main.get_command(app)
+    context = one.make_context("heliogauge", ["measure"], resilient_parsing=True)
+    for word in words.split():
+        one = one.get_command(context, word)
+        assert one is not None, f"heliogauge {words}: there is no {word}"
+        context = one.make_context(word, [], parent=context, resilient_parsing=True)
+    return one, context
+
+
+def options(words: str) -> dict[str, Any]:
+    """Return the parameters of a command by each of their spellings."""
+    return {spelling: one for one in command(words)[0].params for spelling in one.opts}
+
+
+def leaves(one: Any, words: str = "") -> list[str]:
+    if not hasattr(one, "list_commands"):
+        return [words]
+    context = one.make_context("heliogauge", ["x"], resilient_parsing=True)
+    names = one.list_commands(context)
+    return [leaf for name in names for leaf in leaves(one.get_command(context, name), f"{words} {name}".strip())]
+
+
+def test_these_are_all_commands() -> None:
+    assert sorted(leaves(typer.main.get_command(app))) == sorted(COMMANDS)
+
+
+def widths() -> list[int]:
+    return [60, 80, 120, 200]
+
+
+@pytest.mark.parametrize("words", ["", *[one.name for one in instruments()], *COMMANDS])
+def test_help_is_whole_at_every_width(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = []
+    for width in widths():
+        monkeypatch.setenv("COLUMNS", str(width))
+        one, context = command(words)
+        text = one.get_help(context)
+        assert max(len(line) for line in text.splitlines()) <= width
+        assert "..." not in re.sub(r"\S+\.\.\.", "", text)
+        assert "\u2026" not in text
+        assert "-h, --help" in text
+        # Folded lines apart, every width says the same.
+        texts.append(re.sub(r"\s", "", text))
+    assert len(set(texts)) == 1
+
+
+def test_help_uses_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    one, context = command("deflectometry import opencsp")
+    assert 170 < max(len(line) for line in one.get_help(context).splitlines()) <= 200
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_what_writes_has_the_options_of_all_that_write(words: str) -> None:
+    known = options(words)
+    verb = words.split()[-1] if words in FOR_ALL else words.split()[1]
+    wanted = {"--quiet", "-q", "--verbose", "-v"}
+    if words != "report":
+        wanted |= {"--force"}
+        wanted |= {"-o", "--out"} if verb not in ("init", "synth") else {"folder"}
+    if verb == "measure":
+        wanted |= {"--no-report", "--jobs", "--json"}
+    assert wanted <= known.keys()
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "choices"),
+    [
+        ("deflectometry synth", "--preset", FRINGE_PRESETS),
+        ("photogrammetry synth", "--preset", targets._PRESETS),
+        ("camera synth", "--preset", boards._BOARDS),
+        ("observer synth", "--preset", TROUGH_PRESETS),
+        ("heliostat synth", "--preset", HELIOSTAT_PRESETS),
+        ("heliostat measure", "--split", ["random", "chronological", "azimuth-reversed", "high-variance", "column"]),
+        ("heliostat measure", "--label", ["UTIS", "HeliOS"]),
+        ("deflectometry measure", "--remove", ["nothing", "tilt", "focus", "quadratic"]),
+        ("photogrammetry sheets", "--paper", ["A4", "A3", "letter"]),
+    ],
+)
+def test_closed_sets_are_choices_in_the_help(words: str, option: str, choices: Any) -> None:
+    one, context = command(words)
+    text = "".join(one.get_help(context).split())
+    (known,) = re.findall(rf"{option}<?\[?([\w|-]*)", text)
+    assert set(choices) <= set(known.split("|"))
+
+
+def test_presets_that_are_choices_are_all_that_there_are() -> None:
+    assert get_args(synth.FringePreset) == tuple(FRINGE_PRESETS)
+    assert get_args(synth.TargetPreset) == tuple(targets._PRESETS)
+    assert get_args(synth.BoardPreset) == boards._BOARDS
+    assert get_args(synth.TroughPreset) == tuple(TROUGH_PRESETS)
+    assert get_args(synth.HeliostatPreset) == tuple(HELIOSTAT_PRESETS)
+
+
+def completed(*words: str, program: str = "heliogauge") -> list[str]:
+    """Ask the shell's completion what could follow."""
+    line = " ".join([program, *words])
+    answer = subprocess.run(
+        [sys.executable, "-m", "heliogauge"],
+        env=os.environ
+        | {
+            "_HELIOGAUGE_COMPLETE": "complete_bash",
+            "COMP_WORDS": line,
+            "COMP_CWORD": str(len(words)),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["defl"], ["deflectometry"]),
+        (["observer", "al"], ["align"]),
+        (["photogrammetry", "import", "c"], ["colmap"]),
+        (["deflectometry", "synth", "--preset", "off"], ["off-axis", "off-axis-20"]),
+    ],
+)
+def test_the_shell_completes(words: list[str], wanted: list[str]) -> None:
+    assert completed(*words) == wanted
+
+
+def documented() -> list[tuple[str, str]]:
+    """Return the command lines in README, docs and notebooks, each with its file."""
+    found = []
+    for file in [REPOSITORY / "README.md", *REPOSITORY.glob("docs/*/*.md"), *REPOSITORY.glob("docs/*.md")]:
+        text = file.read_text(encoding="utf-8")
+        name = str(file.relative_to(REPOSITORY))
+        for block in re.findall(r"^ *```(?:text|console|bash|sh|shell)?\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL):
+            whole = re.sub(r"\\\n\s*", " ", block)
+            found += [(name, line) for line in re.findall(r"^ *(?:\$ )?(heliogauge .*)$", whole, re.MULTILINE)]
+        found += [(name, line) for line in re.findall(r"`(heliogauge [^`]*)`", " ".join(text.split()))]
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize(("file", "line"), documented(), ids=lambda text: text if "heliogauge " in text else "")
+def test_every_documented_command_line_parses(file: str, line: str) -> None:
+    # What stands far right of a command in a listing says what it makes.
+    words = shlex.split(re.split(r"\s{3,}|\s+#", line)[0].replace("...", " "), comments=True)[1:]
+    one: Any = typer.main.get_command(app)
+    context = one.make_context("heliogauge", words[:1] or ["-h"], resilient_parsing=True)
+    while words and hasattr(one, "get_command"):
+        if words[0] in ("INSTRUMENT", "VERB") or words[0].startswith("-"):
+            return
+        name = words.pop(0)
+        one = one.get_command(context, name)
+        assert one is not None, f"{file}: {line}: there is no {name}"
+        context = one.make_context(name, [], parent=context, resilient_parsing=True)
+    known = {spelling for parameter in one.params for spelling in [*parameter.opts, *parameter.secondary_opts]}
+    given = [word for word in words if re.fullmatch(r"-[a-zA-Z]|--[a-z-]+", word)]
+    assert set(given) <= known | {"-h", "--help"}, f"{file}: {line}"
+
+
+def test_documented_command_lines_are_found() -> None:
+    assert len(documented()) > 50
+
+
+def test_json_is_the_summary_and_nothing_else(tmp_path: Path) -> None:
+    folder, out = str(tmp_path / "plant"), str(tmp_path / "out")
+    words = [sys.executable, "-m", "heliogauge"]
+    subprocess.run([*words, "heliostat", "synth", folder, "-q"], check=True)
+    answer = subprocess.run(
+        [*words, "measure", folder, "-o", out, "--json", "--no-report", "--jobs", "1"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(answer.stdout) == json.loads(Path(out, "summary.json").read_text(encoding="utf-8"))
