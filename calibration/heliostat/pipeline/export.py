@@ -107,7 +107,9 @@ def _artist(folder: Path, contents: Iterable[Mapping[str, Any]], options: Export
 def _table(folder: Path, contents: Iterable[Mapping[str, Any]], options: ExportOptions, result: Path) -> None:
     dated = replace(options, date=options.date or datetime.datetime.now(datetime.UTC).date())
     for content in contents:
-        write_table_csv(folder / f"corrections_{content['design']['name']}_{dated.date}.csv", correction_columns(content, dated))
+        write_table_csv(
+            folder / f"corrections_{content['design']['name']}_{dated.date}.csv", correction_columns(content, dated)
+        )
 
 
 _FORMS = {"controllers": _controllers, "table": _table, "artist": _artist}
