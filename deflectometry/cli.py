@@ -1,4 +1,4 @@
-"""``heliogauge deflectometry measure``: images of fringes seen in a mirror to its slope map; patterns to display."""
+"""``heliogauge deflectometry``: images of fringes seen in a mirror to its slope map; patterns to display."""
 
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""``heliogauge observer measure``: photos of a trough to slope errors, absorber position and intercept factor."""
+"""``heliogauge observer``: photos of a trough to slope errors, absorber position and intercept factor."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""``heliogauge photogrammetry measure``: photos of targets to coordinates; targets to print."""
+"""``heliogauge photogrammetry``: photos of targets to coordinates; targets to print."""
 
 from pathlib import Path
 from typing import Annotated, Literal

@@ -25,7 +25,7 @@ def flown(tmp_path_factory):
     assert drawn.exit_code == 0, drawn.output
     with (scene / "measurement.toml").open("a") as file:
         file.write(_ABSENT)
-    done = runner.invoke(app, ["observer", str(scene), "-o", str(results), "--no-report", "--quiet"])
+    done = runner.invoke(app, ["observer", "measure", str(scene), "-o", str(results), "--no-report", "--quiet"])
     assert done.exit_code == 0, done.output
     return scene, results
 

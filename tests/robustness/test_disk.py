@@ -17,7 +17,17 @@ def limited() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit on file sizes stands in for a full disk")
 def test_full_disk_is_one_message_and_leaves_nothing(drawn, tmp_path, repository):
     """HDF5 raised twice and crashed the interpreter (exit 139)."""
-    command = [sys.executable, "-m", "heliogauge", "deflectometry", str(drawn), "-o", str(tmp_path / "r"), "-q"]
+    command = [
+        sys.executable,
+        "-m",
+        "heliogauge",
+        "deflectometry",
+        "measure",
+        str(drawn),
+        "-o",
+        str(tmp_path / "r"),
+        "-q",
+    ]
     done = subprocess.run(
         [*command, "--no-report"], cwd=repository, capture_output=True, text=True, preexec_fn=limited, check=False
     )

@@ -11,7 +11,7 @@ from heliogauge.results.folder import read_summary
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_report_keeps_the_results(drawn, start, tmp_path, number, code):
-    process = start("deflectometry", drawn, "-o", tmp_path / "result", "-v")
+    process = start("deflectometry", "measure", drawn, "-o", tmp_path / "result", "-v")
     for line in process.stderr:
         if line.startswith("report"):
             break

@@ -107,7 +107,7 @@ def test_video_that_is_none(trough, rewrite):
 def test_output_that_cannot_be_written(trough, tmp_path, start):
     """The result's folder would lie in a file."""
     (tmp_path / "file").write_text("x")
-    done = start("observer", trough, "-o", tmp_path / "file" / "result", "-q")
+    done = start("observer", "measure", trough, "-o", tmp_path / "file" / "result", "-q")
     _, said = done.communicate(timeout=60)
     assert done.returncode == 2
     assert said.count("\n") == 1
