@@ -196,7 +196,7 @@ def test_wrong_number_of_frames_is_refused(files: dict[str, Path], tmp_path: Pat
 
 def test_an_existing_measurement_is_not_overwritten(files: dict[str, Path], tmp_path: Path) -> None:
     _import(files, tmp_path / "out")
-    with pytest.raises(InputError, match="holds files already; give a new folder"):
+    with pytest.raises(InputError, match="holds files already; choose another folder or give force=True"):
         _import(files, tmp_path / "out")
 
 
