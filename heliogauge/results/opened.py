@@ -130,7 +130,7 @@ class Result:
             # Tables outlive the view that they were taken from.
             weakref.finalize(self.tables, _remove, self.folder, os.getpid())
         if not (self.folder / SUMMARY_FILE).is_file():
-            raise InputError(f"{self.folder}: {_what_instead(self.folder)}")
+            raise InputError(f"{self.folder}: {what_instead(self.folder)}")
         self._summary: Summary = read_summary(self.folder / SUMMARY_FILE)
         self.kind, self.name = self._summary.kind, self._summary.name
         self.parts = Parts(self.folder)
@@ -351,7 +351,7 @@ def _remove(folder: Path, process: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _what_instead(folder: Path) -> str:
+def what_instead(folder: Path) -> str:
     """Say why a folder is not one of results."""
     if not folder.is_dir():
         return "there is no such folder"

@@ -242,6 +242,21 @@ def on_command_line(message: str) -> str:
     return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{'' if found[2] else ' '}", message)
 
 
+@app.command()
+def view(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="PATH...", help="Results, a folder of results, or a slope_map.nc; two: their difference."),
+    ],
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0: a free one.")] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address alone.")] = False,
+) -> None:
+    """Look at results in the browser, on this machine alone."""
+    from heliogauge.view.server.serving import Looking, look_at
+
+    look_at(paths, Looking(port, not no_browser), typer.echo)
+
+
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     # SystemExit unwinds the stack as Ctrl-C does; the default action would leave temporary folders behind.
     raise SystemExit(128 + number)

@@ -1,0 +1,309 @@
+"""The viewer's server: results to this machine alone, nothing else to nobody."""
+
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from heliogauge.doubts import Doubt
+from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.results.folder import Summary, write_slope_map, write_summary
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from heliogauge.view.server.opened import NotServedError, Opened, open_place
+from heliogauge.view.server.serving import Viewer
+from heliogauge.view.server.site import Site
+
+SIGMA_RAD = 2e-5
+
+
+def slope_map(tilt_rad: float = 0.0, nodes: int = 40, seed: int = 1) -> SlopeMap:
+    """A flat mirror with a tilt about y, noise of 20 microradians and a hole."""
+    x_m = y_m = np.linspace(-0.5, 0.5, nodes)
+    x, y = np.meshgrid(x_m, y_m)
+    rng = np.random.default_rng(seed)
+    hole = np.hypot(x - 0.2, y) < 0.1
+    slopes = [np.where(hole, np.nan, tilt + rng.normal(0, SIGMA_RAD, x.shape)) for tilt in (tilt_rad, 0.0)]
+    flags = np.where(hole, np.uint32(SampleFlag.SATURATED), np.uint32(0))
+    sigma, zero = np.full(x.shape, SIGMA_RAD), np.zeros(x.shape)
+    aperture = np.ones(x.shape, dtype=bool)
+    words = ("flat", "facet", "nothing")
+    return SlopeMap(
+        x_m, y_m, *slopes, zero, zero, sigma, sigma, 1.0, no_common_modes(), np.nan * x, flags, aperture, *words
+    )
+
+
+def write_result(folder: Path, name: str, one: SlopeMap | None, sdx_rad: float = 1e-3) -> None:
+    folder.mkdir(parents=True)
+    if one is not None:
+        write_slope_map(folder / "slope_map.nc", {"": one})
+    numbers = {"sdx_rad": sdx_rad, "sigma_sdx_rad": 1e-5, "measured_share": 0.9}
+    doubts = (Doubt("measured_share_low", "10 % was not measured"),)
+    write_summary(folder / "summary.json", Summary("deflectometry", name, numbers, doubts=doubts))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of results beside a file that is nobody's business."""
+    above = tmp_path_factory.mktemp("above")
+    (above / "secret.csv").write_text("secret")
+    folder = above / "results"
+    write_result(folder / "before", "<b>Mirror</b> 7", slope_map(), 2e-3)
+    write_result(folder / "season" / "after", "Mirror 7 again", slope_map(1e-3, seed=2), 1e-3)
+    (folder / "before" / "report.html").write_text("<script>alert(1)</script>")
+    (folder / "before" / "page.html").write_text("<script>alert(1)</script>")
+    (folder / "before" / "points.csv").write_text("id,x_m\n1,2\n")
+    (folder / "before" / ".hidden.csv").write_text("hidden")
+    (folder / "before" / "leads_out.csv").symlink_to(above / "secret.csv")
+    (folder / "leads_out").symlink_to(above)
+    return folder
+
+
+class Asker:
+    """Sends requests as they are written, without the corrections of a browser."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.port, self.base = viewer.server_port, urlsplit(viewer.address).path
+
+    def ask(
+        self, target: str, method: str = "GET", headers: Mapping[str, str] | None = None
+    ) -> tuple[int, str, http.client.HTTPMessage]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        connection.putrequest(method, target, skip_host=headers is not None, skip_accept_encoding=True)
+        for name, value in (headers or {}).items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        response = connection.getresponse()
+        body = response.read().decode("utf-8", "replace")
+        connection.close()
+        return response.status, body, response.headers
+
+    def page(self, address: str) -> tuple[int, str]:
+        return self.ask(self.base + address)[:2]
+
+
+def serve(*places: Path) -> Iterator[Asker]:
+    viewer = Viewer(Site([open_place(place) for place in places]))
+    thread = threading.Thread(target=viewer.serve_forever, daemon=True)
+    thread.start()
+    yield Asker(viewer)
+    viewer.shutdown()
+    viewer.server_close()
+    thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def asker(results: Path) -> Iterator[Asker]:
+    yield from serve(results)
+
+
+def test_only_this_machine_can_connect(results: Path) -> None:
+    viewer = Viewer(Site([open_place(results)]))
+    assert viewer.server_address[0] == "127.0.0.1"
+    assert len(re.fullmatch(r"http://127\.0\.0\.1:\d+/(.+)/", viewer.address)[1]) >= 32
+    other = Viewer(Site([open_place(results)]))
+    assert other.token != viewer.token
+    with pytest.raises(InputError, match="--port"):
+        Viewer(Site([open_place(results)]), viewer.server_port)
+    viewer.server_close()
+    other.server_close()
+
+
+def test_the_first_page_leads_to_the_table_of_results(asker: Asker) -> None:
+    status, _, headers = asker.ask(asker.base)
+    assert (status, headers["Location"]) == (302, f"{asker.base}1/")
+    status, body = asker.page("1/")
+    assert status == 200
+    assert 'href="before/report.html">&lt;b&gt;Mirror&lt;/b&gt; 7</a>' in body
+    assert 'href="season/after/report.html">Mirror 7 again</a>' in body
+    assert "2.000 ± 0.010 mrad" in body and "1 warning" in body and "90.00 %" in body
+    assert "<b>Mirror" not in body and "http" not in re.sub(r"http://www.w3.org\S*", "", body)
+
+
+@pytest.mark.parametrize("token", ["", "x", "wrong" * 8, "%00", "\u00e9".encode().decode("latin-1")])
+def test_without_the_word_nothing_is_said(asker: Asker, token: str) -> None:
+    status, body, _ = asker.ask(f"/{token}/1/before/points.csv")
+    assert status == 403
+    assert "id" not in body.split()
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1"},
+        {"Host": "evil.example:{port}"},
+        {"Host": "127.0.0.1:{port}.evil.example"},
+    ],
+)
+def test_other_names_of_this_machine_are_refused(asker: Asker, headers: Mapping[str, str]) -> None:
+    """A page whose host name is made to lead here must not read results."""
+    sent = {name: value.format(port=asker.port) for name, value in headers.items()}
+    assert asker.ask(f"{asker.base}1/before/points.csv", headers=sent)[0] == 403
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_its_own_names_are_served(asker: Asker, host: str) -> None:
+    status, body, headers = asker.ask(f"{asker.base}1/before/points.csv", headers={"Host": f"{host}:{asker.port}"})
+    assert (status, body) == (200, "id,x_m\n1,2\n")
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert "'none'" in headers["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "CONNECT"])
+def test_only_reading_is_served(asker: Asker, method: str) -> None:
+    status, _, headers = asker.ask(f"{asker.base}1/before/points.csv", method)
+    assert (status, headers["Allow"]) == (405, "GET, HEAD")
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "1/../secret.csv",
+        "1/%2e%2e/secret.csv",
+        "1/before/../../secret.csv",
+        "1/before/..%2f..%2fsecret.csv",
+        "1/%252e%252e/secret.csv",
+        "1/..%5csecret.csv",
+        "1//etc/passwd",
+        "1/%2fetc%2fpasswd",
+        "1/before/leads_out.csv",
+        "1/leads_out/secret.csv",
+        "1/before/.hidden.csv",
+        "1/before/page.html",
+        "1/before/points.csv%00",
+        "2/",
+        "0/before/points.csv",
+        "3",
+        "difference?first=1/../&second=1/before/",
+    ],
+)
+def test_nothing_else_is_served(asker: Asker, address: str) -> None:
+    status, body = asker.page(address)
+    assert status == 404
+    assert "secret\n" not in body and "alert" not in body and "root:x" not in body
+
+
+def test_a_report_that_lies_there_is_never_handed_out(asker: Asker) -> None:
+    """It may come from anyone, and its scripts could read all results."""
+    assert "alert(1)" not in asker.page("1/before/report.html")[1]
+
+
+def test_a_result_with_a_link_out_of_it_is_refused(asker: Asker) -> None:
+    status, body = asker.page("1/before/")
+    assert status == 422
+    assert "leads_out.csv" in body
+
+
+def test_a_map_keeps_all_its_nodes_beside_the_page(tmp_path: Path) -> None:
+    one = slope_map(nodes=450)
+    write_slope_map(tmp_path / "slope_map.nc", {"": one})
+    (tmp_path / "other.csv").write_text("1")
+    for asker in serve(tmp_path / "slope_map.nc"):
+        status, body = asker.page("1/")
+        assert status == 200
+        spec = json.loads(re.search(r'<script type="application/json">(.*?)</script>', body, re.DOTALL)[1])
+        assert spec["nodes"] == [450, 450] and len(spec["x"]) == 450
+        place = spec["layers"][0]["values"]["place"]
+        address = spec["arrays"][place]["url"]
+        connection = http.client.HTTPConnection("127.0.0.1", asker.port, timeout=60)
+        connection.request("GET", address)
+        values = np.frombuffer(connection.getresponse().read(), "<f4").reshape(spec["arrays"][place]["shape"])
+        connection.close()
+        np.testing.assert_allclose(values[one.valid], one.slope_error_x[one.valid], rtol=1e-6)
+        assert np.isnan(values[~one.valid]).all()
+        assert asker.ask(f"{address}9")[0] == 404
+        assert asker.page("1/other.csv")[0] == 404
+        # The page that is open belongs to files that are no longer there.
+        write_slope_map(tmp_path / "slope_map.nc", {"": slope_map(nodes=451)})
+        assert asker.ask(address)[0] == 404
+        assert "451" in asker.page("1/")[1]
+
+
+def test_the_difference_is_the_tilt_between_two_results(tmp_path: Path) -> None:
+    """RMS from the tilt that was put in; the joint sigma is sqrt(2) of one."""
+    write_result(tmp_path / "before", "before", slope_map(), 2e-3)
+    write_result(tmp_path / "after", "after", slope_map(1e-3, seed=2), 1e-3)
+    for asker in serve(tmp_path / "before", tmp_path / "after"):
+        target = asker.ask(asker.base)[2]["Location"]
+        status, body, _ = asker.ask(target)
+        assert status == 200
+        assert re.search(r"RMS difference of dz/dx.{0,120}alone: 0\.02828 mrad; mean (1\.00|0\.999)", body)
+        assert re.search(r"<td>(1\.00\d?|1|0\.999\d?) mrad</td>", body)
+        assert "-1.000 ± 0.014 mrad" in body
+        assert '"name":"Difference of dz/dx"' in body and '"name":"Joint sigma of dz/dx"' in body
+        assert f'href="{asker.base}1/"' in body and f'href="{asker.base}2/"' in body
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (replace(slope_map(), frame="trough"), "different frames.*facet.*trough"),
+        (replace(slope_map(), design="paraboloid of focal length 10 m"), "different designs.*flat.*paraboloid"),
+        (replace(slope_map(), flags=np.full((40, 40), int(SampleFlag.SATURATED))), "no node"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_before_serving(tmp_path: Path, other: SlopeMap, words: str) -> None:
+    write_result(tmp_path / "a", "a", slope_map())
+    write_result(tmp_path / "b", "b", other)
+    with pytest.raises(InputError, match=words):
+        Site([open_place(tmp_path / "a"), open_place(tmp_path / "b")]).check()
+
+
+def test_a_finer_map_is_compared_on_the_coarser_grid(tmp_path: Path) -> None:
+    write_result(tmp_path / "a", "a", slope_map(nodes=79))
+    write_result(tmp_path / "b", "b", slope_map(1e-3, nodes=40, seed=2))
+    for asker in serve(tmp_path / "a", tmp_path / "b"):
+        body = asker.page("difference?first=1/&second=2/")[1]
+        assert '"nodes":[40,40]' in body
+
+
+def test_what_can_be_opened(tmp_path: Path, results: Path) -> None:
+    with pytest.raises(InputError, match="cannot be opened"):
+        open_place(tmp_path / "absent")
+    (tmp_path / "photo.jpg").write_bytes(b"")
+    with pytest.raises(InputError, match=r"slope_map\.nc is needed"):
+        open_place(tmp_path / "photo.jpg")
+    with pytest.raises(InputError, match="no results"):
+        Site([open_place(tmp_path)]).check()
+    assert open_place(results / "before" / "summary.json") == Opened(results / "before")
+    with pytest.raises(InputError, match="3 paths"):
+        Site([open_place(results)] * 3)
+
+
+def test_an_opened_link_is_the_folder_it_leads_to(tmp_path: Path, results: Path) -> None:
+    (tmp_path / "link").symlink_to(results)
+    opened = open_place(tmp_path / "link")
+    assert opened.find("before/points.csv").is_file()
+    with pytest.raises(NotServedError, match="link"):
+        opened.find("leads_out")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_until_it_is_stopped(results: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-c", "from heliogauge.running.cli import main; main()", "view", str(results)]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        address = urlsplit(process.stdout.readline().strip())
+        connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=60)
+        connection.request("GET", f"{address.path}1/before/points.csv")
+        assert connection.getresponse().read() == b"id,x_m\n1,2\n"
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=30)
+    assert "Traceback" not in errors
+    assert process.returncode == {signal.SIGINT: 0, signal.SIGTERM: 143}[number]
