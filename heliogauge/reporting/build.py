@@ -12,6 +12,7 @@ from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting.notebook import Notebook, read_notebook
 from heliogauge.reporting.page_frame import page_frame
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary
+from heliogauge.view.arrays import PAGE, ArrayStore
 
 REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
@@ -24,8 +25,7 @@ def build_report(folder: Path) -> Path:
         damaged, or the folder cannot be written to.
     """
     folder = folder.resolve()
-    summary = read_summary(folder / SUMMARY_FILE)
-    notebook = _run(summary, folder)
+    summary, notebook = run_report(folder, PAGE)
     page = page_frame(f"{summary.name} - {summary.kind} report", notebook.shown)
     try:
         _replace(folder / REPORT_NOTEBOOK, notebook.text())
@@ -35,19 +35,23 @@ def build_report(folder: Path) -> Path:
     return folder / REPORT_HTML
 
 
-def _run(summary: Summary, folder: Path) -> Notebook:
-    from heliogauge.view.arrays import PAGE
+def run_report(folder: Path, store: ArrayStore) -> tuple[Summary, Notebook]:
+    """Run the report of a folder of results without writing anything.
 
+    store: Takes the numbers of the views.
+    InputError: No results in the folder, results of a kind without a report, or a file is missing or damaged.
+    """
+    summary = read_summary(folder / SUMMARY_FILE)
     reports = {kind: file for one in instruments() for kind, file in one.reports.items()}
     if summary.kind not in reports:
         kinds = ", ".join(reports)
         raise InputError(f"{folder / SUMMARY_FILE}: no report for the kind {summary.kind!r} (there are: {kinds})")
     notebook = read_notebook(read_resource(reports[summary.kind]))
     try:
-        notebook.run(folder, PAGE)
+        notebook.run(folder, store)
     except InputError as error:
         raise InputError(f"{folder}: no report can be made: {error}") from error
-    return notebook
+    return summary, notebook
 
 
 def _replace(path: Path, text: str) -> None:

@@ -12,14 +12,19 @@ POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; font-src data:; "
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:"
 )
+POLICY_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
 _HEADING = re.compile(r"<h2[^>]*>(.*?)</h2>", re.DOTALL)
 
 
-def page_frame(title: str, cells: Sequence[ShownCell]) -> str:
+def page_frame(
+    title: str, cells: Sequence[ShownCell], *, up: Sequence[tuple[str, str]] = (), served: bool = False
+) -> str:
     """Return a whole page.
 
     title: As text.
     cells: What stands in it; headings of the second level are linked in the navigation.
+    up: Words and addresses of pages that lead here, first in the navigation.
+    served: Whether a server hands out the page, with its own rules about what may be fetched.
     """
     from heliogauge.view.assets import page_assets
 
@@ -36,11 +41,14 @@ def page_frame(title: str, cells: Sequence[ShownCell]) -> str:
         parts.append(f'<div class="{kind}">\n{_HEADING.sub(named, cell.html)}\n</div>')
     body = "\n".join(parts)
     assets = page_assets(body)
-    navigation = "".join(f'<a href="#{mark}">{words}</a>' for mark, words in links.items())
+    navigation = "".join(
+        f'<a class="up" href="{html.escape(address, quote=True)}">{html.escape(words)}</a>' for words, address in up
+    )
+    navigation += "".join(f'<a href="#{mark}">{words}</a>' for mark, words in links.items())
     switch = '<button type="button" data-theme-switch aria-label="Dark or light">\u25d0</button>' if assets else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        f"{'' if served else POLICY_HEAD}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'
         f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}</style>\n{assets}</head>\n"

@@ -1,5 +1,6 @@
 """Two results beside each other, and their difference."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from heliogauge.reporting.page import headline_numbers, name_and_line
 from heliogauge.results.folder import Summary, read_slope_map, unit_of
 from heliogauge.slopes.grid import difference, resample
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import ServedStore
 from heliogauge.view.maps import MapView, slope_map_view
 from heliogauge.view.server.pages import pieces_page
@@ -92,10 +94,10 @@ def _change(before: SlopeMap, after: SlopeMap) -> SlopeMap:
                 f"before: {words[0]}; after: {words[1]}"
             )
     coarse = max((before, after), key=_spacing_m)
-    try:
-        return difference(*(one if one is coarse else _onto(one, coarse) for one in (after, before)))
-    except InputError as error:
-        raise InputError(f"before and after: {error}") from error
+    change = difference(*(one if one is coarse else _onto(one, coarse) for one in (after, before)))
+    if not change.valid.any():
+        raise InputError("no node of the mirror was measured in both results, so they have no difference")
+    return change
 
 
 def _onto(slope_map: SlopeMap, other: SlopeMap) -> SlopeMap:
@@ -113,8 +115,6 @@ def _numbers_of(change: SlopeMap) -> Html:
     """Return the RMS of the difference, and the RMS that the errors of measurement alone would show."""
     valid = change.valid
     count = int(np.count_nonzero(valid))
-    if count == 0:
-        raise InputError("no node of the mirror was measured in both results")
     sigmas = change.sigma_slope()
     rows: list[tuple[str, ...]] = []
     for name, error, sigma in zip(
@@ -128,11 +128,11 @@ def _numbers_of(change: SlopeMap) -> Html:
     return headline_numbers(rows)
 
 
-def _rms(values: np.ndarray) -> float:
+def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _signed(values: np.ndarray) -> str:
+def _signed(values: FloatArray) -> str:
     return number_text(float(values.mean()), None, "rad")
 
 
@@ -154,7 +154,8 @@ def _both(before: Side, after: Side) -> Shown | None:
             continue
         name, unit = unit_of(key)
         sigmas = [numbers.get(f"sigma_{key}") for numbers in (first, second)]
-        joint = float(np.hypot(*sigmas)) if None not in sigmas else None
+        known = [sigma for sigma in sigmas if sigma is not None]
+        joint = math.hypot(*known) if len(known) == 2 else None
         times = abs(b - a) / joint if joint else float("nan")
         texts = [number_text(value, sigma, unit, name) for value, sigma in zip((a, b), sigmas, strict=True)]
         rows.append((key, *texts, number_text(b - a, joint, unit, name), times))

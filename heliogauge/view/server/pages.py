@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-import numpy as np
-
 from heliogauge.doubts import Severity
 from heliogauge.errors import InputError
 from heliogauge.reporting.build import REPORT_HTML, run_report
@@ -113,8 +111,7 @@ def _table(name: str, rows: Sequence[tuple[str, Summary | str]]) -> TableView:
         TableColumn("folder", [address.removesuffix(f"/{REPORT_HTML}") for address, _ in rows]),
         TableColumn("kind", [one.kind if isinstance(one, Summary) else "" for _, one in rows]),
     ]
-    for key in _keys_of(summaries):
-        columns.append(_number_column(key, rows))
+    columns += [_number_column(key, rows) for key in _keys_of(summaries)]
     texts, weights = zip(*(_doubts_of(one) for _, one in rows), strict=True)
     columns.append(TableColumn("doubts", texts, numbers=weights))
     return TableView(name, tuple(columns))
@@ -147,7 +144,7 @@ def _number_column(key: str, rows: Sequence[tuple[str, Summary | str]]) -> Table
         texts.append("" if value is None else number_text(value, sigma, unit, name))
         numbers.append(float("nan") if value is None else float(value))
     head = LABELS.get(name, name.replace("_", " "))
-    return TableColumn(head.partition(",")[0], texts, numbers=np.array(numbers))
+    return TableColumn(head.partition(",")[0], texts, numbers=numbers)
 
 
 def _doubts_of(one: Summary | str) -> tuple[str, float]:

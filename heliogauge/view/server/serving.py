@@ -87,7 +87,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True
         self._send(Answer.of_text("only GET is served", HTTPStatus.METHOD_NOT_ALLOWED, {"Allow": "GET, HEAD"}))
 
-    do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_TRACE = do_CONNECT = _refuse_method
+    def __getattr__(self, name: str) -> Any:
+        # http.server looks for "do_" and the method; whatever is neither GET nor HEAD is refused in one way.
+        if name.startswith("do_"):
+            return self._refuse_method
+        raise AttributeError(name)
 
     def _answer(self) -> Answer:
         if not self._is_asked_here():
@@ -129,7 +133,7 @@ class _Handler(BaseHTTPRequestHandler):
         if body:
             self.wfile.write(answer.body)
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, *words: Any) -> None:
         """Keep the terminal quiet: addresses hold the secret word."""
 
 

@@ -13,11 +13,18 @@ from heliogauge.errors import InputError
 from heliogauge.reporting.build import REPORT_HTML, REPORT_NOTEBOOK
 from heliogauge.reporting.notebook import ShownCell
 from heliogauge.reporting.page_frame import page_frame
-from heliogauge.results.opened import SLOPE_MAP_FILE, what_instead
 from heliogauge.results.folder import read_summary
+from heliogauge.results.opened import SLOPE_MAP_FILE, what_instead
 from heliogauge.view.arrays import ServedStore
 from heliogauge.view.server.difference import Side, check_sides, difference_page
-from heliogauge.view.server.opened import MEDIA_TYPES, SHOWN_TYPES, NotServedError, Opened, folders_of_results, is_result
+from heliogauge.view.server.opened import (
+    MEDIA_TYPES,
+    SHOWN_TYPES,
+    NotServedError,
+    Opened,
+    folders_of_results,
+    is_result,
+)
 from heliogauge.view.server.pages import folder_page, map_page, result_page
 
 HTML = "text/html; charset=utf-8"

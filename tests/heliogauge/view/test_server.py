@@ -127,11 +127,14 @@ def test_the_first_page_leads_to_the_table_of_results(asker: Asker) -> None:
     assert status == 200
     assert 'href="before/report.html">&lt;b&gt;Mirror&lt;/b&gt; 7</a>' in body
     assert 'href="season/after/report.html">Mirror 7 again</a>' in body
-    assert "2.000 ± 0.010 mrad" in body and "1 warning" in body and "90.00 %" in body
-    assert "<b>Mirror" not in body and "http" not in re.sub(r"http://www.w3.org\S*", "", body)
+    assert "2.000 ± 0.010 mrad" in body
+    assert "1 doubt" in body
+    assert "90.00 %" in body
+    assert "<b>Mirror" not in body
+    assert "http" not in re.sub(r"http://www.w3.org\S*", "", body)
 
 
-@pytest.mark.parametrize("token", ["", "x", "wrong" * 8, "%00", "\u00e9".encode().decode("latin-1")])
+@pytest.mark.parametrize("token", ["", "x", "wrong" * 8, "%00"])
 def test_without_the_word_nothing_is_said(asker: Asker, token: str) -> None:
     status, body, _ = asker.ask(f"/{token}/1/before/points.csv")
     assert status == 403
@@ -163,7 +166,7 @@ def test_its_own_names_are_served(asker: Asker, host: str) -> None:
     assert "'none'" in headers["Content-Security-Policy"]
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "CONNECT"])
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "PROPFIND"])
 def test_only_reading_is_served(asker: Asker, method: str) -> None:
     status, _, headers = asker.ask(f"{asker.base}1/before/points.csv", method)
     assert (status, headers["Allow"]) == (405, "GET, HEAD")
@@ -194,7 +197,9 @@ def test_only_reading_is_served(asker: Asker, method: str) -> None:
 def test_nothing_else_is_served(asker: Asker, address: str) -> None:
     status, body = asker.page(address)
     assert status == 404
-    assert "secret\n" not in body and "alert" not in body and "root:x" not in body
+    assert "secret\n" not in body
+    assert "alert" not in body
+    assert "root:x" not in body
 
 
 def test_a_report_that_lies_there_is_never_handed_out(asker: Asker) -> None:
@@ -216,7 +221,8 @@ def test_a_map_keeps_all_its_nodes_beside_the_page(tmp_path: Path) -> None:
         status, body = asker.page("1/")
         assert status == 200
         spec = json.loads(re.search(r'<script type="application/json">(.*?)</script>', body, re.DOTALL)[1])
-        assert spec["nodes"] == [450, 450] and len(spec["x"]) == 450
+        assert spec["nodes"] == [450, 450]
+        assert len(spec["x"]) == 450
         place = spec["layers"][0]["values"]["place"]
         address = spec["arrays"][place]["url"]
         connection = http.client.HTTPConnection("127.0.0.1", asker.port, timeout=60)
@@ -244,8 +250,10 @@ def test_the_difference_is_the_tilt_between_two_results(tmp_path: Path) -> None:
         assert re.search(r"RMS difference of dz/dx.{0,120}alone: 0\.02828 mrad; mean (1\.00|0\.999)", body)
         assert re.search(r"<td>(1\.00\d?|1|0\.999\d?) mrad</td>", body)
         assert "-1.000 ± 0.014 mrad" in body
-        assert '"name":"Difference of dz/dx"' in body and '"name":"Joint sigma of dz/dx"' in body
-        assert f'href="{asker.base}1/"' in body and f'href="{asker.base}2/"' in body
+        assert '"name":"Difference of dz/dx"' in body
+        assert '"name":"Joint sigma of dz/dx"' in body
+        assert f'href="{asker.base}1/"' in body
+        assert f'href="{asker.base}2/"' in body
 
 
 @pytest.mark.parametrize(
@@ -302,8 +310,10 @@ def test_the_command_serves_until_it_is_stopped(results: Path, number: signal.Si
         address = urlsplit(process.stdout.readline().strip())
         connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=60)
         connection.request("GET", f"{address.path}1/before/points.csv")
-        assert connection.getresponse().read() == b"id,x_m\n1,2\n"
+        answer = connection.getresponse().read()
+        connection.close()
         process.send_signal(number)
         _, errors = process.communicate(timeout=30)
+    assert answer == b"id,x_m\n1,2\n"
     assert "Traceback" not in errors
     assert process.returncode == {signal.SIGINT: 0, signal.SIGTERM: 143}[number]
