@@ -246,7 +246,11 @@ def on_command_line(message: str) -> str:
 def view(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="PATH...", help="Results, a folder of results, a slope_map.nc; two: their difference."),
+        typer.Argument(
+            metavar="PATH...",
+            help="Results, a folder of results, a slope_map.nc; two: their difference.",
+            show_default=False,
+        ),
     ],
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0: a free one.")] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address alone.")] = False,
