@@ -1,0 +1,104 @@
+"""The front page: short, and every command on it runs as it stands there."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).parents[1] / "README.md"
+DATA = Path(__file__).parents[2] / "shared" / "data" / "opencsp"
+FILES = (
+    "fringe/measurement_facet.h5",
+    "common/camera_sofast_downsampled.h5",
+    "common/display_distorted_3d.h5",
+    "common/spatial_orientation.h5",
+    "common/Facet_NSTTF.json",
+)
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"^```{kind}\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def run(command: str, folder: Path) -> str:
+    """Run a line of the front page with this very installation; what serves pages is stopped when it has begun."""
+    scripts = sysconfig.get_path("scripts")
+    surroundings = os.environ | {"PATH": os.pathsep.join((scripts, os.environ["PATH"])), "COLUMNS": "400"}
+    words = command.replace("heliogauge", f"{sys.executable} -m heliogauge", 1)
+    if command.startswith("heliogauge view"):
+        words = f"exec {words} --no-browser"
+        with subprocess.Popen(
+            words, shell=True, cwd=folder, env=surroundings, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as served:
+            assert served.stdout is not None
+            said = served.stdout.readline()
+            served.send_signal(signal.SIGINT)
+        assert "http://127.0.0.1:" in said
+        return said
+    done = subprocess.run(
+        words, check=False, shell=True, cwd=folder, env=surroundings, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, f"{command}: {done.stderr}"
+    return done.stderr + done.stdout
+
+
+def lines(text: str) -> list[str]:
+    """Return the lines of a listing, those that were folded in one."""
+    return [" ".join(line.split()) for line in re.sub(r"\n {4,}", " ", text).splitlines() if line.strip()]
+
+
+def test_it_is_one_page() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_its_links_lead_somewhere() -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", README.read_text(encoding="utf-8"))
+    missing = [link for link in links if "://" not in link and not (README.parent / link).exists()]
+    assert len(links) > 15
+    assert not missing
+
+
+def test_make_has_the_two_commands() -> None:
+    makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"^make (\w+)", README.read_text(encoding="utf-8"), re.MULTILINE):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_its_commands_run_in_their_order(tmp_path: Path) -> None:
+    """Drawn data need nothing; the real measurement is compared with what the page says came out."""
+    if not DATA.is_dir():
+        pytest.skip("real measurements (../shared/data beside the source tree) are not on this machine")
+    (tmp_path / "opencsp").mkdir()
+    for file in FILES:
+        shutil.copy(DATA / file, tmp_path / "opencsp")
+    drawn, many = blocks("sh")
+    (listing,) = blocks("console")
+    for command in drawn.splitlines():
+        run(command, tmp_path)
+    said = ""
+    for command in re.findall(r"^\$ (.*)", listing, re.MULTILINE):
+        said = run(command, tmp_path)
+    printed = listing[listing.rindex("$ ") :].split("\n", 1)[1]
+    found = lines(said)
+    for line in lines(printed):
+        assert line in found
+    for command in many.splitlines():
+        run(command, tmp_path)
+    (code,) = blocks("python")
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert float(done.stdout.split()[0]) == pytest.approx(0.4740e-3, abs=1e-7)
+    assert (tmp_path / "height.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_its_drawn_measurement_needs_no_data(tmp_path: Path) -> None:
+    for command in blocks("sh")[0].splitlines():
+        run(command, tmp_path)
+    assert (tmp_path / "drawn-result" / "report.html").is_file()
