@@ -138,8 +138,9 @@ def write_results(folder: Path, drawn: Drawn) -> None:
         name: [value + (1e-3 * i if name in ("known_m", "measured_m") else 0) for i in range(8)]
         for name, value in bar.items()
     }
+    ends = {"target_a": names[:8], "target_b": names[8:16]}
     bar_names = [f"distance {i + 1} - {i + 9}" for i in range(8)]
-    write_table_csv(folder / "constraints.csv", {"name": bar_names, "used": [1] * 8, **bars})
+    write_table_csv(folder / "constraints.csv", {"name": bar_names, **ends, "used": [1] * 8, **bars})
     more = {"sigma_error_m": [1.6e-5] * 8, "permissible_m": [np.nan] * 8, "verdict": [""] * 8}
     role = {"name": bar_names, "role": ["left out"] * 8, "line": [str(i + 1) for i in range(8)]}
     write_table_csv(folder / "lengths.csv", {**role, **bars, **more})

@@ -34,12 +34,14 @@ _MANY_REJECTED = 0.08
 class CheckedDistance:
     """A known distance beside the one in the network.
 
-    name: The two targets.
+    name: What is known.
+    targets: Its two ends.
     used: Whether the adjustment knew it.
     known_m, sigma_known_m, measured_m, sigma_measured_m: Distances and their sigmas [m].
     """
 
     name: str
+    targets: tuple[str, ...]
     used: bool
     known_m: float
     sigma_known_m: float
@@ -62,7 +64,7 @@ def bar_checks(bundle: BundleResult, checks: Sequence[Distance]) -> tuple[Checke
             continue
         pair = np.array([place[name] for name in one.targets], dtype=np.intp)
         length, sigma = measured_length(bundle, pair)
-        found.append(CheckedDistance(one.name, known, one.distance_m, one.sigma_m, length, sigma))
+        found.append(CheckedDistance(one.name, one.targets, known, one.distance_m, one.sigma_m, length, sigma))
     return tuple(found)
 
 

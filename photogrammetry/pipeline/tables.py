@@ -56,6 +56,8 @@ def constraint_columns(bundle: BundleResult, kept_apart: tuple[Distance, ...]) -
     checked = bar_checks(bundle, kept_apart)
     return {
         "name": [one.name for one in checked],
+        "target_a": [one.targets[0] for one in checked],
+        "target_b": [one.targets[1] for one in checked],
         "used": [int(one.used) for one in checked],
         "known_m": [one.known_m for one in checked],
         "sigma_known_m": [one.sigma_known_m for one in checked],
