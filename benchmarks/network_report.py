@@ -18,15 +18,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bundle import look_at  # noqa: E402
+from bundle import look_at
 
-from heliogauge.camera.distortion import BrownDistortion  # noqa: E402
-from heliogauge.camera.model import PARAMETER_NAMES, Camera  # noqa: E402
-from heliogauge.images.thumbnails import make_thumbnail  # noqa: E402
-from heliogauge.results.folder import (  # noqa: E402
+from heliogauge.camera.distortion import BrownDistortion
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
+from heliogauge.images.thumbnails import make_thumbnail
+from heliogauge.results.folder import (
     PhotoPose,
     PointTable,
     Summary,
@@ -35,8 +34,9 @@ from heliogauge.results.folder import (  # noqa: E402
     write_summary,
     write_table_csv,
 )
-from heliogauge.results.thumbnails import write_thumbnails  # noqa: E402
+from heliogauge.results.thumbnails import write_thumbnails
 
+ROOT = Path(__file__).resolve().parents[1]
 COUNT = 90_561
 ASKED_S, ASKED_MB = 10.0, 6.0
 SIGMA_PX, REDUNDANCY = 0.05, 0.6
@@ -186,10 +186,8 @@ def report(folder: Path) -> None:
     subprocess.run([sys.executable, "-m", "heliogauge", "report", str(folder)], check=True, env=environment)
     after, wall_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - start
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    print(
-        f"heliogauge report: {wall_s:.1f} s, CPU {cpu_s:.1f} s (asked: {ASKED_S:.0f} s), "
-        f"peak {after.ru_maxrss / 1e6:.2f} GB"
-    )
+    peak_gb = after.ru_maxrss / 1e6
+    print(f"heliogauge report: {wall_s:.1f} s, CPU {cpu_s:.1f} s (asked: {ASKED_S:.0f} s), peak {peak_gb:.2f} GB")
     for name in ("report.html", "report.ipynb"):
         print(f"{name}: {(folder / name).stat().st_size / 1e6:.2f} MB (asked: {ASKED_MB:.0f} MB)")
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from heliogauge.view.arrays import ArrayStore
+    from heliogauge.view.tables import TableView
 
 
 class Shown(Protocol):
@@ -58,6 +59,16 @@ def wrap(before: str, pieces: Sequence[Shown], after: str) -> Html:
 def join(*pieces: Shown) -> Html:
     """Put pieces below each other."""
     return wrap("", pieces, "")
+
+
+def beside(*pieces: Shown) -> Html:
+    """Put pieces side by side, below each other on narrow screens."""
+    return wrap('<div class="beside">', [wrap("<div>", [piece], "</div>") for piece in pieces], "</div>")
+
+
+def table_under_name(view: "TableView") -> Html:
+    """Return a table with its name above it."""
+    return join(Html(f'<p class="caption">{html.escape(view.name)}</p>'), view)
 
 
 def show(*figures: "Figure | None", caption: str = "") -> Html:

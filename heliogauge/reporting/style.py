@@ -70,6 +70,8 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
 .figures img {{ width: 100%; max-width: 576px; height: auto; border-radius: 3px; }}
 .figures .wide {{ grid-column: 1 / -1; }}
 .figures .wide img {{ max-width: 1152px; }}
+.beside {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); gap: .6em 1.2em; }}
+.beside > * {{ min-width: 0; }}
 .caption {{ color: var(--faint); font-size: .9em; margin: .2em 0 1em; }}
 .table {{ overflow-x: auto; margin: .8em 0; }}
 table {{ border-collapse: collapse; font-size: .93em; }}

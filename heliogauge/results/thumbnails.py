@@ -30,6 +30,12 @@ def write_thumbnails(folder: Path, thumbnails: Mapping[str, bytes]) -> None:
         raise InputError(f"{place}: thumbnails cannot be written ({error.strerror or error})") from error
 
 
+def thumbnail_names(folder: Path) -> tuple[str, ...]:
+    """Return the photos of which there are thumbnails in a folder of results, in the order of their names."""
+    found = sorted((folder / THUMBNAIL_FOLDER).glob("*.jpg"))
+    return tuple(path.name.removesuffix(".jpg") for path in found)
+
+
 def read_thumbnails(folder: Path, photos: Iterable[str]) -> dict[str, bytes]:
     """Read the thumbnails of photos, as far as there are any.
 

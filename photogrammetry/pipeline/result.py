@@ -145,6 +145,11 @@ class Result(InstrumentResult):
         """Collect the headline numbers with their sigmas, doubts and provenance."""
         bundle = self.solved.bundle
         numbers, missing = network_numbers(self.solved, self.lengths)
+        seen = {*self.measured.points.photos, *self.measured.thumbnails}
+        numbers |= {
+            "left_out_photos_count": len(seen - set(self.photo_poses)),
+            "left_out_points_count": len(self.solved.network.targets_left_out),
+        }
         described = [
             f"{model.name}: {one.width_px} x {one.height_px} px; estimated: {', '.join(model.free) or 'nothing'}"
             for model, one in zip(bundle.problem.cameras, bundle.cameras, strict=True)

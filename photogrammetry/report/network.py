@@ -18,7 +18,7 @@ from heliogauge.results.folder import (
     read_summary,
     read_table_csv,
 )
-from heliogauge.results.thumbnails import MOST_THUMBNAILS
+from heliogauge.results.thumbnails import MOST_THUMBNAILS, thumbnail_names
 from heliogauge.validate import FloatArray, IntArray
 
 #: Small tables of a network, read as text.
@@ -97,9 +97,9 @@ class NetworkResults:
 
     @cached_property
     def photos_left_out(self) -> tuple[str, ...]:
-        """Photos in which something was found, or that were refused, and that are not in the network."""
-        named = [*self.tables["rejected"].get("image", ()), *self.tables["rejected"]["name"]]
-        return tuple(name for name in self.summary.input_sha256 if name in set(named) - set(self.poses))
+        """Photos in which something was looked for and that are not in the network."""
+        seen = [*self.tables["rejected"].get("image", ()), *thumbnail_names(self.folder)]
+        return tuple(name for name in dict.fromkeys(seen) if name and name not in self.poses)
 
     @cached_property
     def shown_photos(self) -> tuple[str, ...]:

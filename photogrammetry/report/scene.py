@@ -1,20 +1,41 @@
-"""The network in space for its report: points with error ellipsoids, cameras as pyramids."""
+"""The network in space for its report: points with error ellipsoids, cameras as pyramids, scale bars."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.reporting.canvas import FAINT, LINE_Y, SEQUENTIAL, nice_ceiling
-from heliogauge.reporting.html import Html
-from heliogauge.reporting.scene import SceneGroup, scene
+from heliogauge.reporting.canvas import (
+    FAINT,
+    INK,
+    LINE_Y,
+    SEQUENTIAL,
+    WIDTH_IN,
+    add_title,
+    axes_in_inches,
+    new_figure,
+    nice_ceiling,
+    set_equal_limits,
+)
 from heliogauge.validate import FloatArray
+from heliogauge.view.scenes import SceneGroup, SceneView
 from photogrammetry.report.network import NetworkResults
 
-#: Points up to which ellipsoids have three full sections; beyond, their axes are enough to see.
-_MOST_FULL = 400
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Points up to which ellipsoids have three full sections, and up to which they have axes; of more points the least
+#: certain ones have ellipsoids.
+_MOST_FULL, _MOST_AXES = 400, 4000
 #: The largest ellipsoid's longest half axis, and the cameras' pyramids, as shares of the network's extent.
 _ELLIPSOID_SHARE = 0.05
 _CAMERA_SHARE = 0.03
+#: Points in a still picture.
+_MOST_STILL = 20_000
+_BAR = "#2f8f5b"
+_COLORS = 64
 
 
 def magnification(covariances_m2: FloatArray, extent_m: float) -> float:
@@ -64,51 +85,129 @@ def pyramid_lines(camera: Camera, cam_from_world: RigidTransform, depth_m: float
     return cam_from_world.inverse().apply(vertices), (9, 3)
 
 
-def network_scene(results: NetworkResults) -> Html:
-    """Return the network as a scene that the reader can turn.
+def network_view(results: NetworkResults, notes_of_photos: Sequence[str], *, name: str = "Network") -> SceneView:
+    """Return the network as a scene that the reader can turn, with still pictures along two axes.
 
-    Returns: Points coloured by sigma, ellipsoids, cameras.
+    notes_of_photos: What is shown at each projection centre.
+    Returns: Points coloured by sigma, ellipsoids, cameras, known lengths.
     """
-    points, covariances = results.points.xyz_m[results.known], results.covariances_m2
-    extent = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 1.0
-    sigma_mm = 1e3 * np.sqrt(np.maximum(np.einsum("nii->n", covariances), 0.0))
+    points, sigma_mm = results.points.xyz_m[results.known], results.sigma_mm
+    covariances = results.covariance_m2[results.known]
+    rays = results.points.n_rays[results.known]
     labels = [
-        f"{results.points.ids[i]}: sigma {s:.3g} mm, {results.points.n_rays[i]} rays"
-        for i, s in zip(results.known, sigma_mm, strict=True)
+        f"{results.points.ids[i]}: {s:.3g} mm, {n} rays" for i, s, n in zip(results.known, sigma_mm, rays, strict=True)
     ]
-    factor = magnification(covariances, extent)
-    vertices, counts = ellipsoid_lines(points, covariances, factor)
+    many = len(points) > _MOST_AXES
+    shown = np.argsort(-sigma_mm, kind="stable")[:_MOST_FULL] if many else np.arange(len(points))
+    factor = magnification(covariances, results.extent_m)
+    vertices, counts = ellipsoid_lines(points[shown], covariances[shown], factor)
+    whose = f" of the {len(shown)} least certain points" if many else ""
     groups = [
-        SceneGroup("points", points, hex_colors(sigma_mm), labels=labels, size_px=6),
+        SceneGroup("points, coloured by sigma", points, hex_colors(sigma_mm), labels=labels, size_px=3 if many else 6),
         SceneGroup(
-            f"error ellipsoids (1 sigma, {grouped(factor)} times)", vertices, [LINE_Y], lengths=counts, size_px=0.7
+            f"error ellipsoids{whose} (1 sigma, {grouped(factor)} times)",
+            vertices,
+            [LINE_Y],
+            lengths=counts,
+            size_px=0.7,
         ),
-        *camera_groups(results, _CAMERA_SHARE * extent),
+        *_camera_groups(results, notes_of_photos),
+        *_bar_groups(results),
     ]
     note = (
-        f"Points coloured from {sigma_mm.min():.3g} mm (dark) to {sigma_mm.max():.3g} mm (yellow), "
-        "square root of the trace of the covariance. A camera's roof is over the top edge of its image."
+        f"Sigma of the points (square root of the covariance's trace): {_span(sigma_mm)}. "
+        "A camera's roof is over the top edge of its image."
     )
-    return scene(groups, name="network", note=note)
+    return SceneView(
+        name, tuple(one for one in groups if len(one.xyz_m)), note, height_px=480, figures=still_figures(results)
+    )
 
 
-def camera_groups(results: NetworkResults, depth_m: float) -> list[SceneGroup]:
-    """Return the cameras as pyramids with their names at the projection centres."""
-    vertices: list[FloatArray] = []
-    counts: list[int] = []
-    centers, names = [], []
-    for name, pose in results.poses.items():
-        lines, lengths = pyramid_lines(results.cameras[pose.camera], pose.cam_from_world, depth_m)
-        vertices.append(lines)
-        counts += lengths
-        centers.append(-pose.cam_from_world.rotation.T @ pose.cam_from_world.translation_m)
-        names.append(f"{name}: {len(results.photo_rows[name])} image points, RMS {pose.residual_rms_px or 0.0:.3f} px")
-    if not centers:
+def _span(sigma_mm: FloatArray) -> str:
+    if not sigma_mm.size:
+        return "not known"
+    return f"{sigma_mm.min():.3g} mm (dark) to {sigma_mm.max():.3g} mm (yellow)"
+
+
+def _camera_groups(results: NetworkResults, notes: Sequence[str]) -> list[SceneGroup]:
+    """Return the cameras as pyramids with a note at each projection centre."""
+    poses = results.poses.values()
+    if not poses:
         return []
+    pyramids = _pyramids(results)
+    centers = np.array([-one.cam_from_world.rotation.T @ one.cam_from_world.translation_m for one in poses])
+    lines = np.concatenate([vertices for vertices, _ in pyramids])
+    lengths = [count for _, counts in pyramids for count in counts]
     return [
-        SceneGroup("cameras", np.concatenate(vertices), [FAINT], lengths=counts, size_px=1.0),
-        SceneGroup("projection centres", np.array(centers), [FAINT], labels=names, size_px=4),
+        SceneGroup("cameras", lines, ["#7d8894"], lengths=lengths, size_px=1.0),
+        SceneGroup("projection centres", centers, ["#7d8894"], labels=list(notes), size_px=5),
     ]
+
+
+def _bar_groups(results: NetworkResults) -> list[SceneGroup]:
+    """Return known lengths between targets as lines."""
+    table = results.tables.get("constraints", {})
+    place = {results.points.ids[i]: i for i in results.known}
+    ends = [
+        (place[a], place[b])
+        for a, b in zip(table.get("target_a", ()), table.get("target_b", ()), strict=True)
+        if a in place and b in place
+    ]
+    if not ends:
+        return []
+    vertices = results.points.xyz_m[np.array(ends).ravel()]
+    return [SceneGroup("known lengths", vertices, [_BAR], lengths=(2,) * len(ends), size_px=3.0)]
+
+
+def _pyramids(results: NetworkResults) -> list[tuple[FloatArray, tuple[int, ...]]]:
+    depth = _CAMERA_SHARE * results.extent_m
+    return [
+        pyramid_lines(results.cameras[one.camera], one.cam_from_world, depth)
+        for one in results.poses.values()
+        if one.camera in results.cameras
+    ]
+
+
+def still_figures(results: NetworkResults) -> "list[Figure]":
+    """Draw the network seen along z and along y."""
+    return [network_figure(results, 0, 1), network_figure(results, 0, 2)]
+
+
+def network_figure(results: NetworkResults, first: int, second: int) -> "Figure":
+    """Draw points coloured by sigma, known lengths and cameras, seen along one axis.
+
+    first, second: Axes to the right and up: 0 x, 1 y, 2 z.
+    """
+    from matplotlib.collections import LineCollection
+
+    across = (first, second)
+    points, sigma_mm = results.points.xyz_m[results.known][:, across], results.sigma_mm
+    pyramids = _pyramids(results)
+    figure = new_figure(4.3)
+    axes = axes_in_inches(figure, 0.6, 0.5, WIDTH_IN - 1.5, 3.1)
+    axes.set_xlabel(f"{'xyz'[first]} [m]", fontsize=8.5, color=INK)
+    axes.set_ylabel(f"{'xyz'[second]} [m]", fontsize=8.5, color=INK)
+    strokes = [lines[part][:, across] for lines, _ in pyramids for part in (slice(9), slice(9, None))]
+    axes.add_collection(LineCollection(strokes, colors=FAINT, linewidths=0.5))
+    for group in _bar_groups(results):
+        axes.add_collection(LineCollection(list(group.xyz_m[:, across].reshape(-1, 2, 2)), colors=_BAR, linewidths=1.2))
+    # Every n-th of very many, the least certain on top: 90,000 take 0.7 s and look the same.
+    order = np.argsort(sigma_mm, kind="stable")[:: -(-len(points) // _MOST_STILL) or 1]
+    size = 9.0 if len(points) < 5000 else 1.0
+    dots = axes.scatter(
+        points[order, 0], points[order, 1], c=sigma_mm[order], cmap=SEQUENTIAL, s=size, linewidths=0, zorder=3
+    )
+    bar = figure.colorbar(dots, cax=axes_in_inches(figure, WIDTH_IN - 0.78, 0.5, 0.13, 3.1), format="%.3g")
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    everything = np.concatenate([points, *strokes])
+    if len(everything):
+        set_equal_limits(axes, everything[:, 0], everything[:, 1])
+    add_title(
+        figure,
+        f"Network in {'xyz'[first]} and {'xyz'[second]}",
+        f"{len(points)} points, colour: sigma [mm]; {len(pyramids)} photos",
+    )
+    return figure
 
 
 def grouped(number: float) -> str:
@@ -117,10 +216,13 @@ def grouped(number: float) -> str:
 
 
 def hex_colors(values: FloatArray) -> list[str]:
-    """Return colours from dark to yellow for values, shape (n,)."""
+    """Return colours from dark to yellow for values, shape (n,); the largest hundredth shares the last colour."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    span = float(np.ptp(values)) if values.size else 0.0
-    shares = (values - values.min()) / span if span > 0 else np.zeros(values.shape)
-    return [to_hex(color) for color in colormaps[SEQUENTIAL](0.95 * shares)]
+    if not values.size:
+        return []
+    low, high = float(values.min()), float(np.percentile(values, 99)) if values.size > 100 else float(values.max())
+    shares = np.clip((values - low) / (high - low), 0, 1) if high > low else np.zeros(values.shape)
+    colors = [to_hex(color) for color in colormaps[SEQUENTIAL](np.linspace(0, 0.95, _COLORS))]
+    return [colors[i] for i in np.rint(shares * (_COLORS - 1)).astype(int)]

@@ -1,68 +1,145 @@
 """Sections of a network's report; each is one cell of the notebook and returns what it shows."""
 
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, show
-from photogrammetry.report import figures, network
+from heliogauge.reporting.html import Html, Shown, beside, join, show, table_under_name
+from heliogauge.reporting.verdict import Verdict, verdict_of
+from heliogauge.view.scenes import SceneView
+from photogrammetry.report import charts, tables
 from photogrammetry.report.network import NetworkResults
-from photogrammetry.report.scene import network_scene
+from photogrammetry.report.photos import photo_view
+from photogrammetry.report.scene import grouped, network_view
+
+#: Numbers of the first screen; the section of numbers has them all.
+_FIRST: dict[str, str] = {
+    "sdx_rad": "SDx of the surface's normal",
+    "sdy_rad": "SDy of the surface's normal",
+    "deviation_rms_m": "RMS deviation from the surface",
+    "point_sigma_x_rms_m": "RMS sigma of the points in x",
+    "point_sigma_y_rms_m": "RMS sigma of the points in y",
+    "point_sigma_z_rms_m": "RMS sigma of the points in z",
+    "relative_precision_ratio": "Relative precision",
+    "length_error_rms_m": "RMS error of lengths kept apart",
+    "length_error_left_out_rms_m": "RMS error of lengths, each left out",
+    "image_residual_rms_px": "RMS image residual",
+    "moved_count": "Targets that moved since the other date",
+}
+#: Known lengths that chance leaves within so many sigmas agree.
+_AGREES = 3.0
 
 
-def head(results: NetworkResults) -> Html:
-    """Return title and warnings."""
-    line = f"{results.summary.kind}; {len(results.poses)} photos, {len(results.known)} points"
-    return page.head(results, line)
+def first_screen(results: NetworkResults) -> Html:
+    """Return name, verdict, headline numbers and the network in space."""
+    summary = results.summary
+    counts = [grouped(summary.numbers.get(f"{name}_count") or 0) for name in ("photos", "points", "image_points")]
+    line = (
+        f"photogrammetry; {counts[0]} photos, {counts[1]} points, {counts[2]} image points; "
+        f"heliogauge {summary.version}"
+    )
+    return page.first_screen(
+        summary.name, line, verdict(results), tables.headline_rows(summary, _FIRST), _scene(results)
+    )
 
 
-def overview(results: NetworkResults) -> Html:
-    """Return the headline numbers and what they refer to."""
-    return join(network.headline_table(results.summary), network.text_table(results.summary))
+def _scene(results: NetworkResults) -> SceneView | None:
+    if not len(results.known):
+        return None
+    notes = [
+        f"{name}: {count} image points, RMS {pose.residual_rms_px or 0.0:.3f} px"
+        for (name, pose), count in zip(results.poses.items(), results.counts, strict=True)
+    ]
+    return network_view(results, notes)
 
 
-def photos(results: NetworkResults) -> Html:
-    """Return the network in space: turnable, and seen along two axes."""
-    plans = show(figures.network_figure(results, 0, 1), figures.network_figure(results, 0, 2))
-    return join(network_scene(results), plans)
+def verdict(results: NetworkResults) -> Verdict:
+    """Return what was checked and found right, what is doubtful, and what is missing."""
+    return verdict_of(results.summary, _missing(results), _passed(results))
 
 
-def points(results: NetworkResults) -> Html:
+def _missing(results: NetworkResults) -> list[str]:
+    summary, missing = results.summary, []
+    photos = int(summary.numbers.get("left_out_photos_count") or 0)
+    if photos:
+        missing.append(f"{photos} of {photos + len(results.poses)} photos left out")
+    points = len(results.points.ids) - len(results.known)
+    if points:
+        missing.append(f"{points} of {len(results.points.ids)} targets without coordinates")
+    share = summary.numbers.get("measured_share")
+    if share is not None and share < 1:
+        missing.append(f"{100 * (1 - share):.1f} % of the surface not measured")
+    return missing
+
+
+def _passed(results: NetworkResults) -> list[str]:
+    """Say what was checked without a finding."""
+    summary, codes = results.summary, {one.code for one in results.summary.doubts}
+    passed = []
+    sigma0 = summary.numbers.get("sigma0_ratio")
+    if sigma0 is not None and "residuals_contradict_stated_sigmas" not in codes:
+        passed.append(f"residuals are as large as their sigmas say (sigma0 {sigma0:.2f})")
+    for key, words in (("length_error", "kept apart"), ("length_error_left_out", "left out one by one")):
+        ratio = summary.numbers.get(f"{key}_sigma_ratio")
+        if ratio is not None and ratio <= _AGREES:
+            passed.append(f"known lengths, {words}, agree within {ratio:.1f} sigma")
+    least = int(results.points.n_rays[results.known].min()) if len(results.known) else 0
+    if least > 2:
+        passed.append(f"every point is seen in at least {least} photos")
+    return passed
+
+
+def numbers(results: NetworkResults) -> Html:
+    """Return all numbers, folded, and what they refer to."""
+    every = tables.number_table(results.summary).text
+    folded = f"<details><summary>All {len(results.summary.numbers)} numbers</summary>{every}</details>"
+    return join(tables.text_table(results.summary), Html(folded))
+
+
+def photos(results: NetworkResults) -> Shown:
+    """Return the photos with what was found in them."""
+    return photo_view(results) or Html("<p>No photo is in the results.</p>")
+
+
+def photo_table(results: NetworkResults) -> Shown:
+    """Return a line for each photo."""
+    listed = tables.photo_table(results)
+    return Html("") if listed is None else table_under_name(listed)
+
+
+def points(results: NetworkResults) -> Shown:
     """Return the points with their uncertainty."""
-    drawn = show(figures.sigma_figure(results), figures.ray_figure(results))
-    return join(drawn, network.point_table(results))
+    listed = tables.point_table(results)
+    if listed is None:
+        return Html("<p>No point has coordinates.</p>")
+    return join(charts.ray_chart(results), table_under_name(listed))
 
 
-def lengths(results: NetworkResults) -> Html:
+def lengths(results: NetworkResults) -> Shown:
     """Return known lengths against the network, and all that was known beforehand."""
-    drawn = show(figures.length_figure(results))
-    compared = network.length_table(results)
-    used = network.csv_table(results, "constraints", "distances")
-    return join(
-        drawn,
-        Html("<h3>Without the length itself</h3>"),
-        compared,
-        Html("<h3>As adjusted (used = 1) and kept apart (used = 0)</h3>"),
-        used,
+    compared = [charts.length_chart(results), tables.length_table(results)]
+    used = tables.constraint_table(results)
+    pieces: list[Shown] = [one for one in compared if one is not None]
+    if used is not None:
+        pieces += [Html("<h3>As adjusted</h3>"), used]
+    return (
+        join(*pieces) if pieces else Html("<p>No length was known: nothing but the residuals checks this network.</p>")
     )
 
 
-def residuals(results: NetworkResults) -> Html:
-    """Return the residuals in the images, every photo, and how they are distributed."""
-    drawn = show(
-        figures.residual_figure(results),
-        figures.coverage_figure(results),
-        figures.radius_figure(results),
-        figures.histogram_figure(results),
-    )
-    return join(drawn, show(*figures.residual_sheets(results)), network.photo_table(results))
+def residuals(results: NetworkResults) -> Shown:
+    """Return the residuals over the image, along its radius, and over their sigmas."""
+    if not len(results.used.photo):
+        return Html("<p>No image point was used.</p>")
+    return join(charts.residual_map(results), beside(charts.radius_chart(results), charts.histogram_chart(results)))
 
 
-def camera(results: NetworkResults) -> Html:
+def camera(results: NetworkResults) -> Shown:
     """Return the camera with significance and correlations."""
-    return join(network.intrinsics_table(results), show(figures.correlation_figure(results)))
+    return join(tables.intrinsics_table(results), show(charts.correlation_figure(results)))
 
 
-def refused(results: NetworkResults) -> Html:
+def refused(results: NetworkResults) -> Shown:
     """Return what was not used, with reasons."""
-    return join(network.reason_table(results), network.csv_table(results, "rejected", "items"))
+    listed = tables.refused_table(results)
+    return join(tables.reason_table(results), *([] if listed is None else [table_under_name(listed)]))
 
 
 def making(results: NetworkResults) -> Html:

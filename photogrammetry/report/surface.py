@@ -1,5 +1,6 @@
 """The surface in a network's report: deviations, slope maps, canting, displacements; empty where none was asked for."""
 
+import html
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,18 +102,14 @@ def _slopes(results: NetworkResults) -> Html:
     if not path.is_file():
         return Html("")
     from heliogauge.reporting import figures
+    from heliogauge.view.maps import slope_map_view
 
     whole = read_slope_map(path)
-    drawn = show(
-        figures.slope_error_map(whole, "x"),
-        figures.slope_error_map(whole, "y"),
-        figures.sigma_map(whole, "x"),
-        figures.sigma_map(whole, "y"),
-        figures.flag_map(whole),
-    )
+    still = [figures.slope_error_map(whole, "x"), figures.slope_error_map(whole, "y"), figures.flag_map(whole)]
     names = facet_names(path)
-    words = f"<p>Taken out: {whole.removed}.</p>" + (f"<p>Maps of {len(names)} facets in one.</p>" if names else "")
-    return join(Html("<h3>Slope error</h3>" + words), drawn)
+    words = f"<p>Taken out: {html.escape(whole.removed)}.</p>"
+    words += f"<p>Maps of {len(names)} facets in one.</p>" if names else ""
+    return join(Html("<h3>Slope error</h3>" + words), slope_map_view(whole, results.summary.name, figures=still))
 
 
 def _canting(results: NetworkResults) -> Html:

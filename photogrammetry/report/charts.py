@@ -1,0 +1,270 @@
+"""Charts of a network's report: residuals over the image and the radius, sigma against rays, errors of lengths."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from heliogauge.camera.model import PARAMETER_NAMES
+from heliogauge.reporting.canvas import (
+    DIVERGING,
+    FAINT,
+    INK,
+    LINE_X,
+    LINE_Y,
+    SEQUENTIAL,
+    add_title,
+    axes_in_inches,
+    chart_figure,
+    new_figure,
+)
+from heliogauge.validate import FloatArray, IntArray
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.maps import MapLayer, MapView
+from photogrammetry.report.network import NetworkResults
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Cells of the map along the longer side of the image.
+_CELLS = 24
+#: Dots in a chart; more are one grey area.
+_MOST_DOTS = 3000
+
+
+def residual_map(results: NetworkResults) -> MapView:
+    """Return mean residuals, their RMS and the number of image points over the image of the first camera.
+
+    A lens that does not fit leaves a pattern in the means; cells without points are where it is a guess.
+    """
+    camera, used = results.camera, results.used
+    longer = max(camera.width_px, camera.height_px)
+    shape = [max(2, round(_CELLS * size / longer)) for size in (camera.height_px, camera.width_px)]
+    steps = camera.height_px / shape[0], camera.width_px / shape[1]
+    own = _of_first_camera(results)
+    pixels, residuals = used.pixels_px[own], used.residuals_px[own]
+    rows, columns = (
+        np.clip(((pixels[:, axis] + 0.5) / step).astype(int), 0, size - 1)
+        for axis, step, size in ((1, steps[0], shape[0]), (0, steps[1], shape[1]))
+    )
+    cell = rows * shape[1] + columns
+
+    def summed(weights: FloatArray | None) -> FloatArray:
+        return np.bincount(cell, weights, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
+
+    count = summed(None)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means: list[FloatArray] = [np.asarray(summed(residuals[:, axis]) / count) for axis in (0, 1)]
+        rms = np.sqrt(summed((residuals**2).sum(axis=1)) / count)
+        sigmas = [np.sqrt(summed(residuals[:, axis] ** 2)) / count for axis in (0, 1)]
+    axes_px: list[FloatArray] = [
+        np.asarray((np.arange(size) + 0.5) * step - 0.5, dtype=np.float64)
+        for size, step in zip(shape, steps, strict=True)
+    ]
+    empty = float((count == 0).mean())
+    half = 0.5 * np.array([camera.width_px, camera.height_px])
+    reach = float(np.hypot(*(pixels - half + 0.5).T).max(initial=0.0)) / float(np.hypot(*half))
+    note = f"{empty:.0%} of the cells have no image point; points reach {reach:.0%} of the way to the corners"
+    layers = (
+        MapLayer("mean_x", "Mean residual in x", "px", means[0], sigma=sigmas[0]),
+        MapLayer("mean_y", "Mean residual in y", "px", means[1], sigma=sigmas[1]),
+        MapLayer("rms", "RMS residual", "px", rms, diverging=False, low=0.0),
+        MapLayer("count", "Image points in a cell", "", np.where(count > 0, count, np.nan), diverging=False, low=0.0),
+    )
+    edges = [
+        np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((camera.height_px, camera.width_px), shape, strict=True)
+    ]
+    return MapView(
+        "Residuals over the image, all photos",
+        axes_px[1],
+        axes_px[0],
+        layers,
+        np.zeros(shape, dtype=np.uint32),
+        np.ones(shape, dtype=bool),
+        note=note,
+        axis_unit="px",
+        y_down=True,
+        figures=[_coverage_figure(edges, count, note), _mean_figure(results, edges, means, axes_px)],
+    )
+
+
+def _of_first_camera(results: NetworkResults) -> FloatArray:
+    """Return which image points are of the first camera: others have another image."""
+    first = next(iter(results.cameras))
+    own = np.array([pose.camera == first for pose in results.poses.values()], dtype=bool)
+    return np.asarray(own[results.used.photo])
+
+
+def _coverage_figure(edges: list[FloatArray], count: FloatArray, note: str) -> "Figure":
+    figure, axes = chart_figure("Coverage of the image, all photos", note, "x [px]", "y [px]", height_in=4.0)
+    axes.set_facecolor("#c9cdd2")
+    image = axes.pcolormesh(edges[1], edges[0], np.ma.masked_equal(count, 0), cmap=SEQUENTIAL, vmin=0)
+    bar = figure.colorbar(image, ax=axes, shrink=0.75)
+    bar.set_label("image points in a cell", fontsize=8, color=INK)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    return figure
+
+
+def _mean_figure(
+    results: NetworkResults, edges: list[FloatArray], means: list[FloatArray], axes_px: list[FloatArray]
+) -> "Figure":
+    """Draw the mean residual of each cell as an arrow."""
+    sizes = np.hypot(*means)
+    typical = float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else 0.0
+    scale = 0.6 * float(edges[1][1] - edges[1][0]) / typical if typical > 0 else 1.0
+    rms = float(np.sqrt((results.used.residuals_px**2).sum(axis=1).mean())) if len(results.used.photo) else 0.0
+    note = f"predicted minus measured, {scale:.0f} times; all residuals {rms:.4f} px RMS, their means {typical:.4f} px"
+    figure, axes = chart_figure("Mean residual in each part of the image", note, "x [px]", "y [px]", height_in=4.0)
+    x, y = np.meshgrid(axes_px[1], axes_px[0])
+    u, v = scale * means[0], scale * means[1]
+    axes.quiver(x, y, u, v, angles="xy", scale_units="xy", scale=1, color=LINE_X, width=0.0025)
+    axes.set(xlim=edges[1][[0, -1]], ylim=edges[0][[-1, 0]], aspect="equal")
+    return figure
+
+
+class _Parts(NamedTuple):
+    """Means over tenths of the image points, with their sigmas."""
+
+    middle: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
+
+
+def radius_chart(results: NetworkResults) -> ChartView:
+    """Return residuals along and across the radius from the principal point; a lens that does not fit shows here."""
+    camera, used = results.camera, results.used
+    own = np.nonzero(_of_first_camera(results))[0]
+    arm = (used.pixels_px[own] - [camera.center_x_px, camera.center_y_px]).T
+    dx, dy = used.residuals_px[own].T
+    radius = np.maximum(np.hypot(*arm), 1e-9)
+    along, across = (arm[0] * dx + arm[1] * dy) / radius, (arm[0] * dy - arm[1] * dx) / radius
+    few = _sample(len(own))
+    series = []
+    for values, color, name in ((along, LINE_X, "along the radius"), (across, LINE_Y, "across it")):
+        labels = [used.targets[own[i]] for i in few]
+        series.append(ChartSeries(f"{name}, image points", radius[few], values[few], color, Mark.POINTS, labels=labels))
+        parts = _tenths(radius, values)
+        series.append(
+            ChartSeries(
+                f"{name}, mean of a tenth each", parts.middle, parts.mean, color, sigma=parts.sigma, size_px=2.5
+            )
+        )
+    shown = "" if len(few) == len(own) else f"; dots: {len(few)} of {len(own)} image points"
+    return ChartView(
+        "Residuals against the radius",
+        "distance from the principal point [px]",
+        "residual [px]",
+        tuple(series),
+        f"lines: means of a tenth of the image points each, with their sigma{shown}",
+    )
+
+
+def _tenths(radius: FloatArray, values: FloatArray) -> _Parts:
+    parts = [part for part in np.array_split(np.argsort(radius, kind="stable"), 10) if part.size > 1]
+    return _Parts(
+        np.array([radius[part].mean() for part in parts]),
+        np.array([values[part].mean() for part in parts]),
+        np.array([values[part].std(ddof=1) / np.sqrt(part.size) for part in parts]),
+    )
+
+
+def _sample(count: int) -> IntArray:
+    """Return places of at most `_MOST_DOTS` of so many, evenly spread."""
+    return np.arange(count)[:: max(1, -(-count // _MOST_DOTS))]
+
+
+def histogram_chart(results: NetworkResults) -> ChartView:
+    """Return the residuals over their own sigma against the normal distribution."""
+    used = results.used
+    values = used.residuals_px / (used.sigma_px * np.sqrt(np.maximum(used.redundancy, np.finfo(float).tiny)))
+    values = values[np.isfinite(values) & (np.abs(values) < 1e6)]
+    beyond = float((np.abs(values) > 3).mean()) if values.size else 0.0
+    rms = float(np.sqrt((values**2).mean())) if values.size else float("nan")
+    bins = np.linspace(-5, 5, 51)
+    counts, _ = np.histogram(values, bins)
+    middles = 0.5 * (bins[:-1] + bins[1:])
+    density = counts / max(values.size, 1) / np.diff(bins)
+    fine = np.linspace(-5, 5, 201)
+    return ChartView(
+        "Residuals over their own sigma",
+        "residual / (sigma x square root of redundancy)",
+        "density",
+        (
+            ChartSeries("image points", middles, density, LINE_X, Mark.BARS),
+            ChartSeries("normal distribution", fine, np.exp(-0.5 * fine**2) / np.sqrt(2 * np.pi), INK),
+        ),
+        f"RMS {rms:.3f} (1 expected); {beyond:.2%} beyond 3 (0.27 % expected)",
+    )
+
+
+def ray_chart(results: NetworkResults) -> ChartView:
+    """Return the standard deviation of each point against the number of photos that see it."""
+    rays = results.points.n_rays[results.known].astype(np.float64)
+    sigma_mm = results.sigma_mm / np.sqrt(3)
+    few = _sample(len(rays))
+    labels = [results.points.ids[i] for i in results.known[few]]
+    series = [ChartSeries("points", rays[few], sigma_mm[few], LINE_X, Mark.POINTS, labels=labels, size_px=4)]
+    if len(rays) and rays.max() > 0:
+        span = np.linspace(max(rays.min(), 1), rays.max(), 50)
+        middle = float(np.median(sigma_mm * np.sqrt(rays)))
+        series.append(ChartSeries("1 / square root of rays", span, middle / np.sqrt(span), FAINT, dashed=True))
+    return ChartView(
+        "Sigma and number of rays",
+        "photos that see the point",
+        "sigma, RMS of the three coordinates [mm]",
+        tuple(series),
+        "one dot for each point" if len(few) == len(rays) else f"dots: {len(few)} of {len(rays)} points",
+    )
+
+
+def length_chart(results: NetworkResults) -> ChartView | None:
+    """Return the errors of known lengths that were not used, with the permissible error; None where there are none."""
+    if not results.tables["lengths"]["name"]:
+        return None
+    known, error, sigma, limit = (
+        results.column("lengths", name) for name in ("known_m", "error_m", "sigma_error_m", "permissible_m")
+    )
+    roles, names = (np.array(results.tables["lengths"][name]) for name in ("role", "name"))
+    series = []
+    for role, color in (("kept apart", LINE_X), ("left out", LINE_Y)):
+        own = roles == role
+        if own.any():
+            values = known[own], 1e3 * error[own]
+            label = f"{role} ({int(own.sum())})"
+            series.append(
+                ChartSeries(
+                    label, *values, color, Mark.POINTS, sigma=1e3 * sigma[own], labels=names[own].tolist(), size_px=6
+                )
+            )
+    if np.isfinite(limit).any():
+        order = np.argsort(known)
+        for sign, label in ((1, "permissible"), (-1, "permissible, below")):
+            series.append(ChartSeries(label, known[order], 1e3 * sign * limit[order], INK, dashed=True))
+    note = "measured minus known; bars: 1 sigma of network and known length together"
+    return ChartView("Length measurement error", "length [m]", "error [mm]", tuple(series), note)
+
+
+def correlation_figure(results: NetworkResults) -> "Figure | None":
+    """Draw the correlations of the camera's parameters; None where fewer than two were estimated."""
+    covariance = results.camera.covariance
+    free = np.nonzero(np.diag(covariance) > 0)[0]
+    if free.size < 2:
+        return None
+    names = [PARAMETER_NAMES[i] for i in free]
+    sigma = np.sqrt(np.diag(covariance)[free])
+    matrix = covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
+    figure = new_figure(4.4)
+    axes = axes_in_inches(figure, 1.05, 0.95, 2.75, 2.75)
+    image = axes.imshow(matrix, cmap=DIVERGING, vmin=-1, vmax=1)
+    axes.set_xticks(range(free.size), names, rotation=60, ha="right", fontsize=7)
+    axes.set_yticks(range(free.size), names, fontsize=7)
+    for i in range(free.size):
+        for j in range(free.size):
+            dark = abs(matrix[i, j]) > 0.6
+            axes.text(
+                j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=5.5, color="white" if dark else INK
+            )
+    figure.colorbar(image, cax=axes_in_inches(figure, 3.95, 0.95, 0.13, 2.75))
+    add_title(figure, "Correlations of the camera's parameters", "near 1 or -1: the photos do not separate the two")
+    return figure
