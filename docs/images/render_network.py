@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from heliogauge.reporting.canvas import png_of
-from photogrammetry.report import figures as report_figures
+from photogrammetry.report.charts import residual_map
 from photogrammetry.report.network import open_network
+from photogrammetry.report.scene import network_figure
 
 #: Pages are about 1000 px wide.
 WIDTH_PX = 1200
@@ -25,7 +26,7 @@ def drawings(folder: Path) -> list[bytes]:
     if (folder / "sigma_ray.png").is_file():
         return [(folder / name).read_bytes() for name in ("sigma_ray.png", "radial_profile.png")]
     results = open_network(folder)
-    figures = (report_figures.network_figure(results, 0, 2), report_figures.coverage_figure(results))
+    figures = (network_figure(results, 0, 2), residual_map(results).figures[0])
     return [png_of(one) for one in figures]
 
 

@@ -96,7 +96,7 @@ def digits_for(sigmas: FloatArray) -> int:
 
 
 def point_table(results: NetworkResults) -> TableView | None:
-    """Return the points, the least certain first: coordinates, sigmas, longest axis of the ellipsoid, rays, worst photo."""
+    """Return the points, the least certain first: places, sigmas, longest axis of the ellipsoid, rays, worst photo."""
     if not len(results.known):
         return None
     order = np.argsort(-results.sigma_mm, kind="stable")[:MOST_ROWS]

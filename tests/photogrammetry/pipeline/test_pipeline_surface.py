@@ -17,6 +17,7 @@ from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.folder import facet_names, read_slope_map, read_summary, read_table_csv
 from heliogauge.slopes.statistics import statistics
+from heliogauge.view.arrays import PAGE
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.surface import SurfaceSection
 from photogrammetry.pipeline.headline import headline_text
@@ -168,8 +169,11 @@ def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     said = headline_text(read_summary(out / "summary.json"))
     assert "canting          2 facets, RMS x 0.98" in said
     assert "SDx " in said
-    page = surface(open_network(out)).text
-    assert page.count("<img") == 7
+    shown = surface(open_network(out))
+    page = shown.text
+    # Deviations, slope errors, flags and canting; in a page the map is alive.
+    assert page.count("<img") == 5
+    assert shown.page_html(PAGE).count('data-view="map"') == 1
     assert "<h3>Canting</h3>" in page
     assert "low" in page
 
