@@ -96,8 +96,30 @@ class ChartView:
         """Return the view for a page."""
         axes = {"equal": self.equal, "x_log": self.x_log, "y_log": self.y_log, "y_down": self.y_down}
         labels = {"name": self.name, "note": self.note, "x_label": self.x_label, "y_label": self.y_label}
-        spec = {**labels, **axes, "series": [_series_spec(one, store) for one in self.series]}
+        spec = {**labels, **axes, "series": [self._series_spec(one, store) for one in self.series]}
         return view_frame("chart", self.name, spec, self.static)
+
+    def _series_spec(self, one: ChartSeries, store: ArrayStore) -> dict[str, Any]:
+        def keep(values: FloatArray, log: bool) -> dict[str, Any]:
+            array = np.asarray(values, dtype=np.float64)
+            step = reading_step(array)
+            if log and (array > 0).any():
+                # The smallest value of a logarithmic axis is read as closely as the largest.
+                step = min(step, reading_step(np.min(array, keepdims=True, initial=np.inf, where=array > 0)))
+            return store.numbers(array, step)
+
+        texts = "\n".join(" ".join(text.split()) for text in one.labels)
+        return {
+            "name": one.name,
+            "x": keep(one.x, self.x_log),
+            "y": keep(one.y, self.y_log),
+            "sigma": None if one.sigma is None else keep(one.sigma, self.y_log),
+            "color": one.color,
+            "mark": one.mark.value,
+            "labels": store.content(texts.encode(), "text/plain") if one.labels else None,
+            "dashed": one.dashed,
+            "size": one.size_px,
+        }
 
     def figure(self) -> Figure:
         """Draw the chart."""
@@ -139,22 +161,3 @@ class ChartView:
         if len(self.series) > 1:
             add_legend(axes, loc="best")
         return figure
-
-
-def _series_spec(one: ChartSeries, store: ArrayStore) -> dict[str, Any]:
-    def keep(values: FloatArray) -> dict[str, Any]:
-        array = np.asarray(values, dtype=np.float64)
-        return store.numbers(array, reading_step(array))
-
-    texts = "\n".join(" ".join(text.split()) for text in one.labels)
-    return {
-        "name": one.name,
-        "x": keep(one.x),
-        "y": keep(one.y),
-        "sigma": None if one.sigma is None else keep(one.sigma),
-        "color": one.color,
-        "mark": one.mark.value,
-        "labels": store.content(texts.encode(), "text/plain") if one.labels else None,
-        "dashed": one.dashed,
-        "size": one.size_px,
-    }

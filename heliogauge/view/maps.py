@@ -71,6 +71,7 @@ class Removals:
     """What may be taken out of the two slope errors of a map.
 
     layer_x, layer_y: Keys of the layers with the slope errors.
+    magnitude: Key of the layer with the root of the sum of their squares; empty where there is none.
     name: What the slope errors are of; empty where the map has one set only.
     middle_m (2,): Mean place of the measured nodes [m].
     design_x, design_y (ny, nx): Slopes of the design.
@@ -80,6 +81,7 @@ class Removals:
 
     layer_x: str
     layer_y: str
+    magnitude: str
     name: str
     middle_m: FloatArray
     design_x: FloatArray
@@ -178,6 +180,7 @@ class MapView:
             {
                 "x": one.layer_x,
                 "y": one.layer_y,
+                "magnitude": one.magnitude,
                 "name": one.name,
                 "middle": one.middle_m.tolist(),
                 "mean": one.design_mean.tolist(),
@@ -225,7 +228,11 @@ def slope_map_view(slope_map: SlopeMap, name: str, *, figures: Sequence[Figure] 
     ]
     if np.isfinite(slope_map.height_m).any():
         layers.insert(5, MapLayer("height", "Height", "mm", slope_map.height_m, 1e3, diverging=False))
-    removals = slope_removals(slope_map)
+    for axis, design in (("x", slope_map.design_slope_x), ("y", slope_map.design_slope_y)):
+        layers.append(MapLayer(f"design_slope_{axis}", f"Design slope dz/d{axis}", "mrad", design, MRAD))
+    # A trough measured across its axis alone has one slope.
+    layers = [layer for layer in layers if np.isfinite(layer.values).any()] or layers[:1]
+    removals = slope_removals(slope_map, magnitude="slope_error")
     return MapView(
         name=name,
         x_m=slope_map.x_m,
@@ -239,11 +246,17 @@ def slope_map_view(slope_map: SlopeMap, name: str, *, figures: Sequence[Figure] 
 
 
 def slope_removals(
-    slope_map: SlopeMap, *, layer_x: str = "slope_error_x", layer_y: str = "slope_error_y", name: str = ""
+    slope_map: SlopeMap,
+    *,
+    layer_x: str = "slope_error_x",
+    layer_y: str = "slope_error_y",
+    magnitude: str = "",
+    name: str = "",
 ) -> Removals:
     """Prepare what may be taken out of a map, each with its statistics.
 
     layer_x, layer_y: Keys of the layers with the slope errors.
+    magnitude: Key of the layer with their magnitude; empty where there is none.
     name: What the slope errors are of.
     """
     parts: list[RemovedPart] = []
@@ -256,13 +269,15 @@ def slope_removals(
         flat = all(float(np.ptp(design)) < 1e-12 for design in designs)
         for removal in Removal:
             amounts = projection_of(removal_columns(slope_map, nodes, removal)).amounts(nodes.errors)
-            parts.append(RemovedPart(removal, _coefficients(amounts, flat), statistics(slope_map, removed=removal)))
+            if np.isfinite(amounts).all():  # not where one of the two slopes was never measured
+                parts.append(RemovedPart(removal, _coefficients(amounts, flat), statistics(slope_map, removed=removal)))
     except EstimationError:
         # Too few nodes, or all on a line: what is determined is offered.
         pass
     return Removals(
         layer_x,
         layer_y,
+        magnitude,
         name,
         middle,
         slope_map.design_slope_x,
@@ -293,7 +308,7 @@ def _part(part: RemovedPart) -> dict[str, Any]:
     return {
         "removal": part.removal.value,
         "terms": part.coefficients.tolist(),
-        "numbers": [[name, number_text(value, sigma, "rad")] for name, value, sigma in numbers],
+        "numbers": [[name, number_text(value, sigma, "rad")] for name, value, sigma in numbers if np.isfinite(value)],
         "removed": values.removed,
         "reference": values.reference,
     }

@@ -61,9 +61,11 @@ class TableView:
     def page_html(self, store: ArrayStore = PAGE) -> str:
         """Return the view for a page: a table that the page's script sorts and filters."""
         name = html.escape(self.name, quote=True)
+        left_out = self.count - self.most_rows
+        note = f'<p class="left-out">{left_out} more rows are in the page on screen.</p>' if left_out > 0 else ""
         return (
             f'<section class="view" data-view="table" data-rows="{self.most_rows}" aria-label="{name}">'
-            f"{self._table()}</section>"
+            f"{self._table()}{note}</section>"
         )
 
     def _table(self) -> str:

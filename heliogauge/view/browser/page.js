@@ -85,11 +85,18 @@ const heliogauge = (() => {
   function colors() {
     const style = getComputedStyle(document.documentElement);
     const found = {};
-    for (const name of ["paper", "ink", "faint", "line", "accent"]) {
+    for (const name of ["paper", "ink", "faint", "line", "accent", "missing", "hatch"]) {
       found[name] = style.getPropertyValue(`--${name}`).trim();
     }
     found.dark = isDark();
     return found;
+  }
+
+  // A colour made for white paper, lighter where the paper is dark.
+  function onPaper(color) {
+    if (!isDark() || !/^#[0-9a-f]{6}$/i.test(color)) return color;
+    const lighter = [1, 3, 5].map((at) => Math.round(0.62 * parseInt(color.slice(at, at + 2), 16) + 0.38 * 255));
+    return `rgb(${lighter.join(", ")})`;
   }
 
   function isDark() {
@@ -148,6 +155,11 @@ const heliogauge = (() => {
     return written.replace(/-/g, "\u2212");
   }
 
+  // A number at an axis: no zeros at its end.
+  function tick(value) {
+    return number(Number(value.toPrecision(6)), 6).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
+  }
+
   // A value with the digits that its sigma leaves (two of the sigma), and the sigma.
   function withSigma(value, sigma, unit) {
     const end = unit ? ` ${unit}` : "";
@@ -158,10 +170,14 @@ const heliogauge = (() => {
 
   // ---- charts of ECharts that follow the size of their place ----
 
-  async function chart(place) {
+  async function chart(place, resized = () => {}) {
     const echarts = await library("echarts");
     const made = echarts.init(place, null, { renderer: "canvas" });
-    new ResizeObserver(() => made.resize()).observe(place);
+    new ResizeObserver(() => {
+      if (!place.clientWidth) return; // hidden, as on paper
+      made.resize();
+      resized();
+    }).observe(place);
     return made;
   }
 
@@ -171,7 +187,7 @@ const heliogauge = (() => {
     return {
       type: "value", name, nameLocation: "middle", nameGap: 28, scale: true,
       nameTextStyle: { color: color.ink }, axisLabel: { color: color.ink, hideOverlap: true },
-      axisLine: { show: true, lineStyle: { color: color.faint } }, axisTick: { show: true },
+      axisLine: { show: true, onZero: false, lineStyle: { color: color.faint } }, axisTick: { show: true },
       splitLine: { lineStyle: { color: color.line } }, ...more,
     };
   }
@@ -251,5 +267,5 @@ const heliogauge = (() => {
   }
 
   document.addEventListener("DOMContentLoaded", startAll);
-  return { kind, numbers, codes, text, lines, image, library, chart, axis, colors, onTheme, element, number, withSigma };
+  return { kind, numbers, codes, text, lines, image, library, chart, axis, colors, onPaper, onTheme, element, number, tick, withSigma };
 })();
