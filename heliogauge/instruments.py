@@ -64,7 +64,6 @@ class Instrument:
     commands: The ``typer.Typer`` of its verbs; ``init`` and ``synth`` are added to them.
     kinds: Kinds of measurement.toml that it evaluates: the measurement first, then its plan where it has one.
     reports: File of the report notebook of each kind of result.
-    pictures: Function ``(folder) -> view`` that shows a result best, of each kind of result without a slope map.
     synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
     synth_command: The same as a command, with all that can be chosen.
     """
@@ -74,7 +73,6 @@ class Instrument:
     commands: str
     kinds: tuple[Kind, ...] = ()
     reports: Mapping[str, str] = field(default_factory=dict)
-    pictures: Mapping[str, str] = field(default_factory=dict)
     synth: str | None = None
     synth_command: str | None = None
 

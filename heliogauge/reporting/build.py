@@ -9,6 +9,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.instruments import instruments, read_resource
+from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
 from heliogauge.reporting.page_frame import page_frame
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary
@@ -41,17 +42,33 @@ def run_report(folder: Path, store: ArrayStore) -> tuple[Summary, Notebook]:
     store: Takes the numbers of the views.
     InputError: No results in the folder, results of a kind without a report, or a file is missing or damaged.
     """
-    summary = read_summary(folder / SUMMARY_FILE)
-    reports = {kind: file for one in instruments() for kind, file in one.reports.items()}
-    if summary.kind not in reports:
-        kinds = ", ".join(reports)
-        raise InputError(f"{folder / SUMMARY_FILE}: no report for the kind {summary.kind!r} (there are: {kinds})")
-    notebook = read_notebook(read_resource(reports[summary.kind]))
+    summary, notebook = _open(folder)
     try:
         notebook.run(folder, store)
     except InputError as error:
         raise InputError(f"{folder}: no report can be made: {error}") from error
     return summary, notebook
+
+
+def first_picture(folder: Path) -> Shown | None:
+    """Return what the report of a folder of results shows first: a view or figures; None where it shows no picture.
+
+    InputError: No results in the folder, results of a kind without a report, or a file is missing or damaged.
+    """
+    _, notebook = _open(folder)
+    for _, value in notebook.values(folder):
+        if isinstance(value, FirstScreen):
+            return value.picture
+    return None
+
+
+def _open(folder: Path) -> tuple[Summary, Notebook]:
+    summary = read_summary(folder / SUMMARY_FILE)
+    reports = {kind: file for one in instruments() for kind, file in one.reports.items()}
+    if summary.kind not in reports:
+        kinds = ", ".join(reports)
+        raise InputError(f"{folder / SUMMARY_FILE}: no report for the kind {summary.kind!r} (there are: {kinds})")
+    return summary, read_notebook(read_resource(reports[summary.kind]))
 
 
 def _replace(path: Path, text: str) -> None:

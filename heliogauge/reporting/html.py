@@ -38,6 +38,17 @@ class Html:
         return self.text if self._page is None else self._page(store)
 
 
+class FirstScreen(Html):
+    """What a reader sees first.
+
+    picture: What of it shows the result best: a view or figures; None: there is none.
+    """
+
+    def __init__(self, whole: Html, picture: Shown | None) -> None:
+        super().__init__(whole.text, whole.page_html)
+        self.picture = picture
+
+
 def in_page(piece: Shown, store: "ArrayStore") -> str:
     """Return a piece as a page shows it: alive where it can be.
 

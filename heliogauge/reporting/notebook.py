@@ -8,7 +8,7 @@ import ast
 import copy
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,27 +54,39 @@ class Notebook:
         store: Takes the numbers of views in the page.
         Exception: What a cell raises.
         """
-        namespace: dict[str, Any] = {"__name__": "report", "folder": folder, "Path": Path}
         count = 0
-        for cell in self.content["cells"]:
-            source = "".join(cell["source"])
-            tags = cell.get("metadata", {}).get("tags", ())
+        for cell, value in self.values(folder):
             if cell["cell_type"] == "markdown":
-                shown = markdown(source)
-            elif cell["cell_type"] == "code":
+                shown = markdown("".join(cell["source"]))
+            else:
                 count += 1
-                value = None if FOLDER_TAG in tags else _run(source, f"<report, cell {count}>", namespace)
                 cell["execution_count"] = count
                 cell["outputs"] = [] if value is None else [_output(value, count)]
                 shown = "" if value is None else _in_page(value, store)
-            else:
-                continue
             if shown:
-                self.shown.append(ShownCell(shown, PRINT_TAG in tags))
+                self.shown.append(ShownCell(shown, PRINT_TAG in _tags(cell)))
+
+    def values(self, folder: Path) -> Iterator[tuple[dict[str, Any], Any]]:
+        """Go through the cells of text and code, each with the value of its last expression, running one at a time.
+
+        folder: What the cell with the tag `FOLDER_TAG` would have found.
+        Exception: What a cell raises.
+        """
+        namespace: dict[str, Any] = {"__name__": "report", "folder": folder, "Path": Path}
+        for number, cell in enumerate(self.content["cells"], start=1):
+            if cell["cell_type"] == "code" and FOLDER_TAG not in _tags(cell):
+                yield cell, _run("".join(cell["source"]), f"<report, cell {number}>", namespace)
+            elif cell["cell_type"] in ("code", "markdown"):
+                yield cell, None
 
     def text(self) -> str:
         """Return the notebook as its file holds it."""
         return json.dumps(self.content, indent=1, ensure_ascii=False) + "\n"
+
+
+def _tags(cell: dict[str, Any]) -> Sequence[str]:
+    tags: Sequence[str] = cell.get("metadata", {}).get("tags", ())
+    return tags
 
 
 def read_notebook(text: str) -> Notebook:

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
-from heliogauge.reporting.html import Html, Shown, join, show, table, wrap
+from heliogauge.reporting.html import FirstScreen, Html, Shown, join, show, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
@@ -119,7 +119,7 @@ def title(results: Results) -> Html:
 
 def first_screen(
     name: str, line: str, verdict: Verdict, numbers: Sequence[tuple[str, ...]], picture: Shown | None
-) -> Html:
+) -> FirstScreen:
     """Return what a reader sees first: name, verdict and headline numbers on the left, the picture on the right.
 
     name, line: What was measured, and how, as text.
@@ -129,7 +129,8 @@ def first_screen(
     left = wrap('<div class="answer">', [verdict_box(verdict), headline_numbers(numbers)], "</div>")
     right = [] if picture is None else [wrap('<div class="picture">', [picture], "</div>")]
     kind = "first" if right else "first alone"
-    return join(name_and_line(name, line), wrap(f'<div class="{kind}">', [left, *right], "</div>"))
+    whole = join(name_and_line(name, line), wrap(f'<div class="{kind}">', [left, *right], "</div>"))
+    return FirstScreen(whole, picture)
 
 
 def verdict_box(verdict: Verdict) -> Html:

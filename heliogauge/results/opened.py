@@ -217,7 +217,7 @@ class Result:
             A quantity that the result does not have, or a kind without a picture.
         """
         view = self._picture()
-        if view is None:
+        if not hasattr(view, "figure"):
             raise InputError(f"{self.folder}: results of the kind {self.kind!r} have no picture; see `tables`")
         from heliogauge.view.maps import MapView
 
@@ -239,10 +239,11 @@ class Result:
             from heliogauge.view.maps import slope_map_view
 
             return slope_map_view(read_slope_map(self.folder / SLOPE_MAP_FILE), self.name)
-        from heliogauge.instruments import instruments, resolve
+        from heliogauge.instruments import instruments
+        from heliogauge.reporting.build import first_picture
 
-        pictures = {kind: place for one in instruments() for kind, place in one.pictures.items()}
-        return resolve(pictures[self.kind])(self.folder) if self.kind in pictures else None
+        has_report = any(self.kind in one.reports for one in instruments())
+        return first_picture(self.folder) if has_report else None
 
     def _repr_html_(self) -> str:
         """Show headline numbers with sigma, doubts and the picture."""
