@@ -1,20 +1,23 @@
 """Charts with readout: lines with sigma bands, points, bars and steps."""
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from heliogauge.errors import InputError
-from heliogauge.reporting.canvas import add_legend, chart_figure, set_equal_limits
 from heliogauge.reporting.html import Html, show
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame
+from heliogauge.view.stills import WIDTH_PX, Sheet, chart_limits, equal_limits, path_of, side_by_side
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Mark(StrEnum):
@@ -75,7 +78,7 @@ class ChartView:
     x_log: bool = False
     y_log: bool = False
     y_down: bool = False
-    figures: Sequence[Figure] = field(default=())
+    figures: "Sequence[Figure]" = field(default=())
 
     def __post_init__(self) -> None:
         for one in self.series:
@@ -87,7 +90,7 @@ class ChartView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self.figure()]))
+        return show(*self.figures) if self.figures else side_by_side([self._still()])
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -121,8 +124,10 @@ class ChartView:
             "size": one.size_px,
         }
 
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """Draw the chart."""
+        from heliogauge.reporting.canvas import add_legend, chart_figure, set_equal_limits
+
         figure, axes = chart_figure(self.name, self.note, self.x_label, self.y_label)
         for one in self.series:
             x, y = np.asarray(one.x), np.asarray(one.y)
@@ -161,3 +166,90 @@ class ChartView:
         if len(self.series) > 1:
             add_legend(axes, loc="best")
         return figure
+
+    def _still(self) -> Html:
+        height = 380.0
+        box = (70.0, 50.0, WIDTH_PX - 16, height - 46)
+        reach = [(np.asarray(one.y, dtype=np.float64), one.sigma) for one in self.series]
+        spans = [part for y, sigma in reach for part in ((y,) if sigma is None else (y - sigma, y + sigma))]
+        based = [np.zeros(1)] if any(one.mark in (Mark.BARS, Mark.STEPS) for one in self.series) else []
+        x_limits = chart_limits([one.x for one in self.series], log=self.x_log, spare=0.02)
+        y_limits = chart_limits([*spans, *based], log=self.y_log)
+        if self.equal:
+            x_limits, y_limits = equal_limits(x_limits, y_limits, box)
+        sheet = Sheet(
+            WIDTH_PX, height, box, x_limits, y_limits[::-1] if self.y_down else y_limits, self.x_log, self.y_log
+        )
+        sheet.title(self.name, self.note)
+        sheet.axes(self.x_label, self.y_label, grid=True)
+        left, top, right, bottom = box
+        sheet.add(
+            f'<clipPath id="b"><rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}"/></clipPath>'
+        )
+        sheet.add(f'<g clip-path="url(#b)">{"".join(_drawn(one, sheet) for one in self.series)}</g>')
+        if len(self.series) > 1:
+            _legend(self.series, sheet)
+        return sheet.html(f"{self.name}. {self.note}")
+
+
+def _drawn(one: ChartSeries, sheet: Sheet) -> str:
+    """Return a series as SVG."""
+    x, y = sheet.place_x(one.x), sheet.place_y(one.y)
+    color = html.escape(one.color, quote=True)
+    known = np.isfinite(x) & np.isfinite(y)
+    if not known.any():
+        return ""
+    drawn = "" if one.sigma is None else _drawn_sigma(one, sheet, color)
+    if one.mark is Mark.POINTS:
+        path = "".join(f"M{a:.1f},{b:.1f}h0" for a, b in zip(x[known].tolist(), y[known].tolist(), strict=True))
+        look = f'stroke="{color}" stroke-width="{max(one.size_px, 1.0):.1f}" stroke-linecap="round"'
+        return f'{drawn}<path d="{path}" {look}/>'
+    look = f'fill="none" stroke="{color}" stroke-width="{one.size_px:.1f}" stroke-linejoin="round"'
+    if one.mark is Mark.LINE:
+        dashes = ' stroke-dasharray="5 3"' if one.dashed else ""
+        return f'{drawn}<path d="{path_of(x, y)}" {look}{dashes}/>'
+    # Half of the smallest distance between neighbours: bars touch, steps lie in the middle.
+    half = 0.5 * float(np.min(np.diff(np.sort(x[known])))) if np.count_nonzero(known) > 1 else 10.0
+    if one.mark is Mark.STEPS:
+        middles = np.repeat(x, 2) + np.tile([-half, half], x.size)
+        return f'{drawn}<path d="{path_of(middles, np.repeat(y, 2))}" {look}/>'
+    base = float(sheet.place_y(max(0.0, min(sheet.y_limits))))
+    bars = zip((x[known] - 0.95 * half).tolist(), y[known].tolist(), strict=True)
+    path = "".join(f"M{a:.1f},{base:.1f}V{b:.1f}h{1.9 * half:.1f}V{base:.1f}Z" for a, b in bars)
+    return f'{drawn}<path d="{path}" fill="{color}"/>'
+
+
+def _drawn_sigma(one: ChartSeries, sheet: Sheet, color: str) -> str:
+    """Return the sigma of a series as SVG: bars at points, a band about a line."""
+    x, y, sigma = sheet.place_x(one.x), np.asarray(one.y, dtype=np.float64), np.asarray(one.sigma, dtype=np.float64)
+    low, high = sheet.place_y(y - sigma), sheet.place_y(y + sigma)
+    known = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+    if one.mark is Mark.POINTS:
+        ends = zip(x[known].tolist(), low[known].tolist(), high[known].tolist(), strict=True)
+        path = "".join(f"M{a:.1f},{b:.1f}V{c:.1f}" for a, b, c in ends)
+        return f'<path d="{path}" stroke="{color}" stroke-width=".7"/>'
+    breaks = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
+    bands = []
+    for piece in np.split(np.arange(x.size), breaks):
+        if known[piece[0]]:
+            around = np.concatenate([x[piece], x[piece[::-1]]]), np.concatenate([low[piece], high[piece[::-1]]])
+            bands.append(f"{path_of(*around)}Z")
+    return f'<path d="{"".join(bands)}" fill="{color}" opacity=".22"/>'
+
+
+def _legend(series: Sequence[ChartSeries], sheet: Sheet) -> None:
+    """Write the names in the corner of the box that fewest points are near."""
+    left, top, right, bottom = sheet.box
+    wide, tall = 32 + 6.4 * max(len(one.name) for one in series), 17.0 * len(series) + 6
+    x = np.concatenate([sheet.place_x(one.x) for one in series])
+    y = np.concatenate([sheet.place_y(one.y) for one in series])
+    corners = [(a, b) for b in (top + 4, bottom - tall - 4) for a in (right - wide - 4, left + 4)]
+    inside = [np.count_nonzero((x > a) & (x < a + wide) & (y > b) & (y < b + tall)) for a, b in corners]
+    a, b = corners[int(np.argmin(inside))]
+    sheet.add(f'<rect x="{a:.1f}" y="{b:.1f}" width="{wide:.1f}" height="{tall:.1f}" fill="#fff" opacity=".85"/>')
+    for number, one in enumerate(series):
+        middle = b + 12 + 17 * number
+        dashes = ' stroke-dasharray="5 3"' if one.dashed else ""
+        line = f'<path d="M{a + 4:.1f},{middle:.1f}h16" stroke="{html.escape(one.color, quote=True)}"'
+        sheet.add(f'{line} stroke-width="2.5"{dashes}/>')
+        sheet.write(a + 25, middle + 4, one.name)

@@ -3,17 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
 from heliogauge.instruments import near_match
-from heliogauge.reporting.canvas import MapStyle, map_figure, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.look import extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.notation import number_text
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal, measured_nodes, projection_of, removal_columns
@@ -21,6 +20,10 @@ from heliogauge.slopes.statistics import SlopeStatistics, statistics
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame
+from heliogauge.view.stills import MapPicture, side_by_side
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MRAD = 1e3
 
@@ -117,7 +120,7 @@ class MapView:
     note: str = ""
     axis_unit: str = "m"
     y_down: bool = False
-    figures: Sequence[Figure] = field(default=())
+    figures: "Sequence[Figure]" = field(default=())
 
     def __post_init__(self) -> None:
         shape = (self.y_m.size, self.x_m.size)
@@ -133,14 +136,16 @@ class MapView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self.figure(layer.key) for layer in self.layers[:2]]))
+        return show(*self.figures) if self.figures else side_by_side([self._still(one) for one in self.layers[:2]])
 
-    def figure(self, quantity: str | None = None) -> Figure:
+    def figure(self, quantity: str | None = None) -> "Figure":
         """Draw one layer.
 
         quantity: Its key; the first layer without it.
         InputError: There is no such layer.
         """
+        from heliogauge.reporting.canvas import MapStyle, map_figure
+
         layers = {layer.key: layer for layer in self.layers}
         layer = self.layers[0] if quantity is None else layers.get(quantity)
         if layer is None:
@@ -150,6 +155,30 @@ class MapView:
         low, limit = _colors(layer)
         style = MapStyle(layer.name, layer.unit, layer.factor, layer.diverging, limit, low)
         return map_figure(self, layer.values, style)
+
+    def _still(self, layer: MapLayer) -> Html:
+        low, high = _colors(layer)
+        shown = thinned(layer.values) * layer.factor
+        known = shown[np.isfinite(shown)]
+        beyond = float(np.mean((known > high) | (known < low))) if known.size else 0.0
+        ends = f", {beyond:.1%} beyond the colours" if beyond >= 0.001 else ""
+        note = f"{known.min():.3g} to {known.max():.3g} {layer.unit}{ends}" if known.size else "no value anywhere"
+        if layer.diverging and known.size:
+            note = f"RMS {float(np.sqrt(np.mean(known**2))):.4g} {layer.unit}; {note}"
+        picture = MapPicture(
+            title=layer.name,
+            note=note,
+            unit=layer.unit,
+            values=shown,
+            aperture=thinned(self.aperture),
+            extent=extent_of(self),
+            axis_unit=self.axis_unit,
+            low=low,
+            high=high,
+            diverging=layer.diverging,
+            y_down=self.y_down,
+        )
+        return picture.still()
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -207,7 +236,7 @@ class MapView:
         }
 
 
-def slope_map_view(slope_map: SlopeMap, name: str, *, figures: Sequence[Figure] = ()) -> MapView:
+def slope_map_view(slope_map: SlopeMap, name: str, *, figures: "Sequence[Figure]" = ()) -> MapView:
     """Return everything that a slope map holds as a view: errors, slopes, height, sigmas, flags.
 
     name: What the map shows.

@@ -2,12 +2,13 @@
 
 import html
 import json
-from typing import Any, Protocol
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, Protocol
 
 from heliogauge.reporting.html import Html
 from heliogauge.view.arrays import PAGE, ArrayStore
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class View(Protocol):
@@ -16,7 +17,7 @@ class View(Protocol):
     def page_html(self, store: ArrayStore = PAGE) -> str:
         """Return the HTML for a page that has the assets of `heliogauge.view.assets`."""
 
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """Draw it, or what of it is seen first."""
 
     def _repr_html_(self) -> str:
