@@ -17,7 +17,7 @@ INSTRUMENT = Instrument(
             options="deflectometry.pipeline.choices:Options",
         ),
     ),
-    reports={"deflectometry": "deflectometry:report.ipynb"},
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
+    reports={"deflectometry": "deflectometry.report:report.ipynb"},
 )

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
+from deflectometry.report.light import spots
 from heliogauge.reporting import figures
 from heliogauge.reporting import page as report_page
 from heliogauge.reporting.canvas import png_of
@@ -33,8 +34,8 @@ def drawing(results: report_page.Results, name: str) -> Figure:
         "sigma-y": lambda: figures.sigma_map(slope_map, "y"),
         "curl": lambda: figures.curl_map(slope_map),
         "height": lambda: figures.height_deviation_map(slope_map),
-        "spot": lambda: figures.spot_image(report_page.spots(results)["as measured"]),
-        "energy": lambda: figures.encircled_energy(report_page.spots(results)),
+        "spot": lambda: figures.spot_image(spots(results)["as measured"]),
+        "energy": lambda: figures.encircled_energy(spots(results)),
     }
     return drawings[name]()
 

@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Iterable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
 from heliogauge.reporting.html import FirstScreen, Html, Shown, join, show, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
-from heliogauge.reporting.sections import image_figures, setup_figures, spot_figures, spots, uncertainty_shares
 from heliogauge.reporting.verdict import State, Verdict, doubt_mark
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
+
+if TYPE_CHECKING:
+    from heliogauge.view.maps import Removals
 
 __all__ = [
     "HasSummary",
@@ -23,52 +25,23 @@ __all__ = [
     "Results",
     "doubts_box",
     "duration_table",
-    "facet_table",
     "first_screen",
     "flag_table",
     "head",
     "headline_numbers",
-    "headline_table",
-    "image_figures",
     "input_table",
     "join",
     "name_and_line",
+    "number_table",
     "number_text",
     "open_results",
-    "pose_table",
-    "setup_figures",
     "show",
-    "spot_figures",
-    "spots",
     "statistics_table",
     "table",
     "text_table",
     "title",
-    "uncertainty_shares",
     "verdict_box",
 ]
-
-#: Numbers of the headline table by key without unit, and what they are called there; the others are folded away.
-LABELS: dict[str, str] = {
-    "sdx": "SDx, RMS angle of the normal from the design's in x",
-    "sdy": "SDy, RMS angle of the normal from the design's in y",
-    "sd": "SD, RMS angle between measured and design normal",
-    "sdx_best_focus": "SDx with tilt and focus removed",
-    "sdy_best_focus": "SDy with tilt and focus removed",
-    "sd_best_focus": "SD with tilt and focus removed",
-    "mean_x": "Mean angle of the normal in x",
-    "mean_y": "Mean angle of the normal in y",
-    "focal_length_x": "Best-fit focal length in x",
-    "focal_length_y": "Best-fit focal length in y",
-    "canting_x": "Canting in x",
-    "canting_y": "Canting in y",
-    "measured_share": "Share of the mirror measured",
-    "pose_residual": "RMS residual of the mirror's outline",
-    "curl_rms": "RMS curl of the slopes (self-check)",
-    "curl_expected_rms": "RMS curl expected from the noise",
-    "target_distance": "Distance of the target",
-}
-
 
 #: What stands over the box of a verdict.
 STATE_WORDS: dict[State, str] = {
@@ -174,24 +147,19 @@ def doubts_box(results: HasSummary) -> Html:
     return Html(f'<ul class="doubts">{items}</ul>')
 
 
-def headline_table(results: Results) -> Html:
-    """Return the headline numbers with their standard deviations and units."""
+def number_table(results: HasSummary) -> Html:
+    """Return all numbers of the summary with their standard deviations and units, folded away."""
     numbers, reasons = results.summary.numbers, results.summary.not_determined
-    headline, others = [], []
+    rows = []
     for key, value in numbers.items():
         name, unit = unit_of(key)
         if key.removeprefix("sigma_") in numbers and key.startswith("sigma_"):
             continue
         sigma = numbers.get(f"sigma_{key}")
         shown = f"not determined: {reasons.get(key, '')}" if value is None else number_text(value, sigma, unit, name)
-        if name in LABELS:
-            headline.append((LABELS[name], shown))
-        else:
-            others.append((_plain_label(name), shown))
-    values = table(("", "value \u00b1 1 sigma"), headline, numbers=(1,))
-    more = table(("", "value \u00b1 1 sigma"), others, numbers=(1,))
-    folded = f"<details><summary>{len(others)} more numbers</summary>{more.text}</details>" if others else ""
-    return Html(f'<div class="headline">{values.text}</div>{folded}')
+        rows.append((_plain_label(name), shown))
+    values = table(("", "value \u00b1 1 sigma"), rows, numbers=(1,))
+    return Html(f"<details><summary>All {len(rows)} numbers</summary>{values.text}</details>" if rows else "")
 
 
 def _plain_label(name: str) -> str:
@@ -201,11 +169,15 @@ def _plain_label(name: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def statistics_table(slope_map: SlopeMap) -> Html:
-    """Return SDx, SDy and SD of a map, as measured and with more and more removed."""
+def statistics_table(slope_map: SlopeMap, known: "Sequence[Removals]" = ()) -> Html:
+    """Return SDx, SDy and SD of a map, as measured and with more and more removed.
+
+    known: Removals of a view of the same map, whose statistics need not be formed again.
+    """
+    ready = {part.removal: part.statistics for one in known for part in one.parts}
     rows = []
     for removal in Removal:
-        result = statistics(slope_map, removed=removal)
+        result = ready.get(removal) or statistics(slope_map, removed=removal)
         pairs = ((result.sdx_rad, result.sigma_sdx_rad), (result.sdy_rad, result.sigma_sdy_rad))
         cells = [number_text(value, sigma, "rad") for value, sigma in (*pairs, (result.sd_rad, result.sigma_sd_rad))]
         more = result.removed.removeprefix(slope_map.removed).strip("; ").removeprefix("then ")
@@ -226,27 +198,6 @@ def flag_table(slope_map: SlopeMap) -> Html:
     return table(("nodes of the mirror", "effect", "count", "share"), rows, numbers=(2, 3))
 
 
-def facet_table(results: Results) -> Html:
-    """Return the numbers of each facet.
-
-    Returns: A table with one line for each facet; empty for a single facet.
-    """
-    facets = results.summary.facets
-    if not facets:
-        return Html("")
-    keys = [key for key in next(iter(facets.values())) if not key.startswith("sigma_")]
-    names = [unit_of(key) for key in keys]
-    head = ("facet", *(LABELS.get(name, name.replace("_", " ")) for name, _ in names))
-    rows = []
-    for facet, numbers in facets.items():
-        cells = [
-            "-" if (value := numbers.get(key)) is None else number_text(value, numbers.get(f"sigma_{key}"), unit, name)
-            for key, (name, unit) in zip(keys, names, strict=True)
-        ]
-        rows.append((facet, *cells))
-    return table(head, rows, numbers=range(1, len(head)))
-
-
 def text_table(results: Results) -> Html:
     """Return the facts in words: design, frame, what was removed, and what the pipeline adds."""
     slope_map = results.slope_map
@@ -255,21 +206,6 @@ def text_table(results: Results) -> Html:
     rows.append(("share measured", f"{slope_map.measured_share:.2%}"))
     rows.append(("software", f"heliogauge {results.summary.version}"))
     return table(("", ""), rows)
-
-
-def pose_table(results: Results) -> Html:
-    """Return the pose of the mirror in the camera's frame with its uncertainty."""
-    rows = []
-    for name, pose in results.poses.items():
-        sigma = np.sqrt(np.diag(pose.covariance))
-        position = pose.cam_from_world.translation_m
-        residual = "-" if pose.residual_rms_px is None else f"{pose.residual_rms_px:.3f} px"
-        place = ", ".join(f"{value:.4f}" for value in position)
-        spread = ", ".join(f"{1e3 * value:.2f}" for value in sigma[3:])
-        turn = ", ".join(f"{1e3 * value:.3f}" for value in sigma[:3])
-        rows.append((name, f"({place}) m", f"({spread}) mm", f"({turn}) mrad", residual))
-    head = ("pose", "origin in the camera frame", "sigma of position", "sigma of rotation", "RMS residual")
-    return table(head, rows, numbers=(4,)) if rows else Html("")
 
 
 def duration_table(results: HasSummary) -> Html:

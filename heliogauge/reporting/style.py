@@ -70,7 +70,8 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
 .figures img {{ width: 100%; max-width: 576px; height: auto; border-radius: 3px; }}
 .figures .wide {{ grid-column: 1 / -1; }}
 .figures .wide img {{ max-width: 1152px; }}
-.beside {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); gap: .6em 1.2em; }}
+.beside {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); gap: .6em 1.4em;
+  align-items: start; }}
 .beside > * {{ min-width: 0; }}
 .caption {{ color: var(--faint); font-size: .9em; margin: .2em 0 1em; }}
 .table {{ overflow-x: auto; margin: .8em 0; }}
@@ -106,6 +107,8 @@ summary {{ cursor: pointer; color: var(--accent); }}
   .first:not(.alone) {{ grid-template-columns: minmax(0, 5fr) minmax(0, 6fr); }}
   .figures {{ grid-template-columns: 1fr 1fr; gap: .3em .8em; margin: .3em 0; }}
   .first .figures {{ grid-template-columns: 1fr; }}
+  .beside {{ grid-template-columns: 1fr 1fr; gap: .3em .8em; }}
+  .beside .figures {{ grid-template-columns: 1fr; }}
   .figures figure, .verdict, tr {{ break-inside: avoid; }}
   .verdict, .table {{ print-color-adjust: exact; }}
   .table {{ overflow: visible; margin: .3em 0; }}

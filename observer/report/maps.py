@@ -16,7 +16,7 @@ from heliogauge.reporting.canvas import (
     robust_limit,
 )
 from heliogauge.reporting.html import Html, join, show, table
-from heliogauge.reporting.sections import uncertainty_shares
+from heliogauge.reporting.uncertainty import uncertainty_shares
 from heliogauge.validate import FloatArray
 from observer.report.results import TroughResults
 from observer.trough.collector import Collector
