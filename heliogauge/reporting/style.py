@@ -93,7 +93,7 @@ summary {{ cursor: pointer; color: var(--accent); }}
   main {{ padding: .4em .9em 2em; }}
   nav {{ padding: .3em .9em; }}
   nav div {{ justify-content: flex-start; }}
-  .numbers td {{ white-space: normal; }}
+  .numbers {{ font-size: .84em; }}
 }}
 @page {{ size: A4; margin: 12mm 12mm 14mm; }}
 @media print {{
