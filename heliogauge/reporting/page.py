@@ -43,6 +43,27 @@ __all__ = [
     "verdict_box",
 ]
 
+#: Numbers of slope maps by key without unit, and what they are called.
+LABELS: dict[str, str] = {
+    "sdx": "SDx, RMS angle of the normal from the design's in x",
+    "sdy": "SDy, RMS angle of the normal from the design's in y",
+    "sd": "SD, RMS angle between measured and design normal",
+    "sdx_best_focus": "SDx with tilt and focus removed",
+    "sdy_best_focus": "SDy with tilt and focus removed",
+    "sd_best_focus": "SD with tilt and focus removed",
+    "mean_x": "Mean angle of the normal in x",
+    "mean_y": "Mean angle of the normal in y",
+    "focal_length_x": "Best-fit focal length in x",
+    "focal_length_y": "Best-fit focal length in y",
+    "canting_x": "Canting in x",
+    "canting_y": "Canting in y",
+    "measured_share": "Share of the mirror measured",
+    "pose_residual": "RMS residual of the mirror's outline",
+    "curl_rms": "RMS curl of the slopes (self-check)",
+    "curl_expected_rms": "RMS curl expected from the noise",
+    "target_distance": "Distance of the target",
+}
+
 #: What stands over the box of a verdict.
 STATE_WORDS: dict[State, str] = {
     State.SOUND: "Sound: no check found anything doubtful",
@@ -157,7 +178,7 @@ def number_table(results: HasSummary) -> Html:
             continue
         sigma = numbers.get(f"sigma_{key}")
         shown = f"not determined: {reasons.get(key, '')}" if value is None else number_text(value, sigma, unit, name)
-        rows.append((_plain_label(name), shown))
+        rows.append((LABELS.get(name, _plain_label(name)), shown))
     values = table(("", "value \u00b1 1 sigma"), rows, numbers=(1,))
     return Html(f"<details><summary>All {len(rows)} numbers</summary>{values.text}</details>" if rows else "")
 
