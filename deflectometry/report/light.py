@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from heliogauge.errors import EstimationError
-from heliogauge.reporting.html import Html, wrap
+from heliogauge.reporting.html import Html, beside, join
 from heliogauge.reporting.look import FAINT, LINE_X, LINE_Y, thinned_map
 from heliogauge.reporting.results import Results
 from heliogauge.results.folder import Summary
@@ -41,7 +41,7 @@ def light(results: Results) -> Html:
         return Html(f"<p>The light was not traced: {html.escape(str(error))}</p>")
     measured = traced["as measured"]
     below = Html(f'<p class="caption">{html.escape(measured.describe())}</p>')
-    return wrap('<div class="beside">', [spot_view(measured), energy_chart(traced)], f"</div>{below.text}")
+    return join(beside(spot_view(measured), energy_chart(traced)), below)
 
 
 def spots(results: Results, *, rays: int = RAYS) -> dict[str, SpotImage]:

@@ -15,7 +15,7 @@ from deflectometry.report.maps import (
     slope_view,
 )
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, table, wrap
+from heliogauge.reporting.html import Html, beside, join, table
 from heliogauge.reporting.look import INK, LINE_X, LINE_Y
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.page import (
@@ -114,7 +114,7 @@ def charts(results: Results) -> Html:
     """Return the sections through the middle and the distribution of the angles."""
     slope_map = results.slope_map
     shown = [section_chart(slope_map, "x"), section_chart(slope_map, "y"), distribution_chart(slope_map)]
-    return wrap('<div class="beside">', shown, "</div>")
+    return beside(*shown)
 
 
 def facet_table(results: Results) -> TableView | Html:
@@ -156,7 +156,7 @@ def share_table(results: Results) -> Html:
 def setup(results: Results) -> Html:
     """Return where camera, screen and mirror stood, and how well the outline fits."""
     shown = [*_setup_charts(results.summary), *_outline_charts(results)]
-    return wrap('<div class="beside">' if shown else "", shown, "</div>" if shown else "")
+    return beside(*shown) if shown else Html("")
 
 
 def _setup_charts(summary: Summary) -> list[ChartView]:
