@@ -8,4 +8,4 @@ use([
   LineChart, BarChart, ScatterChart, CustomChart,
   GridComponent, TooltipComponent, LegendScrollComponent, DataZoomInsideComponent, CanvasRenderer,
 ]);
-export { getInstanceByDom, init, version } from "echarts/core";
+export { getInstanceByDom, graphic, init, version } from "echarts/core";
