@@ -158,7 +158,7 @@
       this.renderer.domElement.style.touchAction = "inherit";
     }
 
-    // The box of the coordinates, widened to whole steps of the grid below.
+    // The box of the coordinates, with a grid of round numbers below.
     frame() {
       const { THREE } = this;
       const low = [Infinity, Infinity, Infinity];
@@ -171,18 +171,15 @@
           }
         }
       }
-      const longest = Math.max(...low.map((one, axis) => high[axis] - one), 1e-9);
-      this.step = niceStep(longest, 6);
-      this.low = low.map((one) => Math.floor(one / this.step + 1e-6) * this.step);
-      this.high = high.map((one, axis) => Math.max(Math.ceil(one / this.step - 1e-6) * this.step, this.low[axis]));
-      // A flat scene needs no box above its plane.
-      if (high[2] - low[2] < 0.02 * longest) [this.low[2], this.high[2]] = [low[2], high[2]];
+      this.step = niceStep(Math.max(...low.map((one, axis) => high[axis] - one), 1e-9), 6);
+      this.low = low;
+      this.high = high;
       const lines = [];
       const add = (a, b) => lines.push(...this.toScene(a), ...this.toScene(b));
       const [x0, y0, z0] = this.low;
       const [x1, y1, z1] = this.high;
-      for (const x of this.ticks(0)) add([x, y0, z0], [x, y1, z0]);
-      for (const y of this.ticks(1)) add([x0, y, z0], [x1, y, z0]);
+      for (const x of [x0, ...this.ticks(0), x1]) add([x, y0, z0], [x, y1, z0]);
+      for (const y of [y0, ...this.ticks(1), y1]) add([x0, y, z0], [x1, y, z0]);
       if (z1 > z0) for (const x of [x0, x1]) for (const y of [y0, y1]) add([x, y, z0], [x, y, z1]);
       const geometry = new THREE.BufferGeometry();
       geometry.setAttribute("position", new THREE.Float32BufferAttribute(lines, 3));
@@ -192,8 +189,9 @@
     }
 
     ticks(axis) {
-      const count = Math.round((this.high[axis] - this.low[axis]) / this.step);
-      return Array.from({ length: count + 1 }, (_, index) => this.low[axis] + index * this.step);
+      const first = Math.ceil(this.low[axis] / this.step - 1e-4);
+      const last = Math.floor(this.high[axis] / this.step + 1e-4);
+      return Array.from({ length: Math.max(last - first + 1, 0) }, (_, index) => (first + index) * this.step || 0);
     }
 
     toScene(point) {
@@ -243,7 +241,9 @@
       const tall = Math.tan(FIELD_DEG * Math.PI / 360) * 0.84;
       const wide = tall * Math.max(camera.aspect, 0.2);
       let distance = 0.02;
-      for (const { places } of seen) {
+      const corner = (number) => this.toScene([0, 1, 2].map((axis) => (number >> axis) & 1 ? this.high[axis] : this.low[axis]));
+      const floor = shown.length === this.groups.length ? [0, 1, 2, 3].flatMap(corner) : [];
+      for (const places of [...seen.map((one) => one.places), floor]) {
         for (let index = 0; index < places.length; index += 3) {
           const [x, y, z] = [0, 1, 2].map((axis) => places[index + axis] - middle[axis]);
           const near = x * towards[0] + y * towards[1] + z * towards[2];
@@ -333,9 +333,10 @@
         shapes.push([left + dx, top + dy + 4, words, anchor ? "end" : "middle"]);
       };
       const digits = Math.max(0, -Math.floor(Math.log10(this.step) + 1e-9));
-      const text = (value) => (Math.abs(value) < this.step * 1e-6 ? 0 : value).toFixed(digits).replace("-", "\u2212");
+      const text = (value) => value.toFixed(digits).replace("-", "\u2212");
       // Labels that would stand closer than 30 px are thinned.
       const thin = (points) => {
+        if (points.length < 2) return points;
         const [first, last] = [this.project(points[0]), this.project(points[points.length - 1])];
         const apart = Math.hypot(first[0] - last[0], first[1] - last[1]) / Math.max(points.length - 1, 1);
         const each = Math.max(1, Math.ceil(34 / Math.max(apart, 1)));
@@ -355,14 +356,15 @@
         const away = Math.hypot(left - middle[0], top - middle[1]) || 1;
         shapes.push([left + (left - middle[0]) / away * 38, top + (top - middle[1]) / away * 32 + 4, `${"xy"[axis]} [m]`, "middle", true]);
       });
-      if (high[2] > low[2]) {
+      const heights = this.ticks(2);
+      if (heights.length > 1) {
         const corners = [[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]];
         const left = corners.reduce((best, one) =>
           this.project([...one, low[2]])[0] < this.project([...best, low[2]])[0] ? one : best);
-        const points = this.ticks(2).map((z) => [...left, z]);
+        const points = heights.map((z) => [...left, z]);
         const kept = thin(points);
         kept.forEach((point) => put(point, text(point[2]), [-7, 0]));
-        if (kept.length) put(points[points.length - 1], "z [m]", [-7, -16]);
+        if (kept.length) put([...left, high[2]], "z [m]", [-7, -16]);
       }
       const made = shapes.map(([left, top, words, anchor, name]) => {
         const label = document.createElementNS("http://www.w3.org/2000/svg", "text");
