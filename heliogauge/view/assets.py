@@ -10,10 +10,12 @@ _KINDS = re.compile(r'<section class="view" data-view="([a-z]+)"')
 #: Own scripts in their order, by the kinds of view that need them.
 _SCRIPTS: dict[str, tuple[str, ...]] = {
     "page.js": ("map", "photo", "scene", "table", "chart"),
-    "figure.js": ("map", "photo", "chart"),
+    "figure.js": ("map", "photo", "scene", "chart"),
     "chart.js": ("map", "chart"),
     "map.js": ("map",),
     "table.js": ("table",),
+    "photo.js": ("photo",),
+    "scene.js": ("scene",),
 }
 #: Libraries by name, and the kinds of view that need them.
 _LIBRARIES: dict[str, tuple[str, ...]] = {

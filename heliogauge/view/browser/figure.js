@@ -155,16 +155,17 @@
       this.tip.hidden = true;
     }
 
-    // Replaces what lies over the figure: [tag, attributes] each, in pixels; cut off just outside the axes.
+    // Replaces what lies over the figure: [tag, attributes, text] each, in pixels; cut off just outside the axes.
     drawOver(shapes) {
       const { left, top, width, height } = this.box;
       const spare = 7;
       const frame = this.root.getBoundingClientRect();
       this.overlay.style.clipPath = `inset(${Math.max(top - spare, 0)}px ${Math.max(frame.width - left - width - spare, 0)}px `
         + `${Math.max(frame.height - top - height - spare, 0)}px ${Math.max(left - spare, 0)}px)`;
-      this.overlay.replaceChildren(...shapes.map(([tag, attributes]) => {
+      this.overlay.replaceChildren(...shapes.map(([tag, attributes, text]) => {
         const shape = document.createElementNS(SVG, tag);
         Object.entries(attributes).forEach(([name, value]) => shape.setAttribute(name, value));
+        if (text) shape.textContent = text;
         return shape;
       }));
     }
