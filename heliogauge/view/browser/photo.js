@@ -376,13 +376,19 @@
       if (this.photo) this.over();
     }
 
+    // Goes to the next mark of what is shown, from the last one to the first.
     next(by, wanted = () => true) {
-      const all = this.shown().filter(wanted).flatMap((one) => Array.from(one.x, (_, index) => ({ one, index })));
-      if (!all.length) return;
-      const now = this.found ? all.findIndex(({ one, index }) => one === this.found.one && index === this.found.index) : -1;
-      const found = all[now < 0 && by < 0 ? all.length - 1 : (now + by + all.length) % all.length];
-      this.figure.follow(found.one.x[found.index], found.one.y[found.index]);
-      this.point(found, true);
+      const kinds = this.shown().filter((one) => wanted(one) && one.x.length);
+      if (!kinds.length) return;
+      let kind = this.found ? kinds.indexOf(this.found.one) : -1;
+      let index = kind < 0 ? -1 : this.found.index + by;
+      if (kind < 0 || index < 0 || index >= kinds[kind].x.length) {
+        kind = kind < 0 ? (by > 0 ? 0 : kinds.length - 1) : (kind + by + kinds.length) % kinds.length;
+        index = by > 0 ? 0 : kinds[kind].x.length - 1;
+      }
+      const one = kinds[kind];
+      this.figure.follow(one.x[index], one.y[index]);
+      this.point({ one, index }, true);
     }
 
     key(event) {
