@@ -15,6 +15,7 @@ INSTRUMENT = Instrument(
             command="deflectometry measure",
             run="deflectometry.pipeline.measure:run",
             options="deflectometry.pipeline.choices:Options",
+            check="deflectometry.pipeline.check:find_faults",
         ),
     ),
     synth="data_synth.preset_folders:deflectometry",

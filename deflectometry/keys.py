@@ -338,9 +338,9 @@ def load_deflectometry(folder: Path) -> DeflectometryMeasurement:
         range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
     file, model = read_measurement(folder, DeflectometryModel)
-    for key, text in model.named_files():
-        if not (folder / text).is_file():
-            raise InputError(f"{file}: {key} = {text!r}: there is no such file in {folder}")
+    missing = [f"{key} = {text!r}" for key, text in model.named_files() if not (folder / text).is_file()]
+    if missing:
+        raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
     fringe_files = image_files(folder, "images.fringes", model.images.fringes)
     needed = model.pattern.n_frames
     if len(fringe_files) != needed:

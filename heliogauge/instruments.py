@@ -34,6 +34,8 @@ class Kind:
     run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run, where a measurement
         fills its folder of results itself.
     recognises: Function ``(folder) -> bool`` that knows folders of this kind without a measurement.toml.
+    check: Function ``(measurement, findings)`` that adds what is wrong with a measurement before it is evaluated to the
+        `heliogauge.measurement.findings.Findings`.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Kind:
     options: str = ""
     run_into: str = ""
     recognises: str = ""
+    check: str = ""
 
     def init_command(self, folder: str) -> str:
         """Return what follows ``heliogauge`` to write a commented measurement.toml of this kind.

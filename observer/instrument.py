@@ -15,6 +15,7 @@ INSTRUMENT = Instrument(
             command="observer measure",
             run_into="observer.pipeline.measure_folder:run_into",
             options="observer.pipeline.measure:Options",
+            check="observer.pipeline.check:find_faults",
         ),
         Kind(
             name="observer-plan",

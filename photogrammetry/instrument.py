@@ -15,6 +15,7 @@ INSTRUMENT = Instrument(
             command="photogrammetry measure",
             run="photogrammetry.pipeline.measure:run",
             options="photogrammetry.pipeline.measure:Options",
+            check="photogrammetry.pipeline.check:find_faults",
         ),
         Kind(
             name="photogrammetry-plan",

@@ -15,6 +15,7 @@ INSTRUMENT = Instrument(
             command="camera measure",
             run="calibration.camera.pipeline.measure:run",
             options="calibration.camera.pipeline.measure:Options",
+            check="calibration.camera.pipeline.check:find_faults",
         ),
     ),
     reports={"camera": "calibration.camera.report:report.ipynb"},

@@ -15,6 +15,7 @@ INSTRUMENT = Instrument(
             command="heliostat measure",
             run_into="calibration.heliostat.pipeline.field:run_into",
             options="calibration.heliostat.pipeline.measure:Options",
+            check="calibration.heliostat.pipeline.check:find_faults",
             recognises="calibration.heliostat.keys:paint_measurement",
         ),
     ),

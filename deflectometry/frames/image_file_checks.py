@@ -18,13 +18,13 @@ _FULL_WELLS_DN = frozenset(((1 << bits) - 1) << shift for bits in (10, 12, 14) f
 _NOISE_FACTOR = 4.0
 
 
-def check_size(frames: npt.NDArray[Any], camera: Camera, place: str) -> None:
+def check_size(size_px: Sequence[int], camera: Camera, place: str) -> None:
     """Refuse images that are not the camera's.
 
-    Shapes: frames (n, h, w).
+    size_px: Width and height of the images [px].
     InputError: Another size than the camera's.
     """
-    height, width = frames.shape[1:]
+    width, height = size_px
     if (width, height) != (camera.width_px, camera.height_px):
         raise InputError(
             f"{place}: the images have {width} x {height} px, but [camera] is for {camera.width_px} x "

@@ -60,7 +60,7 @@ def evaluate_frames(
     InputError: Frames that do not fit camera or pattern.
     EstimationError: No mirror found, or none of its facets shows fringes.
     """
-    check_size(observation.frames, setup.camera, "frames")
+    check_size(observation.frames.shape[:0:-1], setup.camera, "frames")
     with progress.stage("find mirror"):
         located = find_pose(observation, setup, mirror)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)

@@ -54,7 +54,7 @@ def run(
     setup, pattern = build_setup(measurement), build_pattern(measurement)
     frames = read_frames(image_files(measurement), jobs=options.jobs, progress=progress)
     observation = observe(measurement, pattern, frames)
-    check_size(observation.frames, setup.camera, str(measurement.folder))
+    check_size(observation.frames.shape[:0:-1], setup.camera, str(measurement.folder))
     with progress.stage("check frames"):
         frame_doubts = refuse_faulty_frames(observation)
     mirror = describe_mirror(measurement, setup)

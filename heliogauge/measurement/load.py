@@ -90,11 +90,11 @@ def refuse_missing(file: Path, paths: Sequence[Path]) -> None:
     """Check that files exist that a measurement.toml names.
 
     file: The measurement.toml.
-    InputError: One does not exist.
+    InputError: Some do not exist; all of them are named.
     """
-    for path in paths:
-        if not path.is_file():
-            raise InputError(f"{file}: there is no file {path.relative_to(file.parent)} in {file.parent}")
+    missing = [str(path.relative_to(file.parent)) for path in dict.fromkeys(paths) if not path.is_file()]
+    if missing:
+        raise InputError(f"{file}: there is no file {', '.join(missing)} in {file.parent}")
 
 
 def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path) -> _ModelT:

@@ -34,6 +34,7 @@ from heliogauge.running.commands import (
     Quiet,
     ResultsFolder,
     Verbose,
+    say_doubts,
     say_ending,
 )
 from heliogauge.running.help_text import HelpContext, show_whole, write_commands
@@ -192,6 +193,27 @@ def measure(
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     result = measure_into(folder, out, progress, jobs=jobs, force=force, report=not no_report)
     say_ending(result, out, quiet=quiet, as_json=as_json)
+
+
+@app.command()
+def check(
+    folder: MeasurementFolder,
+    jobs: Jobs = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Say all that can be found wrong with a measurement folder before measuring; nothing is written."""
+    from heliogauge.running.check import check_folder
+    from heliogauge.running.terminal import terminal_progress
+
+    kind, findings = check_folder(folder, terminal_progress(quiet=quiet, verbose=verbose), jobs=jobs)
+    for fault in findings.faults:
+        print(f"error: {on_command_line(fault)}", file=sys.stderr)
+    say_doubts(findings.doubts)
+    if not quiet and kind is not None:
+        print(f"{folder}: {kind.name}, {findings.summary()}")
+    if findings.faults:
+        raise typer.Exit(2)
 
 
 @app.command()

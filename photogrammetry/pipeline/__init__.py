@@ -1,7 +1,7 @@
 """The stages of a photogrammetric measurement, in a row in `run`; and those that other instruments start with.
 
-`build_cameras`, `build_search` and `build_constraints` turn what measurement.toml says into values, `measure_photo` and
-`collect_photos` turn photos into image points.
+`build_cameras`, `build_search` and `build_constraints` turn what measurement.toml says into values,
+`measure_photo` and `collect_photos` turn photos into image points; `find_faults` says what is wrong before that.
 """
 
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
     from photogrammetry.pipeline.cameras import build_cameras as build_cameras
+    from photogrammetry.pipeline.check import find_faults as find_faults
     from photogrammetry.pipeline.inputs import build_constraints as build_constraints
     from photogrammetry.pipeline.inputs import build_search as build_search
     from photogrammetry.pipeline.measure import Options as Options

@@ -18,7 +18,7 @@ KINDS = every_kind()
 def test_what_a_kind_names_exists(kind: Kind) -> None:
     assert f'kind = "{kind.name}"' in read_resource(kind.template)
     texts = {field.name: getattr(kind, field.name) for field in fields(kind)}
-    for name in ("model", "load", "run", "options", "run_into", "recognises"):
+    for name in ("model", "load", "run", "options", "run_into", "recognises", "check"):
         if texts[name]:
             assert callable(resolve(texts[name])), f"{name} of {kind.name}"
     assert bool(kind.run) != bool(kind.run_into)

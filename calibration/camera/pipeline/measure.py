@@ -10,10 +10,10 @@ from calibration.camera.judgement.network import check_network, check_orientatio
 from calibration.camera.keys import CameraCalibrationMeasurement
 from calibration.camera.pipeline.assembly import assemble_result
 from calibration.camera.pipeline.inputs import described_board, known_codes
-from calibration.camera.pipeline.photos import put_aside, search_photos
+from calibration.camera.pipeline.photos import left_out_doubts, put_aside, search_photos
 from calibration.camera.pipeline.solving import check_held_out, solve_network
 from calibration.camera.start_values.first_network import first_network
-from heliogauge.doubts import Doubt, Severity, gather_doubts
+from heliogauge.doubts import gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.results.folder import find_copies, hash_files, read_camera_json
 from heliogauge.running.progress import Progress, SilentProgress
@@ -99,10 +99,7 @@ def run(
         )
         doubts = gather_doubts(
             doubt,
-            (
-                Doubt("photo_left_out", f"photo left out: {reason}", severity=Severity.NOTE)
-                for reason in left_out.values()
-            ),
+            left_out_doubts(left_out.values()),
             check_network([photo.cam_from_board for photo in result.photos], result.coverage),
             check_photos(solved.network.points, result.camera),
             check_orientations(solved.network, solved.orientations),

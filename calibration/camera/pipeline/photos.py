@@ -1,6 +1,6 @@
 """Photos to points of the board: read, find, measure, several photos at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -14,6 +14,7 @@ from calibration.camera.boards import Board, CharucoBoard, Chessboard, CircleGri
 from calibration.camera.corners.detection import BoardPoints, FoundBoards, find_charuco, find_chessboard, find_circles
 from calibration.camera.keys import CalibratedCameraSection
 from calibration.camera.start_values.intrinsics import homography
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import read_image
 from heliogauge.images.thumbnails import make_thumbnail
@@ -184,6 +185,12 @@ def _target_points(
         ellipses_px2=np.array([measured.centers[k].ellipse.shape_px2 for k in chosen]),
     )
     return points, tuple(found.names[k] for k in chosen) if place is None else ()
+
+
+def left_out_doubts(reasons: Iterable[str]) -> Iterator[Doubt]:
+    """Yield which photos were left out, and why."""
+    for reason in reasons:
+        yield Doubt("photo_left_out", f"photo left out: {reason}", severity=Severity.NOTE)
 
 
 def put_aside(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tuple[BoardPoints, ...]]:

@@ -38,7 +38,7 @@ def collect_doubts(
             {"beyond_count": int(np.count_nonzero(beyond)), "readings_count": len(beyond)},
             Severity.SERIOUS,
         )
-    yield from _refused_rows(seen.rows)
+    yield from refused_rows(seen.rows)
     if shared.population is not None and shared.population.knows(task.name):
         others = len(set(shared.population.heliostats) - {task.name})
         common = ", ".join(shared.population.names)
@@ -51,8 +51,11 @@ def collect_doubts(
         yield Doubt("nothing_held_out", text, severity=Severity.NOTE)
 
 
-def _refused_rows(rows: Rows) -> Iterator[Doubt]:
-    """Yield which rows were left out for each reason; a few are only good to know."""
+def refused_rows(rows: Rows) -> Iterator[Doubt]:
+    """Yield which rows were left out for each reason; a few are only good to know.
+
+    rows: As they were read.
+    """
     refused = [flag for flag in rows.flags if flag]
     for flag in dict.fromkeys(refused):
         first, count = rows.flags.index(flag), refused.count(flag)

@@ -30,7 +30,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     given = read_task(task, shared)
     nominal, seen, rows, observations = given.nominal, given.seen, given.seen.rows, given.seen.observations
     if observations is None:
-        raise EstimationError(f"{task.name}: {_why_none(rows)}")
+        raise EstimationError(f"{task.name}: {why_none(rows)}")
     options = _fit_options(seen)
     free = choose_free_parameters(nominal, observations, shared, options)
     result = fit(free.design, observations, options)
@@ -76,7 +76,8 @@ def _fit_options(seen: Observed) -> FitOptions:
     return FitOptions(sigma="auto" if seen.has_sigmas else "estimated")
 
 
-def _why_none(rows: Rows) -> str:
+def why_none(rows: Rows) -> str:
+    """Say why no observation of a heliostat can be used."""
     if not len(rows):
         return "no observations"
     reasons = list(rows.reasons)

@@ -1,0 +1,43 @@
+"""What can be found wrong with a deflectometry measurement before it is evaluated."""
+
+from deflectometry.frames.image_file_checks import check_compression, check_size
+from deflectometry.keys import DeflectometryMeasurement
+from deflectometry.pipeline.images import image_files, observe, read_response, refuse_faulty_frames
+from deflectometry.pipeline.inputs import (
+    build_pattern,
+    build_setup,
+    check_missing_sigmas,
+    check_screen,
+    describe_mirror,
+)
+from deflectometry.pipeline.plausibility import refuse_impossible
+from heliogauge.images.photos import read_frames
+from heliogauge.measurement.findings import Findings
+
+
+def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> None:
+    """Note what is wrong with set-up, mirror and frames.
+
+    findings: With the images that can be read; what is found is added.
+    """
+    files = image_files(measurement)
+    size = findings.one_size(files)
+    findings.refuse_copies()
+    pattern = findings.attempt(build_pattern, measurement)
+    findings.attempt(read_response, measurement)
+    setup = findings.attempt(build_setup, measurement)
+    findings.add(check_compression([file.name for file in measurement.fringe_files]))
+    if setup is not None:
+        findings.add(check_screen(measurement, setup.screen), check_missing_sigmas(measurement, setup))
+        if size is not None:
+            findings.attempt(check_size, size, setup.camera, str(measurement.folder))
+        mirror = findings.attempt(describe_mirror, measurement, setup)
+        if mirror is not None and mirror.known_pose is not None:
+            pose = mirror.known_pose.cam_from_mirror
+            findings.attempt(refuse_impossible, setup, pose)
+    if findings.faults or pattern is None:
+        return
+    frames = findings.attempt(read_frames, files)
+    if frames is not None:
+        findings.add(frames.doubts)
+        findings.add(findings.attempt(refuse_faulty_frames, observe(measurement, pattern, frames)))

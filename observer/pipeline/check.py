@@ -1,0 +1,31 @@
+"""What can be found wrong with photos of a trough before they are evaluated."""
+
+from heliogauge.measurement.findings import Findings
+from observer.keys import ObserverMeasurement
+from observer.pipeline.inputs import build_inputs, listed_coordinates, read_tables
+from photogrammetry.pipeline import find_faults as find_faults_of_network
+
+#: The absorber alone is measured from two photos already.
+_LEAST_PHOTOS = 2
+
+
+def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
+    """Note what is wrong with collector, targets, cameras and tables.
+
+    findings: With the images that can be read; what is found is added.
+    """
+    model = measurement.model
+    findings.add(measurement.doubts)
+    if measurement.photo_files:
+        findings.few_photos(measurement.photo_files, _LEAST_PHOTOS, "a measurement of a trough")
+    for name in [one.targets_file or model.targets.file for one in model.module] or [model.targets.file]:
+        tables = findings.attempt(read_tables, measurement, name)
+        if tables is None:
+            continue
+        file = measurement.folder / name
+        coordinates = findings.attempt(listed_coordinates, tables.targets, file)
+        if coordinates is None:
+            continue
+        inputs = findings.attempt(build_inputs, measurement, tables, coordinates)
+        if inputs is not None:
+            find_faults_of_network(inputs.survey, findings)
