@@ -27,6 +27,8 @@ COLLECTOR = "collector.json"
 SLICES = "absorber_reflection.nc"
 OVERLAY = "reflection_overlay.nc"
 OVERLAY_PHOTO = "reflection_overlay.jpg"
+#: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.
+NETWORK_FOLDER = "network"
 #: Studies of finished measurements: modules side by side, panels aligned, several orientations.
 OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.png", "mounts.png"

@@ -12,7 +12,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
 from heliogauge.instruments import near_match
 from heliogauge.reporting.html import Html, show
-from heliogauge.reporting.look import extent_of, nice_ceiling, robust_limit, thinned
+from heliogauge.reporting.look import FAINT, extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.notation import number_text
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal, measured_nodes, projection_of, removal_columns
@@ -106,6 +106,7 @@ class MapView:
     note: A line under the map.
     axis_unit: Unit of columns and rows: "m", or "px" for maps over an image.
     y_down: y grows downwards, as in images; otherwise upwards.
+    lines: Vertices of thin lines over the map, such as edges of panels, shape (n, 2) each, in `axis_unit`.
     figures: Static figures for notebook and print; empty: the first two layers as maps.
     InputError: Sizes do not fit, or two layers have one key.
     """
@@ -120,6 +121,7 @@ class MapView:
     note: str = ""
     axis_unit: str = "m"
     y_down: bool = False
+    lines: Sequence[FloatArray] = ()
     figures: "Sequence[Figure]" = field(default=())
 
     def __post_init__(self) -> None:
@@ -154,7 +156,10 @@ class MapView:
             )
         low, limit = _colors(layer)
         style = MapStyle(layer.name, layer.unit, layer.factor, layer.diverging, limit, low)
-        return map_figure(self, layer.values, style)
+        figure = map_figure(self, layer.values, style)
+        for line in self.lines:
+            figure.axes[0].plot(*np.asarray(line).T, color=FAINT, linewidth=0.5, zorder=5)
+        return figure
 
     def _still(self, layer: MapLayer) -> Html:
         low, high = _colors(layer)
@@ -232,6 +237,7 @@ class MapView:
             "flags": store.codes(codes),
             "reasons": words_of_codes,
             "aperture": store.codes(thinned(self.aperture, most)),
+            "lines": [np.asarray(line).tolist() for line in self.lines],
             "arrays": [one["array"] for one in kept.values()],
         }
 

@@ -17,6 +17,8 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import Image, read_luma
+from heliogauge.images.thumbnails import make_thumbnail
+from heliogauge.results.thumbnails import MOST_THUMBNAILS
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
@@ -286,14 +288,19 @@ def look_first_at_each(
         searched.clear()  # They were searched as they are stored.
     leader = finders[0]
     parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
+    # Of long flights some photos, evenly: a report shows no more.
+    every = -(-len(files) // MOST_THUMBNAILS)
     with progress.stage("measure photos", len(files)) as stage:
 
         def one_run(k: int) -> list[_Run]:
             own = [_Run(finder, part, searched=dict(searched)) for finder, part in zip(finders, slices, strict=True)]
             images: list[tuple[int, Image]] = []
+            small: dict[str, bytes] = {}
             for number in parts[k]:
                 # Decoding drives all other code out of the processor's caches: several photos, then the rest.
                 images.append((number, leader.read(files[number])))
+                if number % every == 0:
+                    small[files[number].name] = make_thumbnail(images[-1][1])
                 is_full = len(images) >= min(_TOGETHER, _TOGETHER_BYTES / images[-1][1].nbytes)
                 if is_full or number == parts[k][-1]:
                     for run in own:
@@ -302,6 +309,9 @@ def look_first_at_each(
                         run.finish()
                     stage.advance(len(images))
                     images.clear()
+            for run in own:
+                for name in small.keys() & run.targets.keys():
+                    run.targets[name] = replace(run.targets[name], thumbnail=small[name])
             return own
 
         found = side_by_side(one_run, range(len(parts)), jobs)

@@ -14,7 +14,16 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
 from observer.absorber.product import absorber_columns, shape_numbers, span_columns, tube_spans
-from observer.files import ANGLES, COLLECTOR, SLICES, write_angles, write_collector, write_overlay, write_slices
+from observer.files import (
+    ANGLES,
+    COLLECTOR,
+    NETWORK_FOLDER,
+    SLICES,
+    write_angles,
+    write_collector,
+    write_overlay,
+    write_slices,
+)
 from observer.pipeline.headline import (
     absorber_numbers,
     edge_numbers,
@@ -35,9 +44,6 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility
 from photogrammetry import pipeline as photogrammetry_pipeline
-
-#: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.
-NETWORK_FOLDER = "network"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,24 +1,21 @@
 """Profiles of the absorber, intercept factor and residuals in a trough's report."""
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y, add_legend, chart_figure
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
+from heliogauge.reporting.html import Html, beside, join, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.tables import TableColumn, TableView
 from observer.report.results import Columns, TroughResults, numbers
 from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
 from observer.trough.collector import Collector
 from observer.trough.observation_equation import Sights, change_across, misfit
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 _MM, _MRAD = 1e3, 1e3
-_HEIGHT_IN = 3.6
 
 
 class HasAbsorber(Protocol):
@@ -36,49 +33,53 @@ class HasAbsorber(Protocol):
 
 def absorber(results: HasAbsorber) -> Html:
     """Return where the absorber runs."""
-    note = "Bands: 1 sigma. Shaded: receiver supports. Crosses: stations without a value; absorber.csv says why."
-    drawn = show(absorber_figure(results, "x"), absorber_figure(results, "z"), caption=note)
-    return join(drawn, listed(results.table("absorber_spans.csv")))
+    note = "Bands: 1 sigma. Grey: receiver supports. Stations without a value stand at zero; absorber.csv says why."
+    drawn = beside(absorber_view(results, "x"), absorber_view(results, "z"))
+    return join(drawn, Html(f'<p class="caption">{note}</p>'), listed(results.table("absorber_spans.csv"), "spans of the absorber"))
 
 
-def absorber_figure(results: HasAbsorber, axis: str) -> "Figure":
-    """Draw the absorber's departure from the focal line.
+def absorber_view(results: HasAbsorber, axis: str) -> ChartView:
+    """Return the absorber's departure from the focal line.
 
     axis: "x" or "z".
     """
     columns = results.table("absorber.csv") or {}
     y, value, sigma = (numbers(columns, name) for name in ("y_m", f"{axis}_a_m", f"sigma_{axis}_a_m"))
     focal = results.collector.focal_length_m
-    departure = value - (focal if axis == "z" else 0.0)
+    departure = _MM * (value - (focal if axis == "z" else 0.0))
     words = {
         "x": "X_a: across the trough, from the plane of symmetry",
         "z": "Z_a: from the focal line, + away from the mirror",
     }
     seen = np.isfinite(departure)
-    mean = float(np.nanmean(departure)) if seen.any() else float("nan")
-    figure, axes = chart_figure(
-        words[axis],
-        f"mean {_MM * mean:+.2f} mm, range {_MM * float(np.ptp(departure[seen])):.2f} mm" if seen.any() else "not seen",
-        "y along the trough [m]",
-        f"{axis} [mm]",
-        _HEIGHT_IN,
+    note = "not seen"
+    if seen.any():
+        note = f"mean {np.nanmean(departure):+.2f} mm, range {np.ptp(departure[seen]):.2f} mm"
+    band = _MM * np.where(seen, sigma, 0.0)
+    ends = [float(end((departure + sign * band)[seen], initial=0.0)) for sign, end in ((-1, np.min), (1, np.max))]
+    # The middle of each support, from the lowest to the highest value, with gaps between them.
+    supports = np.array(results.collector.support_y_m, dtype=np.float64)
+    shown = [
+        ChartSeries(
+            "receiver supports",
+            np.repeat(supports, 3),
+            np.tile([*ends, np.nan], supports.size),
+            FAINT,
+            size_px=1.0,
+        ),
+        ChartSeries(
+            words[axis].partition(":")[0], y, departure, LINE_X if axis == "x" else LINE_Y, sigma=band, size_px=2.0
+        ),
+        ChartSeries("not measured", y[~seen], np.zeros(int((~seen).sum())), INK, Mark.POINTS, size_px=6.0),
+    ]
+    return ChartView(
+        words[axis], "y along the trough [m]", f"{axis} [mm]", tuple(one for one in shown if len(one.x)), note
     )
-    color = LINE_X if axis == "x" else LINE_Y
-    for support in results.collector.support_y_m:
-        half = results.collector.support_width_m / 2
-        axes.axvspan(support - half, support + half, color=FAINT, alpha=0.15, linewidth=0)
-    axes.fill_between(y, _MM * (departure - sigma), _MM * (departure + sigma), color=color, alpha=0.25, linewidth=0)
-    axes.plot(y, _MM * departure, color=color, linewidth=1.2, marker=".", markersize=4)
-    axes.axhline(0, color=FAINT, linewidth=0.7)
-    axes.plot(y[~seen], np.zeros(int((~seen).sum())), "x", color=INK, markersize=4, linestyle="none")
-    half = results.collector.length_m / 2
-    axes.set_xlim(-half, half)
-    return figure
 
 
 def intercept(results: TroughResults) -> Html:
     """Return the intercept factor with its heading; nothing where it was not computed."""
-    drawn = [figure for figure in (intercept_figure(results), spread_figure(results)) if figure is not None]
+    drawn = [view for view in (intercept_view(results), spread_view(results)) if view is not None]
     if not drawn:
         return Html("")
     note = (
@@ -86,14 +87,11 @@ def intercept(results: TroughResults) -> Html:
         "curves of a perfect mirror or an aligned absorber say what either would gain; the top of each is the best "
         "tracking."
     )
-    return join(Html("<h2>Intercept factor</h2>"), show(*drawn, caption=note))
+    return join(Html("<h2>Intercept factor</h2>"), beside(*drawn), Html(f'<p class="caption">{note}</p>'))
 
 
-def intercept_figure(results: TroughResults) -> "Figure | None":
-    """Draw the intercept factor against the tracking offset.
-
-    Returns: None where it was not computed.
-    """
+def intercept_view(results: TroughResults) -> ChartView | None:
+    """Return the intercept factor against the tracking offset; None where it was not computed."""
     columns = results.table("intercept.csv")
     if columns is None:
         return None
@@ -101,33 +99,27 @@ def intercept_figure(results: TroughResults) -> "Figure | None":
         numbers(columns, name) for name in ("tracking_offset_rad", "intercept_ratio", "sigma_intercept_ratio")
     )
     at_zero, own = float(np.interp(0, offset, ratio)), float(np.interp(0, offset, sigma))
-    figure, axes = chart_figure(
+    others = (
+        ("intercept_absorber_aligned_ratio", LINE_Y, "absorber aligned"),
+        ("intercept_mirror_perfect_ratio", FAINT, "mirror perfect"),
+    )
+    series = [
+        ChartSeries(label, _MRAD * offset, numbers(columns, name), color, dashed=True)
+        for name, color, label in others
+        if name in columns
+    ]
+    series.append(ChartSeries("as measured", _MRAD * offset, ratio, LINE_X, sigma=sigma, size_px=2.0))
+    return ChartView(
         "Intercept factor",
-        f"without tracking offset {at_zero:.4f} \u00b1 {own:.4f}",
         "tracking offset [mrad]",
         "intercept factor",
-        _HEIGHT_IN,
+        tuple(series),
+        f"without tracking offset {number_text(at_zero, own, '')}",
     )
-    axes.fill_between(_MRAD * offset, ratio - sigma, ratio + sigma, color=LINE_X, alpha=0.25, linewidth=0)
-    axes.plot(_MRAD * offset, ratio, color=LINE_X, linewidth=1.3, label="as measured")
-    others = (
-        ("intercept_absorber_aligned_ratio", LINE_Y, "--", "absorber aligned"),
-        ("intercept_mirror_perfect_ratio", FAINT, ":", "mirror perfect"),
-    )
-    for name, color, style, label in others:
-        if name in columns:
-            axes.plot(_MRAD * offset, numbers(columns, name), color=color, linestyle=style, linewidth=1.2, label=label)
-    axes.axvline(0, color=FAINT, linewidth=0.6)
-    axes.set_xlim(_MRAD * offset[0], _MRAD * offset[-1])
-    add_legend(axes, loc="lower center")
-    return figure
 
 
-def spread_figure(results: TroughResults) -> "Figure | None":
-    """Draw how the light is spread, and what the absorber accepts.
-
-    Returns: None where it was not computed.
-    """
+def spread_view(results: TroughResults) -> ChartView | None:
+    """Return how the light is spread, and what the absorber accepts; None where it was not computed."""
     columns = results.table("beam_spread.csv")
     if columns is None:
         return None
@@ -135,33 +127,22 @@ def spread_figure(results: TroughResults) -> "Figure | None":
         numbers(columns, name)
         for name in ("angle_rad", "error_density_per_rad", "beam_density_per_rad", "acceptance_ratio")
     )
-    figure, axes = chart_figure(
-        "Spread of the reflected light",
-        "errors of mirror and absorber; with sun, specularity and tracking",
-        "angle of the reflected ray across the trough [mrad]",
-        "density [1/mrad]",
-        _HEIGHT_IN,
-    )
-    axes.fill_between(_MRAD * angle, error / _MRAD, color=FAINT, alpha=0.35, linewidth=0, label="errors alone")
-    axes.plot(_MRAD * angle, beam / _MRAD, color=LINE_X, linewidth=1.3, label="with the sun")
-    axes.set_ylim(bottom=0)
-    # Room for the second scale.
-    left, bottom, width, height = axes.get_position().bounds
-    axes.set_position((left, bottom, width - 0.09, height))
-    other = axes.twinx()
-    for side in ("top", "right", "left", "bottom"):
-        other.spines[side].set_visible(False)
-    other.plot(_MRAD * angle, accepted, color=LINE_Y, linewidth=1.2, linestyle="--", label="accepted share")
-    other.set_ylim(0, 1.05)
-    other.set_ylabel("accepted share", fontsize=8.5, color=LINE_Y)
-    other.tick_params(labelsize=8, colors=LINE_Y, length=3, width=0.6)
-    lit = np.nonzero(beam > 1e-4 * beam.max())[0]
+    highest = max(float(beam.max(initial=0.0)), float(error.max(initial=0.0)), 1e-9)
     half_window = float(np.abs(angle[accepted > 0.5]).max(initial=0.0))
-    reach = _MRAD * max(float(np.abs(angle[lit[[0, -1]]]).max()), 2 * half_window)
-    axes.set_xlim(-reach, reach)
-    lines = [part for one in (axes, other) for part in one.get_legend_handles_labels()[0]]
-    add_legend(axes, loc="upper left", handles=lines)
-    return figure
+    lit = np.abs(angle[beam > 1e-4 * beam.max(initial=0.0)])
+    near = np.abs(angle) <= max(float(lit.max(initial=0.0)), 2 * half_window)
+    series = (
+        ("errors alone", error / highest, FAINT, False),
+        ("with the sun", beam / highest, LINE_X, False),
+        ("accepted share", accepted, LINE_Y, True),
+    )
+    return ChartView(
+        "Spread of the reflected light",
+        "angle of the reflected ray across the trough [mrad]",
+        "density over its highest value; share",
+        tuple(ChartSeries(name, _MRAD * angle[near], y[near], color, dashed=dashed) for name, y, color, dashed in series),
+        f"errors of mirror and absorber; with sun, specularity and tracking; highest {highest / _MRAD:.3g} 1/mrad",
+    )
 
 
 def panels(results: TroughResults) -> Html:
@@ -171,27 +152,27 @@ def panels(results: TroughResults) -> Html:
         return Html("")
     # Short headings, and nothing where all cells are empty: the table must not be wider than the page.
     shown = {name.replace("mean_", "").replace("centre_", ""): cells for name, cells in columns.items() if any(cells)}
-    return join(Html("<h2>Panels</h2><p>Means of the angles; the middle of each panel.</p>"), listed(shown))
+    return join(Html("<h2>Panels</h2><p>Means of the angles; the middle of each panel.</p>"), listed(shown, "panels"))
 
 
-def listed(columns: Columns | None) -> Html:
+def listed(columns: Columns | None, name: str = "numbers") -> Html:
     """Return a table of results with units that are easy to read; nothing without one.
 
     columns: A table as it was read. A column ``sigma_NAME`` is joined to the column ``NAME``.
+    name: What the table lists.
     """
     if not columns:
         return Html("")
-    names = [name for name in columns if name.removeprefix("sigma_") not in columns or not name.startswith("sigma_")]
-    count = len(columns[names[0]])
-    shown, rows = [], [[""] * len(names) for _ in range(count)]
-    for place, name in enumerate(names):
-        values = [float(cell) for cell in columns[name] if _is_number(cell)]
-        heading, factor = _readable(name, max((abs(value) for value in values), default=0.0))
-        shown.append(heading)
-        sigmas = columns.get(f"sigma_{name}")
-        for k in range(count):
-            rows[k][place] = _cell(columns[name][k], None if sigmas is None else sigmas[k], factor)
-    return table(shown, rows, numbers=range(1, len(names)))
+    shown = []
+    for key, cells in columns.items():
+        if key.startswith("sigma_") and key.removeprefix("sigma_") in columns:
+            continue
+        values = [float(cell) if _is_number(cell) else np.nan for cell in cells]
+        heading, factor = _readable(key, max((abs(value) for value in values if np.isfinite(value)), default=0.0))
+        sigmas = columns.get(f"sigma_{key}") or [""] * len(cells)
+        texts = [_cell(cell, sigma or None, factor) for cell, sigma in zip(cells, sigmas, strict=True)]
+        shown.append(TableColumn(heading, texts, values if np.isfinite(values).any() else None))
+    return join(TableView(name, tuple(shown)))
 
 
 def _readable(name: str, largest: float) -> tuple[str, float]:
@@ -236,36 +217,29 @@ def residuals(results: TroughResults) -> Html:
         "few edges decide the slope together: each of them draws the solution to itself. Long tails would be errors "
         "that the standard deviations do not know."
     )
-    return join(show(residual_figure(results), photo_figure(results), caption=note), fates)
+    drawn = beside(residual_view(results), photo_residual_view(results))
+    return join(drawn, Html(f'<p class="caption">{note}</p>'), fates)
 
 
-def residual_figure(results: TroughResults) -> "Figure":
-    """Draw the distribution of the normalised residuals of all edges that were used.
-
-    Returns: A histogram against the normal distribution.
-    """
+def residual_view(results: TroughResults) -> ChartView:
+    """Return the distribution of the normalised residuals of all edges that were used, and the normal one."""
     edges = results.edges
     ratio = (edges.residual_rad / _sigma_rad(results))[edges.used]
     ratio = ratio[np.isfinite(ratio)]
     rms = _MRAD * float(np.sqrt(np.mean(edges.residual_rad[edges.used] ** 2)))
-    figure, axes = chart_figure(
-        "Residuals of the edges", f"{ratio.size} edges; RMS {rms:.4f} mrad", "residual / sigma", "density", _HEIGHT_IN
-    )
     bins = np.linspace(-5, 5, 81)
-    density, _ = np.histogram(np.clip(ratio, -4.99, 4.99), bins)
-    axes.stairs(density / max(ratio.size, 1) / np.diff(bins), bins, fill=True, color=LINE_X, alpha=0.7)
-    fine = np.linspace(-5, 5, 201)
-    axes.plot(fine, np.exp(-0.5 * fine**2) / np.sqrt(2 * np.pi), color=INK, linewidth=1, label="normal")
-    add_legend(axes, loc="upper right")
-    axes.set_xlim(-5, 5)
-    return figure
+    middles = 0.5 * (bins[1:] + bins[:-1])
+    density = np.histogram(np.clip(ratio, -4.99, 4.99), bins)[0] / max(ratio.size, 1) / np.diff(bins)
+    series = (
+        ChartSeries("edges", middles, density, LINE_X, Mark.BARS),
+        ChartSeries("normal", middles, np.exp(-0.5 * middles**2) / np.sqrt(2 * np.pi), INK),
+    )
+    note = f"{ratio.size} edges; RMS {rms:.4f} mrad"
+    return ChartView("Residuals of the edges", "residual / sigma", "density", series, note)
 
 
-def photo_figure(results: TroughResults) -> "Figure":
-    """Draw mean and scatter of the residuals of each photo.
-
-    Returns: RMS residual and mean of each photo over the camera's place.
-    """
+def photo_residual_view(results: TroughResults) -> ChartView:
+    """Return RMS and mean of the residuals of each photo over the camera's place."""
     edges = results.edges
     used, n = edges.used, len(results.photos)
     counts = np.bincount(edges.photo[used], minlength=n)
@@ -274,27 +248,19 @@ def photo_figure(results: TroughResults) -> "Figure":
     square = np.bincount(edges.photo[used], weights=edges.residual_rad[used] ** 2, minlength=n) / safe
     seen = counts > 0
     place = results.eyes_m[:, 0]
-    figure, axes = chart_figure(
-        "Residuals by photo",
-        f"{int(seen.sum())} of {n} photos have edges that were used",
-        "camera, x [m]",
-        "residual [mrad]",
-        _HEIGHT_IN,
+    labels = np.array([f"{name}: {count} edges" for name, count in zip(results.photos, counts, strict=True)])
+    kinds = (
+        ("RMS", seen, _MRAD * np.sqrt(square), LINE_X),
+        ("mean", seen, _MRAD * mean, LINE_Y),
+        ("no edge used", ~seen, np.zeros(n), INK),
     )
-    axes.plot(place[seen], _MRAD * np.sqrt(square[seen]), ".", color=LINE_X, linestyle="none", label="RMS")
-    axes.plot(place[seen], _MRAD * mean[seen], ".", color=LINE_Y, linestyle="none", label="mean")
-    axes.plot(
-        place[~seen], np.zeros(int((~seen).sum())), "x", color=INK, markersize=4, linestyle="none", label="no edge used"
+    series = tuple(
+        ChartSeries(name, place[chosen], y[chosen], color, Mark.POINTS, labels=labels[chosen].tolist(), size_px=6.0)
+        for name, chosen, y, color in kinds
+        if chosen.any()
     )
-    axes.axhline(0, color=FAINT, linewidth=0.7)
-    _room_above(axes)
-    add_legend(axes, loc="upper right", ncols=3)
-    return figure
-
-
-def _room_above(axes: "Axes") -> None:
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.18 * (high - low))
+    note = f"{int(seen.sum())} of {n} photos have edges that were used"
+    return ChartView("Residuals by photo", "camera, x [m]", "residual [mrad]", series, note)
 
 
 def _sigma_rad(results: TroughResults) -> FloatArray:

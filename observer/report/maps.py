@@ -10,14 +10,14 @@ from heliogauge.reporting.canvas import (
     LINE_X,
     LINE_Y,
     MapStyle,
-    add_legend,
-    chart_figure,
     map_figure,
     robust_limit,
 )
 from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.uncertainty import uncertainty_shares
 from heliogauge.validate import FloatArray
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.maps import MapLayer, MapView, Removals, slope_removals
 from observer.report.results import TroughResults
 from observer.trough.collector import Collector
 
@@ -25,36 +25,104 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MRAD = 1e3
+#: What the angles are of, by their names in angles.nc.
+_ANGLES = {"theta_r": "mirror alone", "theta_ra": "mirror and absorber", "theta_a": "absorber alone"}
+
+
+def mirror_view(results: TroughResults) -> MapView:
+    """Return all that is known of the mirror as a map; theta_r is shown at first."""
+    slope_map = results.base.slope_map
+    valid = slope_map.valid
+    found = {name: np.where(valid, values, np.nan) for name, values in results.angles.items()}
+    limit = _limit(results)
+    layers = [
+        MapLayer(
+            name,
+            f"{name} (+ to +x): {words}",
+            "mrad",
+            found[name],
+            _MRAD,
+            found[f"sigma_{name}"],
+            limit=None if name == "theta_a" else limit,
+        )
+        for name, words in _ANGLES.items()
+    ]
+    sigma_x, sigma_y = (np.where(valid, one, np.nan) for one in slope_map.sigma_slope())
+    layers.append(
+        MapLayer(
+            "slope_error_x", "Slope error dz/dx", "mrad", np.where(valid, slope_map.slope_error_x, np.nan), _MRAD, sigma_x
+        )
+    )
+    removals: tuple[Removals, ...] = ()
+    along = np.where(valid, slope_map.slope_error_y, np.nan)
+    if np.isfinite(along).any():
+        # It takes passes at different places along the trough.
+        layers.append(MapLayer("slope_error_y", "Slope error dz/dy", "mrad", along, _MRAD, sigma_y))
+        if np.isfinite(along[valid]).all():
+            removals = tuple(one for one in (slope_removals(slope_map),) if one.parts)
+    layers += [
+        MapLayer(f"sigma_{name}", f"Uncertainty of {name} (1 sigma)", "mrad", found[f"sigma_{name}"], _MRAD, None, False)
+        for name in ("theta_r", "theta_ra")
+    ]
+    if np.isfinite(slope_map.height_m).any():
+        x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+        departure = slope_map.height_m - results.collector.surface.height(x, y)
+        layers.append(MapLayer("height", "Height of the mirror minus design", "mm", departure, 1e3))
+    return MapView(
+        "Mirror",
+        slope_map.x_m,
+        slope_map.y_m,
+        tuple(layers),
+        slope_map.flags,
+        slope_map.aperture,
+        removals,
+        "Positive where the mirror's normal is turned towards +x. Grey: not measured.",
+        lines=panel_lines(results.collector),
+        figures=[first_figure(results)],
+    )
+
+
+def first_figure(results: TroughResults) -> "Figure":
+    """Draw the mirror's slope error, or why there is none."""
+    from heliogauge.reporting.figures import flag_map
+
+    if results.base.slope_map.valid.any():
+        return theta_r_map(results, _limit(results))
+    return with_panels(flag_map(results.base.slope_map), results.collector)
 
 
 def maps(results: TroughResults) -> Html:
-    """Return the maps of the mirror."""
+    """Return the maps beside the first one, the distribution of the angles, and where their uncertainty comes from."""
     from heliogauge.reporting.figures import flag_map
 
-    slope_map, angles = results.base.slope_map, results.angles
+    slope_map = results.base.slope_map
     if not slope_map.valid.any():
-        return join(
-            Html("<p>No point of the mirror was measured.</p>"),
-            show(with_panels(flag_map(slope_map), results.collector)),
-        )
-    limit = robust_limit(_MRAD * angles["theta_ra"], _MRAD * angles["theta_r"])
+        return Html("<p>No point of the mirror was measured.</p>")
     drawn = [
-        _angle_map(results, "theta_ra", "theta_ra (+ to +x): mirror and absorber", limit),
-        theta_r_map(results, limit),
-        _angle_map(results, "theta_a", "theta_a (+ to +x): absorber alone", None),
-        _untilted(results, limit),
+        _angle_map(results, "theta_ra", _limit(results)),
+        _angle_map(results, "theta_a", None),
         _sigma_map(results, "theta_r"),
-        _sigma_map(results, "theta_ra"),
         with_panels(flag_map(slope_map), results.collector),
     ]
-    more = [histogram(results), *_along(results), *_height(results)]
     note = (
-        'What the sun meets is theta_ra = theta_r + theta_a, all across the trough. "+ towards +x": positive where the '
+        'What the sun meets is theta_ra = theta_r + theta_a, all across the trough. "+ to +x": positive where the '
         "mirror's normal is turned towards +x. "
         "slope_map.nc holds dz/dx, whose sign is the opposite: theta_r = atan(design slope) - atan(measured slope). "
         "Thin lines: edges of the panels; dashed lines: receiver supports."
     )
-    return join(show(*drawn, caption=note), show(*more), _shares(results))
+    return show(*drawn, caption=note)
+
+
+def spread(results: TroughResults) -> Html:
+    """Return the distribution of the angles, and where their uncertainty comes from."""
+    if not results.base.slope_map.valid.any():
+        return Html("")
+    return join(histogram(results), _shares(results))
+
+
+def _limit(results: TroughResults) -> float:
+    """Return where the colours of theta_ra and theta_r end [mrad]."""
+    return robust_limit(*(_MRAD * results.angles[name] for name in ("theta_ra", "theta_r")))
 
 
 def _shares(results: TroughResults) -> Html:
@@ -69,20 +137,13 @@ def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
 
     limit: Where the colours end [mrad].
     """
-    return _angle_map(results, "theta_r", "theta_r (+ to +x): mirror alone", limit)
+    return _angle_map(results, "theta_r", limit)
 
 
-def _angle_map(results: TroughResults, name: str, title: str, limit: float | None) -> "Figure":
+def _angle_map(results: TroughResults, name: str, limit: float | None) -> "Figure":
     values = np.where(results.base.slope_map.valid, results.angles[name], np.nan)
+    title = f"{name} (+ to +x): {_ANGLES[name]}"
     note = f"RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad"
-    return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
-
-
-def _untilted(results: TroughResults, limit: float) -> "Figure":
-    theta = np.where(results.base.slope_map.valid, results.angles["theta_r"], np.nan)
-    values = theta - np.nanmean(theta)
-    note = f"RMS {_MRAD * _rms(values):.3f} mrad"
-    title = "theta_r (+ to +x) without its mean"
     return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
 
 
@@ -93,66 +154,41 @@ def _sigma_map(results: TroughResults, angle: str) -> "Figure":
     return _panelled(results, values, style)
 
 
-def histogram(results: TroughResults) -> "Figure":
-    """Draw the distributions of theta_ra and theta_r.
-
-    Returns: Two outlines and the normal distribution of the width of theta_r [mrad].
-    """
+def histogram(results: TroughResults) -> ChartView:
+    """Return the distributions of theta_ra and theta_r, and the normal distribution of the width of theta_r."""
     valid = results.base.slope_map.valid
-    both = {name: _MRAD * results.angles[name][valid] for name in ("theta_ra", "theta_r")}
+    both = {name: _MRAD * results.angles[name][valid] for name in ("theta_r", "theta_ra")}
     limit = robust_limit(*both.values())
     mean, width = float(both["theta_r"].mean()), float(both["theta_r"].std())
-    figure, axes = chart_figure(
+    bins = np.linspace(-1.25 * limit, 1.25 * limit, 81)
+    middles = 0.5 * (bins[1:] + bins[:-1])
+    series = []
+    for (name, values), (color, mark) in zip(
+        both.items(), ((LINE_X, Mark.BARS), (LINE_Y, Mark.STEPS)), strict=True
+    ):
+        density = np.histogram(values, bins)[0] / max(values.size, 1) / np.diff(bins)
+        series.append(ChartSeries(name, middles, density, color, mark))
+    if width > 0:
+        normal = np.exp(-0.5 * ((middles - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+        series.append(ChartSeries("normal, as wide as theta_r", middles, normal, INK))
+    return ChartView(
         "Distribution of theta_r and theta_ra",
-        f"theta_r: mean {mean:+.3f} mrad, standard deviation {width:.3f} mrad",
         "angle [mrad], + towards +x",
         "share of the nodes per mrad",
+        tuple(series),
+        f"theta_r: mean {mean:+.3f} mrad, standard deviation {width:.3f} mrad",
     )
-    bins = np.linspace(-1.25 * limit, 1.25 * limit, 81)
-    for (name, values), (color, filled) in zip(both.items(), ((LINE_Y, False), (LINE_X, True)), strict=True):
-        density, _ = np.histogram(values, bins)
-        axes.stairs(
-            density / max(values.size, 1) / np.diff(bins),
-            bins,
-            fill=filled,
-            color=color,
-            alpha=0.6 if filled else 1.0,
-            label=name,
-            zorder=2 if filled else 3,
-        )
-    if width > 0:
-        fine = np.linspace(bins[0], bins[-1], 200)
-        normal = np.exp(-0.5 * ((fine - mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
-        axes.plot(fine, normal, color=INK, linewidth=1, label="normal, as wide as theta_r")
-    axes.set_xlim(bins[0], bins[-1])
-    axes.set_ylim(top=1.55 * axes.get_ylim()[1])
-    add_legend(axes, loc="upper right")
-    return figure
-
-
-def _along(results: TroughResults) -> "list[Figure]":
-    """Draw the slope along the trough where it was measured: that takes passes at different places along it."""
-    slope_map = results.base.slope_map
-    values = np.where(slope_map.valid, slope_map.slope_error_y, np.nan)
-    if not np.isfinite(values).any():
-        return []
-    share = np.isfinite(values).sum() / max(int(slope_map.aperture.sum()), 1)
-    note = f"dz/dy, measured minus design   RMS {_MRAD * _rms(values):.3f} mrad, {share:.0%} of the mirror"
-    return [_panelled(results, values, MapStyle("Slope error along the trough", "mrad", _MRAD, note=note))]
-
-
-def _height(results: TroughResults) -> "list[Figure]":
-    slope_map = results.base.slope_map
-    if not np.isfinite(slope_map.height_m).any():
-        return []
-    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
-    values = slope_map.height_m - results.collector.surface.height(x, y)
-    note = f"above the design parabola   RMS {1e3 * _rms(values):.3f} mm"
-    return [_panelled(results, values, MapStyle("Height of the mirror minus design", "mm", 1e3, note=note))]
 
 
 def _panelled(results: TroughResults, values: FloatArray, style: MapStyle) -> "Figure":
     return with_panels(map_figure(results.base.slope_map, values, style), results.collector)
+
+
+def panel_lines(collector: Collector) -> tuple[FloatArray, ...]:
+    """Return the edges between panels and the supports as lines on the mirror, of shape (2, 2) each [m]."""
+    x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
+    across = [np.array([[x[0], one], [x[-1], one]]) for one in (*y[1:-1], *_inner_supports(collector))]
+    return (*(np.array([[one, y[0]], [one, y[-1]]]) for one in x[1:-1]), *across)
 
 
 def with_panels(figure: "Figure", collector: Collector) -> "Figure":
@@ -162,10 +198,13 @@ def with_panels(figure: "Figure", collector: Collector) -> "Figure":
         axes.axvline(x, color=FAINT, linewidth=0.5, zorder=5)
     for y in collector.panel_edges_y_m[1:-1]:
         axes.axhline(y, color=FAINT, linewidth=0.5, zorder=5)
-    for y in collector.support_y_m:
-        if abs(y) < collector.length_m / 2 - 0.01:
-            axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=(0, (6, 3)), zorder=5)
+    for y in _inner_supports(collector):
+        axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=(0, (6, 3)), zorder=5)
     return figure
+
+
+def _inner_supports(collector: Collector) -> list[float]:
+    return [float(y) for y in collector.support_y_m if abs(y) < collector.length_m / 2 - 0.01]
 
 
 def _rms(values: FloatArray) -> float:

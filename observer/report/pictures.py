@@ -1,12 +1,15 @@
-"""What the camera saw, in a trough's report: slices of the mirror through all photos, one photo with outlines."""
+"""What the camera saw, in a trough's report: photos with what was found, slices of the mirror through all of them."""
 
+from collections import defaultdict
 from typing import TYPE_CHECKING, Literal
 
+import cv2
 import numpy as np
 
 from heliogauge.reporting.canvas import (
     FAINT,
     INK,
+    LINE_X,
     WIDTH_IN,
     add_legend,
     add_title,
@@ -14,36 +17,177 @@ from heliogauge.reporting.canvas import (
     chart_figure,
     new_figure,
 )
-from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.html import Html, beside, join, show
+from heliogauge.results.folder import read_table_csv
+from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
-from observer.files import OVERLAY, read_overlay
-from observer.report.results import TroughResults
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.photos import Photo, PhotoLines, PhotoMarks, PhotoView
+from observer.files import NETWORK_FOLDER, OVERLAY, StoredOverlay, read_overlay
+from observer.report.results import TroughResults, numbers
+from observer.report.scene import mirror_lines
+from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MRAD = 1e3
 #: Colours that stay apart from grey brightness and from each other.
 _DESIGN, _MEASURED = "#ffb000", "#00b7eb"
 _LOWER, _UPPER, _REJECTED = "#00b7eb", "#ffb000", "#e4572e"
+#: Edges shown in one photo; a flight of 500 photos has 100,000.
+_MOST_EDGES = 600
 _HEIGHT_IN = 4.4
 _TALLEST_IN = 6.5
 
 
-def overlay(results: TroughResults) -> Html:
-    """Return one photo with the outline of the tube's reflection, predicted and as measured.
+def photos(results: TroughResults) -> Html:
+    """Return photos with the outline of the tube's reflection, edges, targets and what was refused and why.
 
-    Returns: A figure; a sentence where the folder holds no photo.
+    Returns: A view; a sentence where the folder holds no photo.
     """
-    if not (results.base.folder / OVERLAY).is_file():
+    view = photo_view(results)
+    if view is None:
         return Html("<p>The folder holds no photo.</p>")
     note = (
-        "Dark or bright band: the absorber as the mirror shows it. Where the two outlines part, mirror or absorber "
-        "are not as designed; where the solid one leaves the band, the result would be wrong. Gaps in the solid "
-        "outline: not measured."
+        "Dark or bright band: the absorber as the mirror shows it. Where the two outlines of the first photo part, "
+        "mirror or absorber are not as designed; where the solid one leaves the band, the result would be wrong. Gaps "
+        "in the solid outline: not measured. In the other photos: edges of the band that were found, and targets with "
+        "what remains of their places."
     )
-    return show(overlay_figure(results), caption=note)
+    return join(view, Html(f'<p class="caption">{note}</p>'))
+
+
+def photo_view(results: TroughResults) -> PhotoView | None:
+    """Return the photos as a view, the one with outlines first; None without any."""
+    found = []
+    has_overlay = (results.base.folder / OVERLAY).is_file()
+    if has_overlay:
+        found.append(_outlined(read_overlay(results.base.folder)))
+    thumbnails = read_thumbnails(results.base.folder / NETWORK_FOLDER, results.photos)
+    if thumbnails:
+        targets, refused = _target_marks(results), _refused_targets(results)
+        for name, data in thumbnails.items():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+            marks = (*_edge_marks(results, name), *targets.get(name, ()), *refused.get(name, ()))
+            found.append(_with_marks(results, name, np.asarray(image, dtype=np.uint8), marks))
+    if not found:
+        return None
+    figures = [overlay_figure(results)] if has_overlay else []
+    return PhotoView("Photos with what was found in them", tuple(found), figures)
+
+
+def _outlined(stored: StoredOverlay) -> Photo:
+    """Return the photo that gave most edges with the outlines of the reflection, predicted and as measured."""
+    from contourpy import contour_generator
+
+    rows, columns = stored.image.shape
+    lines = []
+    for kind, color, words in (
+        ("design", _DESIGN, "mirror and absorber as designed"),
+        ("measured", _MEASURED, "mirror and absorber as measured"),
+    ):
+        nodes = np.ma.masked_invalid(stored.nodes[f"beside_{kind}"])
+        found = contour_generator(stored.nodes["x_px"], stored.nodes["y_px"], nodes).lines(0.0)
+        lines.append(PhotoLines(words, [np.asarray(line, dtype=np.float64) for line in found], color))
+    note = "part of the photo; lines: where the reflected line of sight touches the tube"
+    return Photo(f"{stored.photo}, outlines", columns, rows, stored.image, lines=tuple(lines), note=note)
+
+
+def _with_marks(
+    results: TroughResults, name: str, image: "np.typing.NDArray[np.uint8]", marks: tuple[PhotoMarks, ...]
+) -> Photo:
+    camera = results.base.cameras[results.poses[name].camera]
+    vertices, lengths = mirror_lines(results)
+    places = _in_photo(results, name, vertices)
+    pieces = [one for one in np.split(places, np.cumsum(lengths)[:-1]) if np.isfinite(one).all()]
+    counts = ", ".join(f"{len(one.xy_px)} {one.name}" for one in marks)
+    return Photo(
+        name,
+        camera.width_px,
+        camera.height_px,
+        image,
+        marks,
+        (PhotoLines("panels as designed", pieces, FAINT),),
+        counts or "nothing was found",
+        mark=f"photo-{name}",
+    )
+
+
+def _in_photo(results: TroughResults, name: str, points_m: FloatArray) -> FloatArray:
+    """Return where points of the trough are in a photo, shape (n, 2) [px]."""
+    pose = results.poses[name]
+    return np.asarray(results.base.cameras[pose.camera].project(pose.cam_from_world.apply(points_m)))
+
+
+def _edge_marks(results: TroughResults, name: str) -> tuple[PhotoMarks, ...]:
+    """Return the edges of the reflection in a photo: both sides, and those that were not used."""
+    edges = results.edges
+    own = edges.photo == results.photos.index(name)
+    points = np.stack([edges.x_m, edges.y_m, results.collector.surface.height(edges.x_m, edges.y_m)], axis=1)
+    kinds = (
+        ("lower edges", edges.used & (edges.side < 0), _LOWER, False),
+        ("upper edges", edges.used & (edges.side > 0), _UPPER, False),
+        ("edges not used", ~edges.used, _REJECTED, True),
+    )
+    marks = []
+    for words, chosen, color, refused in kinds:
+        rows = np.flatnonzero(own & chosen)
+        rows = rows[:: max(1, -(-rows.size // _MOST_EDGES))]
+        labels = [
+            FATE_TEXTS[EdgeFate[str(edges.fate[row]).upper()]]
+            if refused
+            else f"x {edges.x_m[row]:.2f} m, y {edges.y_m[row]:.2f} m: residual {_MRAD * edges.residual_rad[row]:+.3f} mrad"
+            for row in rows
+        ]
+        if rows.size:
+            marks.append(PhotoMarks(words, _in_photo(results, name, points[rows]), color, labels, refused=refused))
+    return tuple(marks)
+
+
+def _target_marks(results: TroughResults) -> dict[str, list[PhotoMarks]]:
+    """Return the targets of each photo with their residuals."""
+    path = results.base.folder / NETWORK_FOLDER / "residuals.csv"
+    if not path.is_file():
+        return {}
+    names = ("x_px", "y_px", "residual_x_px", "residual_y_px")
+    table = read_table_csv(path, ("image", "target", *names))
+    x, y, dx, dy = (numbers(table, name) for name in names)
+    images, targets = np.array(table["image"]), np.array(table["target"])
+    found = {}
+    for image in dict.fromkeys(table["image"]):
+        own = images == image
+        # Stored is what the model adds to the measured place; arrows lead from the prediction to the measurement.
+        residual = -np.stack([dx, dy], axis=1)[own]
+        sizes = np.linalg.norm(residual, axis=1)
+        labels = [f"{target}: {size:.4f} px" for target, size in zip(targets[own], sizes, strict=True)]
+        found[image] = [PhotoMarks("targets", np.stack([x, y], axis=1)[own], LINE_X, labels, residual)]
+    return found
+
+
+def _refused_targets(results: TroughResults) -> dict[str, list[PhotoMarks]]:
+    """Return the targets that were refused, where their places are known."""
+    path = results.base.folder / NETWORK_FOLDER / "rejected.csv"
+    if not path.is_file():
+        return {}
+    table = read_table_csv(path, ("name", "reason", "image", "x_px", "y_px"))
+    places = np.stack([numbers(table, f"{axis}_px") for axis in "xy"], axis=1)
+    rows: dict[str, list[int]] = defaultdict(list)
+    for row, image in enumerate(table["image"]):
+        if image and np.isfinite(places[row]).all():
+            rows[image].append(row)
+    return {
+        image: [
+            PhotoMarks(
+                "targets not used",
+                places[own],
+                _REJECTED,
+                [f"{table['name'][row]}: {table['reason'][row]}" for row in own],
+                refused=True,
+            )
+        ]
+        for image, own in rows.items()
+    }
 
 
 def overlay_figure(results: TroughResults) -> "Figure":
@@ -82,17 +226,18 @@ def overlay_figure(results: TroughResults) -> "Figure":
 def slices(results: TroughResults) -> Html:
     """Return slices of the mirror through all photos, and what each edge says of the angle there.
 
-    Returns: Two figures for each slice.
+    Returns: Figure and chart of each slice.
     """
-    drawn = []
-    for number in range(len(results.slices.y_m)):
-        drawn += [slice_figure(results, number), angle_figure(results, number)]
+    drawn = [
+        beside(show(slice_figure(results, number)), angle_view(results, number))
+        for number in range(len(results.slices.y_m))
+    ]
     note = (
         "Left: one row of the mirror in every photo, one photo above the other; the band is the absorber's reflection, "
         "which moves across the mirror as the camera moves. Right: every edge alone (dots) and the solution (line with "
         "a band of 1 sigma of its noise). Dots on one line, of both edges alike: the measurement agrees with itself."
     )
-    return show(*drawn, caption=note)
+    return join(*drawn, Html(f'<p class="caption">{note}</p>'))
 
 
 def slice_figure(results: TroughResults, number: int) -> "Figure":
@@ -141,39 +286,33 @@ def slice_figure(results: TroughResults, number: int) -> "Figure":
     return figure
 
 
-def angle_figure(results: TroughResults, number: int) -> "Figure":
-    """Draw what each edge of one slice says of the reflector-absorber angle, and the solution.
-
-    Returns: theta_ra over the place across the mirror [mrad].
-    """
+def angle_view(results: TroughResults, number: int) -> ChartView:
+    """Return what each edge of one slice says of the reflector-absorber angle, and the solution [mrad]."""
     y = float(results.slices.y_m[number])
     slope_map, edges = results.base.slope_map, results.edges
     row = int(np.argmin(np.abs(slope_map.y_m - y)))
     theta = np.where(slope_map.valid[row], results.angles["theta_ra"][row], np.nan)
-    band = slope_map.sigma_random_x[row]
+    band = np.where(np.isfinite(theta), slope_map.sigma_random_x[row], np.nan)
     here = edges.used & _in_row(results, y)
     alone = np.interp(edges.x_m, slope_map.x_m, theta) - 0.5 * edges.residual_rad
     rms = float(np.sqrt(np.mean(edges.residual_rad[here] ** 2))) if here.any() else float("nan")
-    figure, axes = chart_figure(
+    series = [
+        ChartSeries("solution", slope_map.x_m, _MRAD * theta, INK, sigma=_MRAD * band),
+        *(
+            ChartSeries(label, edges.x_m[own], _MRAD * alone[own], color, Mark.POINTS, size_px=4.0)
+            for label, color, own in (
+                ("lower edge", _LOWER, here & (edges.side < 0)),
+                ("upper edge", _UPPER, here & (edges.side > 0)),
+            )
+        ),
+    ]
+    return ChartView(
         f"Reflector-absorber angle at y = {y:.2f} m",
-        f"dots: each edge alone, RMS {0.5 * _MRAD * rms:.3f} mrad about the line; +: normal turned towards +x",
         "x on the mirror [m]",
-        "theta_ra [mrad]",
-        _HEIGHT_IN,
+        "theta_ra [mrad], + to +x",
+        tuple(one for one in series if len(one.x)),
+        f"dots: each edge alone, RMS {0.5 * _MRAD * rms:.3f} mrad about the line",
     )
-    for sign, color, label in ((-1, _LOWER, "lower edge"), (1, _UPPER, "upper edge")):
-        own = here & (edges.side == sign)
-        axes.plot(edges.x_m[own], _MRAD * alone[own], ".", color=color, markersize=3, linestyle="none", label=label)
-    axes.fill_between(
-        slope_map.x_m, _MRAD * (theta - band), _MRAD * (theta + band), color=FAINT, alpha=0.35, linewidth=0
-    )
-    axes.plot(slope_map.x_m, _MRAD * theta, color=INK, linewidth=0.9, label="solution")
-    for edge in results.collector.panel_edges_x_m[1:-1]:
-        axes.axvline(edge, color=FAINT, linewidth=0.5)
-    axes.set_xlim(results.slices.x_m[0], results.slices.x_m[-1])
-    _leave_room_for_legend(axes, _MRAD * theta)
-    add_legend(axes, loc="upper center", ncols=3, markerscale=2)
-    return figure
 
 
 def _in_row(results: TroughResults, y_m: float) -> BoolArray:
@@ -190,10 +329,3 @@ def _borders(middles: FloatArray) -> FloatArray:
     inner = 0.5 * (middles[1:] + middles[:-1])
     # A pass with a pause has a wide gap: cells reach no further than half the usual step beyond the last photo.
     return np.concatenate([[2 * middles[0] - inner[0]], inner, [2 * middles[-1] - inner[-1]]])
-
-
-def _leave_room_for_legend(axes: "Axes", values: FloatArray) -> None:
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (-1.0, 1.0)
-    span = max(high - low, 1e-3)
-    axes.set_ylim(low - 0.08 * span, high + 0.2 * span)

@@ -6,9 +6,9 @@ import numpy as np
 
 from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.reporting.html import Html, join
-from heliogauge.reporting.scene import SceneGroup, scene
 from heliogauge.results.folder import PhotoPose
 from heliogauge.validate import FloatArray
+from heliogauge.view.scenes import SceneGroup, SceneView
 from observer.report.results import TroughResults, numbers
 
 
@@ -44,7 +44,7 @@ def network(results: TroughResults) -> Html:
         "network</code> in this folder.</p>"
     )
     note = "Grey cameras: none of their edges was used."
-    return join(Html(words), scene(groups, name="trough", note=note))
+    return join(Html(words), SceneView("Trough, targets and cameras", tuple(groups), note))
 
 
 def eyes_of(poses: dict[str, PhotoPose], names: Sequence[str]) -> FloatArray:

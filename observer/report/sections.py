@@ -2,62 +2,108 @@
 
 import html
 from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join, table
 from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.verdict import Verdict, holes, verdict_of
 from heliogauge.results.folder import Summary, unit_of
+from heliogauge.view.tables import TableColumn, TableView
 from observer.report.lines import absorber, intercept, panels, residuals
-from observer.report.maps import maps
-from observer.report.pictures import overlay, slices
-from observer.report.results import TroughResults, open_trough
+from observer.report.maps import maps, mirror_view, spread
+from observer.report.pictures import photos, slices
+from observer.report.results import Columns, TroughResults, numbers, open_trough
 from observer.report.scene import network
 
 __all__ = [
     "absorber",
+    "doubts",
     "head",
+    "headline_rows",
+    "in_words",
+    "inputs",
     "intercept",
     "making",
     "maps",
     "network",
+    "not_used",
+    "numbers_table",
     "open_trough",
-    "overlay",
     "overview",
     "panels",
+    "photos",
     "refused",
     "residuals",
     "slices",
+    "spread",
+    "stations_missing",
 ]
 
-#: Numbers of the headline table and what they are called there; the others are folded away.
+#: Numbers of the first screen and what they are called there; the others are folded away below.
 LABELS: dict[str, str] = {
-    "sdx_rad": "SDx, RMS angle of the normal from the design's across the trough",
+    "sdx_rad": "SDx, RMS angle of the normal across the trough",
     "sdx_tilt_removed_rad": "SDx without the mean tilt",
-    "mean_theta_r_rad": "Mean of theta_r (tilt of the whole mirror, + towards +x)",
-    "rms_theta_ra_rad": "RMS of theta_ra, mirror and absorber together",
-    "median_sigma_theta_r_rad": "Uncertainty of theta_r at one point (median)",
-    "median_sigma_theta_ra_rad": "Uncertainty of theta_ra at one point (median)",
+    "rms_theta_ra_rad": "theta_ra RMS, mirror and absorber",
+    "median_sigma_theta_r_rad": "sigma of theta_r at a point (median)",
     "measured_share": "Share of the mirror measured",
     "absorber_mean_x_m": "Absorber, mean X_a",
     "absorber_mean_z_offset_m": "Absorber, mean Z_a above the focal line",
-    "absorber_range_x_m": "Absorber, range of X_a along the trough",
-    "absorber_range_z_m": "Absorber, range of Z_a along the trough",
     "intercept_ratio": "Intercept factor",
     "intercept_absorber_aligned_ratio": "with the absorber aligned",
-    "intercept_mirror_perfect_ratio": "with a perfect mirror",
-    "photos_count": "Photos",
-    "edges_used_count": "Edges of the reflection that were used",
 }
 
 
+class HasTables(Protocol):
+    """Results with tables."""
+
+    def table(self, name: str) -> Columns | None:
+        """Return a table as text; None where there is none."""
+        ...
+
+
 def head(results: TroughResults) -> Html:
-    """Return title and warnings."""
-    return join(page.title(results.base), page.doubts_box(results.base))
+    """Return the first screen: verdict, headline numbers, the mirror."""
+    summary, slope_map = results.base.summary, results.base.slope_map
+    line = f"trough, observer; design: {slope_map.design}; heliogauge {summary.version}"
+    return page.first_screen(
+        summary.name, line, _verdict(results), headline_rows(summary, LABELS), mirror_view(results)
+    )
+
+
+def _verdict(results: TroughResults) -> Verdict:
+    summary = results.base.summary
+    counts = summary.numbers
+    passed = []
+    if counts.get("edges_used_count") and counts.get("edges_rejected_count") is not None:
+        used, refused_ = int(counts["edges_used_count"] or 0), int(counts["edges_rejected_count"] or 0)
+        passed.append(f"{used} edges of the reflection used, {100 * refused_ / (used + refused_):.1f} % refused")
+    if counts.get("image_residual_rms_px"):
+        residual = float(counts["image_residual_rms_px"] or 0.0)
+        passed.append(f"{len(results.photos)} photos adjusted, targets within {residual:.2g} px RMS")
+    return verdict_of(summary, (*holes(results.base.slope_map), *stations_missing(results)), passed)
+
+
+def stations_missing(results: HasTables) -> tuple[str, ...]:
+    """Say how many stations of the absorber have no value, as `verdict_of` takes it."""
+    columns = results.table("absorber.csv")
+    if not columns:
+        return ("the absorber is not measured",)
+    places = numbers(columns, "x_a_m")
+    missing = int((~np.isfinite(places)).sum())
+    return (f"{missing} of {places.size} stations of the absorber not measured",) if missing else ()
+
+
+def doubts(results: TroughResults) -> Html:
+    """Return all doubts with all their words."""
+    return page.doubts_box(results.base)
 
 
 def overview(results: TroughResults) -> Html:
-    """Return the result in words, the headline numbers and what they refer to."""
-    return join(in_words(results.base.summary), headline_table(results.base.summary), page.text_table(results.base))
+    """Return the result in words, further numbers and what they refer to."""
+    return join(in_words(results.base.summary), numbers_table(results.base.summary), page.text_table(results.base))
 
 
 def in_words(summary: Summary) -> Html:
@@ -83,19 +129,30 @@ def in_words(summary: Summary) -> Html:
     return Html(f"<p>{html.escape(' '.join(sentences))}</p>")
 
 
-def headline_table(summary: Summary, labels: Mapping[str, str] = LABELS) -> Html:
-    """Return the headline numbers, the less important ones folded away.
+def headline_rows(summary: Summary, labels: Mapping[str, str]) -> list[tuple[str, ...]]:
+    """Return the headline numbers as `page.headline_numbers` takes them.
 
-    Returns: A table, and another one that opens on a click.
+    labels: Keys of the numbers, and what they are called there.
     """
-    numbers = summary.numbers
-    keys = [key for key in numbers if not (key.startswith("sigma_") and key.removeprefix("sigma_") in numbers)]
-    first = [(label, _text(summary, key)) for key, label in labels.items() if key in numbers]
-    others = [(unit_of(key)[0].replace("_", " "), _text(summary, key)) for key in keys if key not in labels]
-    values = table(("", "value \u00b1 1 sigma"), first, numbers=(1,))
-    more = table(("", "value \u00b1 1 sigma"), others, numbers=(1,))
-    folded = f"<details><summary>{len(others)} more numbers</summary>{more.text}</details>" if others else ""
-    return Html(f'<div class="headline">{values.text}</div>{folded}')
+    rows: list[tuple[str, ...]] = []
+    for key, label in labels.items():
+        if key not in summary.numbers:
+            continue
+        reason = summary.not_determined.get(key, "")
+        rows.append((label, "not determined", reason) if summary.numbers[key] is None else (label, _text(summary, key)))
+    return rows
+
+
+def numbers_table(summary: Summary) -> Html:
+    """Return all numbers of a result, folded away."""
+    keys = [
+        key
+        for key in summary.numbers
+        if not (key.startswith("sigma_") and key.removeprefix("sigma_") in summary.numbers)
+    ]
+    rows = [(unit_of(key)[0].replace("_", " "), _text(summary, key)) for key in keys]
+    values = table(("", "value \u00b1 1 sigma"), rows, numbers=(1,))
+    return Html(f"<details><summary>all {len(rows)} numbers</summary>{values.text}</details>")
 
 
 def _text(summary: Summary, key: str) -> str:
@@ -108,13 +165,23 @@ def _text(summary: Summary, key: str) -> str:
 
 def refused(results: TroughResults) -> Html:
     """Return nodes of the map without a value, and photos and targets that were not used, with reasons."""
-    nodes = page.flag_table(results.base.slope_map)
+    return join(page.flag_table(results.base.slope_map), not_used(results))
+
+
+def not_used(results: HasTables) -> Html:
+    """Return photos and targets that were not used, with reasons."""
     columns = results.table("rejected.csv") or {"name": [], "reason": []}
-    rows = list(zip(columns["name"], columns["reason"], strict=True))
-    items = table(("not used", "why"), rows) if rows else Html("<p>All photos and targets were used.</p>")
-    return join(nodes, items)
+    if not columns["name"]:
+        return Html("<p>All photos and targets were used.</p>")
+    shown = (TableColumn("not used", columns["name"]), TableColumn("why", columns["reason"]))
+    return join(TableView("photos and targets that were not used", shown))
 
 
 def making(results: TroughResults) -> Html:
-    """Return times and input files."""
-    return join(page.duration_table(results.base), page.input_table(results.base))
+    """Return how long each stage took."""
+    return page.duration_table(results.base)
+
+
+def inputs(results: TroughResults) -> Html:
+    """Return the files that were read."""
+    return page.input_table(results.base)

@@ -7,7 +7,9 @@ import pytest
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.results.folder import (
     PhotoPose,
     PointTable,
@@ -19,6 +21,7 @@ from heliogauge.results.folder import (
     write_table_csv,
 )
 from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.thumbnails import write_thumbnails
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from observer.files import (
     read_collector,
@@ -34,6 +37,8 @@ from observer.product.pictures import draw_overlay, empty_slices
 from observer.product.slope_map import angle_maps
 from observer.report import pictures as report_pictures
 from observer.report.lines import listed
+from observer.report.maps import mirror_view
+from observer.report.results import open_trough
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube, ls2
 
@@ -297,11 +302,11 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
 
     result_folder(tmp_path)
     results = report.open_trough(tmp_path)
-    # Seven maps, the distribution, and the slope along the trough.
-    assert report.maps(results).text.count("<img") == 9
+    assert report.maps(results).text.count("<img") == 4
+    assert report.spread(results).text.count("<img") == 1
     assert report.absorber(results).text.count("<img") == 2
     assert report.intercept(results).text.count("<img") == 1
-    assert report.overlay(results).text.count("<img") == 1
+    assert report.photos(results).text.count("<img") == 1
     assert report.slices(results).text.count("<img") == 10
     assert report.residuals(results).text.count("<img") == 2
     assert "1.5" in report.panels(results).text
@@ -311,7 +316,11 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
     assert "21315.48 mm from the targets alone, 10659.85 mm with the reflection, which moved it by 3.00 mm" in (
         report.network(results).text
     )
-    assert "&lt;trough&gt;" in report.head(results).text
+    first = report.head(results).text
+    assert "&lt;trough&gt;" in first
+    assert first.count("<img") == 1
+    assert "<td>not determined</td>" in first
+    assert "a reason" in first
     words = report.overview(results).text
     assert "not determined: a reason" in words
     assert "1.000 \u00b1 0.010 mrad" in words
@@ -333,13 +342,13 @@ def test_maps_of_a_single_panel_are_cut_out(tmp_path) -> None:
     assert results.base.slope_map.x_m[-1] < 1.34
     assert results.base.slope_map.aperture.all()
     assert results.angles["theta_r"].shape == results.base.slope_map.shape
-    assert report.maps(results).text.count("<img") == 9
+    assert report.maps(results).text.count("<img") == 4
 
 
 def test_a_table_joins_values_and_their_sigmas() -> None:
     text = listed({"panel": ["1"], "tilt_rad": ["0.0015"], "sigma_tilt_rad": ["0.00002"], "sigma_x_px": ["0.1"]}).text
     assert "1.500 \u00b1 0.020" in text
-    assert "<th>panel</th>" in text
+    assert '<th scope="col" class="number">tilt [mrad]</th>' in text
     assert "sigma x px" in text
     assert text.count("<td") == 3
 
@@ -353,7 +362,78 @@ def test_report_does_without_what_was_not_computed(tmp_path) -> None:
     results = report.open_trough(tmp_path)
     assert report.intercept(results).text == ""
     assert report.panels(results).text == ""
-    assert "no photo" in report.overlay(results).text
+    assert "no photo" in report.photos(results).text
+
+
+def test_the_first_screen_says_what_is_missing(tmp_path) -> None:
+    from observer.report import sections as report
+
+    result_folder(tmp_path)
+    whole = read_slope_map(tmp_path / "slope_map.nc")
+    seen = np.broadcast_to(whole.y_m[:, None] < 0, whole.shape)
+    blind = replace(whole, flags=np.where(seen, 0, np.uint32(SampleFlag.NOT_SEEN)).astype(np.uint32))
+    write_slope_map(tmp_path / "slope_map.nc", {"": blind})
+    text = report.head(report.open_trough(tmp_path)).text
+    share = 100 * float(np.mean(~seen))
+    assert f"{share:.1f} % of the mirror not measured" in text
+    assert "1 of 5 stations of the absorber not measured" in text
+    assert 'class="verdict incomplete"' in text
+    # Nothing measured at all: the figure says why.
+    none = replace(whole, flags=np.full(whole.shape, SampleFlag.NOT_SEEN, np.uint32))
+    write_slope_map(tmp_path / "slope_map.nc", {"": none})
+    results = report.open_trough(tmp_path)
+    assert "100.0 % of the mirror not measured" in report.head(results).text
+    assert "No point" in report.maps(results).text
+    assert report.spread(results).text == ""
+
+
+def test_the_map_of_the_mirror_has_all_that_is_known(tmp_path) -> None:
+    result_folder(tmp_path)
+    results = open_trough(tmp_path)
+    view = mirror_view(results)
+    layers = {layer.key: layer for layer in view.layers}
+    assert next(iter(layers)) == "theta_r"
+    assert {"theta_ra", "theta_a", "slope_error_x", "sigma_theta_r"} <= layers.keys()
+    # theta_r and the slope error have opposite signs.
+    assert np.nanmean(layers["theta_r"].values) > 0.9e-3
+    assert np.nanmean(layers["slope_error_x"].values) < -0.9e-3
+    np.testing.assert_allclose(layers["theta_r"].sigma, results.angles["sigma_theta_r"])
+    edges = np.concatenate(view.lines)
+    assert set(results.collector.panel_edges_x_m[1:-1]) <= set(edges[:, 0])
+    assert set(results.collector.panel_edges_y_m[1:-1]) <= set(edges[:, 1])
+
+
+def test_photos_show_edges_where_the_camera_saw_them_and_why_targets_were_refused(tmp_path) -> None:
+    result_folder(tmp_path)
+    network = tmp_path / "network"
+    write_thumbnails(network, {"a": make_thumbnail(np.full((640, 960), 90, np.uint8))})
+    place = [[100.0, 200.0], [300.0, 400.0]]
+    columns = {"image": ["a", "b"], "target": ["7", "8"], "x_px": [100.0, 5.0], "y_px": [200.0, 5.0]}
+    write_table_csv(network / "residuals.csv", {**columns, "residual_x_px": [0.5, 0.0], "residual_y_px": [-0.25, 0.0]})
+    refused = {"name": ["target 9 in a"], "reason": ["outlier <far>"], "is_outlier": [1], "image": ["a"]}
+    write_table_csv(network / "rejected.csv", {**refused, "x_px": [300.0], "y_px": [400.0]})
+    results = open_trough(tmp_path)
+    view = report_pictures.photo_view(results)
+    outlined, photo = view.photos
+    assert {line.name for line in outlined.lines} == {
+        "mirror and absorber as designed",
+        "mirror and absorber as measured",
+    }
+    marks = {one.name: one for one in photo.marks}
+    assert photo.mark == "photo-a"
+    np.testing.assert_allclose(marks["targets"].xy_px, place[:1])
+    # Measured minus predicted.
+    np.testing.assert_allclose(marks["targets"].residual_px, [[-0.5, 0.25]])
+    np.testing.assert_allclose(marks["targets not used"].xy_px, place[1:])
+    assert marks["targets not used"].labels == ["target 9 in a: outlier <far>"]
+    assert "outlier <far>" not in view.page_html()
+    # The edge at x, y on the mirror, by the camera's own equation: it looks straight down from EYE, turned by the pose.
+    edges = results.edges
+    row = int(np.flatnonzero((edges.photo == 0) & edges.used & (edges.side > 0))[0])
+    x, y = edges.x_m[row], edges.y_m[row]
+    below = EYE[2] + 3e-3 - x**2 / (4 * results.collector.focal_length_m)
+    expected = (479.5 + 1100 * (y - EYE[1]) / below, 319.5 + 1100 * (x - EYE[0]) / below)
+    np.testing.assert_allclose(marks["upper edges"].xy_px[0], expected, atol=1e-6)
 
 
 def test_an_absorber_measured_alone_has_its_report(tmp_path) -> None:
@@ -363,8 +443,10 @@ def test_an_absorber_measured_alone_has_its_report(tmp_path) -> None:
     numbers = {"absorber_mean_x_m": 1e-3, "sigma_absorber_mean_x_m": 2e-4, "photos_count": 2}
     write_summary(tmp_path / "summary.json", Summary("observer-absorber", "a tube", numbers))
     results = report.open_absorber(tmp_path)
-    assert "a tube" in report.head(results).text
-    assert "1.00 \u00b1 0.20 mm" in report.overview(results).text
+    first = report.head(results).text
+    assert "a tube" in first
+    assert "1.00 \u00b1 0.20 mm" in first
+    assert "1 of 5 stations of the absorber not measured" in first
     shown = report.absorber(results).text
     assert shown.count("<img") == 2
     assert "5 stations" in shown
