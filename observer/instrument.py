@@ -34,6 +34,10 @@ INSTRUMENT = Instrument(
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },
+    pictures={
+        "observer-absorber": "observer.report.absorber:picture",
+        "observer-alignment": "observer.report.alignment:picture",
+    },
     synth="data_synth.preset_folders:observer",
     synth_command="data_synth.cli:observer",
 )

@@ -3,17 +3,20 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, table
+from heliogauge.reporting.html import Html, join, wrap
+from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
+from heliogauge.view.charts import ChartView
 from observer.files import COLLECTOR, read_collector
-from observer.report.lines import absorber as profiles
-from observer.report.lines import listed
-from observer.report.results import Columns
-from observer.report.sections import headline_table
+from observer.report.lines import absorber_view, listed
+from observer.report.results import Columns, numbers
+from observer.report.sections import headline_rows, not_used, numbers_table, stations_missing
 from observer.trough.collector import Collector
 
-#: Numbers of the headline table and what they are called there.
+#: Numbers of the first screen and what they are called there.
 LABELS: dict[str, str] = {
     "absorber_mean_x_m": "Mean X_a, across, + towards +x",
     "absorber_mean_z_offset_m": "Mean Z_a from the focal line, + away from the mirror",
@@ -50,31 +53,51 @@ def open_absorber(folder: str | Path = ".") -> AbsorberResults:
     return AbsorberResults(folder, read_summary(folder), read_collector(folder / COLLECTOR))
 
 
+def picture(folder: str | Path) -> ChartView:
+    """Return where the absorber runs, from a folder of results."""
+    return absorber_view(open_absorber(folder), "xz")
+
+
 def head(results: AbsorberResults) -> Html:
-    """Return title and warnings."""
-    return page.head(results, f"absorber of a trough; {results.summary.texts.get('design', '')}")
+    """Return the first screen: verdict, headline numbers, where the absorber runs."""
+    summary = results.summary
+    line = f"absorber of a trough; {summary.texts.get('design', '')}; heliogauge {summary.version}"
+    columns = results.table("absorber.csv") or {"x_a_m": []}
+    measured = int(np.isfinite(numbers(columns, "x_a_m")).sum())
+    passed = [f"{measured} stations measured"] if measured else []
+    verdict = verdict_of(summary, stations_missing(results), passed)
+    return page.first_screen(summary.name, line, verdict, headline_rows(summary, LABELS), absorber_view(results, "xz"))
 
 
-def overview(results: AbsorberResults) -> Html:
-    """Return the headline numbers."""
-    return headline_table(results.summary, LABELS)
+def doubts(results: AbsorberResults) -> Html:
+    """Return all doubts with all their words."""
+    return page.doubts_box(results)
 
 
 def absorber(results: AbsorberResults) -> Html:
-    """Return the profiles along the trough, the sag of each span, and the stations."""
+    """Return the sag of each span, and the stations."""
     columns = results.table("absorber.csv")
     count = 0 if columns is None else len(columns["y_m"])
-    folded = f"<details><summary>{count} stations</summary>{listed(columns).text}</details>"
-    return join(profiles(results), Html(folded))
+    stations = listed(columns, "stations of the absorber")
+    folded = wrap(f"<details><summary>{count} stations</summary>", [stations], "</details>")
+    return join(listed(results.table("absorber_spans.csv"), "spans of the absorber"), folded)
+
+
+def overview(results: AbsorberResults) -> Html:
+    """Return all numbers."""
+    return numbers_table(results.summary)
 
 
 def refused(results: AbsorberResults) -> Html:
     """Return photos and targets that were not used, with reasons."""
-    columns = results.table("rejected.csv") or {"name": [], "reason": []}
-    rows = list(zip(columns["name"], columns["reason"], strict=True))
-    return table(("not used", "why"), rows) if rows else Html("<p>All photos and targets were used.</p>")
+    return not_used(results)
 
 
 def making(results: AbsorberResults) -> Html:
-    """Return times and input files."""
-    return join(page.duration_table(results), page.input_table(results))
+    """Return how long each stage took."""
+    return page.duration_table(results)
+
+
+def inputs(results: AbsorberResults) -> Html:
+    """Return the files that were read."""
+    return page.input_table(results)

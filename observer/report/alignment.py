@@ -5,12 +5,32 @@ import html
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join
+from heliogauge.reporting.html import Html, join, wrap
+from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from observer.files import ALIGNMENT_MOVES, ALIGNMENT_OVERLAY
+from heliogauge.validate import FloatArray
+from heliogauge.view.maps import MapLayer, MapView
+from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, read_collector
+from observer.report.figures_alignment import moves_figure
 from observer.report.lines import listed
-from observer.report.results import Columns
+from observer.report.maps import panel_lines
+from observer.report.results import Columns, numbers
+from observer.report.sections import headline_rows
+from observer.trough.collector import Collector
+
+_MRAD = 1e3
+#: Nodes across and along in the map of the panels: edges are then within a centimetre or two.
+_NODES = 240
+#: Numbers of the first screen and what they are called there.
+LABELS: dict[str, str] = {
+    "panels_prescribed_count": "Panels with a prescription",
+    "panels_count": "Panels",
+    "rms_panel_theta_ra_rad": "Mean angle of a panel to the absorber, RMS",
+    "largest_move_mm": "Largest move of a mount",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,6 +39,7 @@ class AlignmentResults:
 
     folder: Path
     summary: Summary
+    collector: Collector
     panels: Columns
     mounts: Columns
 
@@ -30,23 +51,77 @@ def open_alignment(folder: str | Path = ".") -> AlignmentResults:
     """
     folder = Path(folder)
     tables = (read_table_csv(folder / name) for name in ("panels.csv", "mounts.csv"))
-    return AlignmentResults(folder, read_summary(folder), *tables)
+    return AlignmentResults(folder, read_summary(folder), read_collector(folder / COLLECTOR), *tables)
+
+
+def picture(folder: str | Path) -> MapView:
+    """Return the panels, from a folder of results."""
+    return panels_view(open_alignment(folder))
+
+
+def panels_view(results: AlignmentResults) -> MapView:
+    """Return the mean angles of the panels as a map; its static figure has the moves of the mounts."""
+    collector = results.collector
+    edges = collector.panel_edges_x_m, collector.panel_edges_y_m
+    x, y = (np.linspace(one[0], one[-1], _NODES) for one in edges)
+    column, row = (
+        np.clip(np.searchsorted(one, nodes, "right") - 1, 0, one.size - 2)
+        for one, nodes in zip(edges, (x, y), strict=True)
+    )
+    panel = row[:, None] * (edges[0].size - 1) + column[None, :]
+
+    def spread(name: str) -> FloatArray:
+        return np.asarray(numbers(results.panels, name)[panel])
+
+    layers = tuple(
+        MapLayer(
+            name, f"mean {name} of each panel (+ to +x): {words}", "mrad", values, _MRAD, spread(f"sigma_{name}_rad")
+        )
+        for name, words in (("theta_ra", "to the absorber as it is"), ("theta_r", "to the design's focal line"))
+        if np.isfinite(values := spread(f"{name}_rad")).any() or name == "theta_ra"
+    )
+    mounts, tilts = results.mounts, numbers(results.panels, "theta_ra_rad")
+    places = np.stack([numbers(mounts, "x_m"), numbers(mounts, "y_m")], axis=1)
+    moves = tuple(1e-3 * numbers(mounts, name) for name in ("move_mm", "sigma_move_mm"))
+    return MapView(
+        "Panels",
+        x,
+        y,
+        layers,
+        np.zeros(panel.shape, np.uint32),
+        np.ones(panel.shape, np.bool_),
+        note="Grey: less than half of the panel is measured, no prescription.",
+        lines=panel_lines(collector),
+        figures=[moves_figure(collector, tilts, places, (moves[0], moves[1]))],
+    )
 
 
 def head(results: AlignmentResults) -> Html:
-    """Return title and warnings."""
-    return page.head(results, f"prescription for {len(results.panels['panel'])} panels")
+    """Return the first screen: verdict, headline numbers, the panels."""
+    summary = results.summary
+    known = int(np.isfinite(numbers(results.panels, "theta_ra_rad")).sum())
+    count = len(results.panels["panel"])
+    missing = [f"{count - known} of {count} panels without a prescription"] if known < count else []
+    passed = [f"{known} of {count} panels with a prescription"] if known else []
+    line = f"prescription for {count} panels; heliogauge {summary.version}"
+    rows = headline_rows(summary, LABELS)
+    return page.first_screen(summary.name, line, verdict_of(summary, missing, passed), rows, panels_view(results))
+
+
+def doubts(results: AlignmentResults) -> Html:
+    """Return all doubts with all their words."""
+    return page.doubts_box(results)
 
 
 def moves(results: AlignmentResults) -> Html:
     """Return how far each mount is to be moved."""
     note = (
-        "Moves along the mirror's normal, positive towards the absorber; a panel turns about its middle. Colours: mean "
-        "theta_ra of each panel, positive where its normal is turned towards +x. Grey: less than half of the panel is "
-        "measured. In mounts.csv move_to_design is for the design's focal line instead of the absorber as it is."
+        "Moves along the mirror's normal, positive towards the absorber; a panel turns about its middle. Colours of "
+        "the map: mean theta_ra of each panel, positive where its normal is turned towards +x. Move to design is for "
+        "the design's focal line instead of the absorber as it is."
     )
-    folded = f"<details><summary>{len(results.mounts['panel'])} mounts</summary>{listed(results.mounts).text}</details>"
-    return join(_image(results.folder / ALIGNMENT_MOVES, note), listed(results.panels), Html(folded))
+    caption = Html(f'<p class="caption">{html.escape(note)}</p>')
+    return join(caption, listed(results.panels, "panels"), listed(results.mounts, "mounts"))
 
 
 def overlay(results: AlignmentResults) -> Html:
@@ -59,14 +134,13 @@ def overlay(results: AlignmentResults) -> Html:
     return _image(path, note) if path.is_file() else Html("<p>The result holds no photo.</p>")
 
 
-def making(results: AlignmentResults) -> Html:
+def inputs(results: AlignmentResults) -> Html:
     """Return the input files."""
     return page.input_table(results)
 
 
 def _image(path: Path, note: str) -> Html:
     data = base64.b64encode(path.read_bytes()).decode("ascii")
-    image = (
-        f'<figure class="wide"><img alt="{html.escape(note, quote=True)}" src="data:image/png;base64,{data}"></figure>'
-    )
-    return Html(f'<div class="figures">{image}</div><p class="caption">{html.escape(note)}</p>')
+    words = html.escape(note, quote=True)
+    image = Html(f'<figure class="wide"><img alt="{words}" src="data:image/png;base64,{data}"></figure>')
+    return join(wrap('<div class="figures">', [image], "</div>"), Html(f'<p class="caption">{html.escape(note)}</p>'))

@@ -35,45 +35,52 @@ def absorber(results: HasAbsorber) -> Html:
     """Return where the absorber runs."""
     note = "Bands: 1 sigma. Grey: receiver supports. Stations without a value stand at zero; absorber.csv says why."
     drawn = beside(absorber_view(results, "x"), absorber_view(results, "z"))
-    return join(drawn, Html(f'<p class="caption">{note}</p>'), listed(results.table("absorber_spans.csv"), "spans of the absorber"))
+    return join(
+        drawn,
+        Html(f'<p class="caption">{note}</p>'),
+        listed(results.table("absorber_spans.csv"), "spans of the absorber"),
+    )
 
 
-def absorber_view(results: HasAbsorber, axis: str) -> ChartView:
+_AXES = {
+    "x": ("X_a, across the trough, from the plane of symmetry", LINE_X),
+    "z": ("Z_a, from the focal line, + away from the mirror", LINE_Y),
+}
+
+
+def absorber_view(results: HasAbsorber, axes: str) -> ChartView:
     """Return the absorber's departure from the focal line.
 
-    axis: "x" or "z".
+    axes: "x", "z" or "xz".
     """
     columns = results.table("absorber.csv") or {}
-    y, value, sigma = (numbers(columns, name) for name in ("y_m", f"{axis}_a_m", f"sigma_{axis}_a_m"))
-    focal = results.collector.focal_length_m
-    departure = _MM * (value - (focal if axis == "z" else 0.0))
-    words = {
-        "x": "X_a: across the trough, from the plane of symmetry",
-        "z": "Z_a: from the focal line, + away from the mirror",
-    }
-    seen = np.isfinite(departure)
-    note = "not seen"
-    if seen.any():
-        note = f"mean {np.nanmean(departure):+.2f} mm, range {np.ptp(departure[seen]):.2f} mm"
-    band = _MM * np.where(seen, sigma, 0.0)
-    ends = [float(end((departure + sign * band)[seen], initial=0.0)) for sign, end in ((-1, np.min), (1, np.max))]
-    # The middle of each support, from the lowest to the highest value, with gaps between them.
+    y = numbers(columns, "y_m")
+    lines, ends, notes, unseen = [], [0.0], [], np.zeros(y.size, np.bool_)
+    for axis in axes:
+        value, sigma = (_MM * numbers(columns, f"{name}{axis}_a_m") for name in ("", "sigma_"))
+        departure = value - (_MM * results.collector.focal_length_m if axis == "z" else 0.0)
+        seen = np.isfinite(departure)
+        band = np.where(seen, sigma, 0.0)
+        words, color = _AXES[axis]
+        lines.append(ChartSeries(words, y, departure, color, sigma=band, size_px=2.0))
+        ends += [*(departure - band)[seen], *(departure + band)[seen]]
+        if seen.any():
+            notes.append(f"{axis}: mean {np.nanmean(departure):+.2f} mm, range {np.ptp(departure[seen]):.2f} mm")
+        else:
+            notes.append(f"{axis}: not seen")
+        unseen |= ~seen
+    if unseen.any():
+        lines.append(ChartSeries("not measured", y[unseen], np.zeros(int(unseen.sum())), INK, Mark.POINTS, size_px=6.0))
+    # Each support from the lowest to the highest value, with a gap after it.
     supports = np.array(results.collector.support_y_m, dtype=np.float64)
-    shown = [
-        ChartSeries(
-            "receiver supports",
-            np.repeat(supports, 3),
-            np.tile([*ends, np.nan], supports.size),
-            FAINT,
-            size_px=1.0,
-        ),
-        ChartSeries(
-            words[axis].partition(":")[0], y, departure, LINE_X if axis == "x" else LINE_Y, sigma=band, size_px=2.0
-        ),
-        ChartSeries("not measured", y[~seen], np.zeros(int((~seen).sum())), INK, Mark.POINTS, size_px=6.0),
-    ]
+    heights = np.tile([min(ends), max(ends), np.nan], supports.size)
+    marked = [ChartSeries("receiver supports", np.repeat(supports, 3), heights, FAINT, size_px=1.0)]
     return ChartView(
-        words[axis], "y along the trough [m]", f"{axis} [mm]", tuple(one for one in shown if len(one.x)), note
+        _AXES[axes][0] if axes in _AXES else "Absorber: departure from the focal line",
+        "y along the trough [m]",
+        " and ".join(axes) + " [mm]",
+        (*(marked if supports.size else ()), *lines),
+        "; ".join(notes),
     )
 
 
@@ -140,7 +147,9 @@ def spread_view(results: TroughResults) -> ChartView | None:
         "Spread of the reflected light",
         "angle of the reflected ray across the trough [mrad]",
         "density over its highest value; share",
-        tuple(ChartSeries(name, _MRAD * angle[near], y[near], color, dashed=dashed) for name, y, color, dashed in series),
+        tuple(
+            ChartSeries(name, _MRAD * angle[near], y[near], color, dashed=dashed) for name, y, color, dashed in series
+        ),
         f"errors of mirror and absorber; with sun, specularity and tracking; highest {highest / _MRAD:.3g} 1/mrad",
     )
 

@@ -50,7 +50,12 @@ def mirror_view(results: TroughResults) -> MapView:
     sigma_x, sigma_y = (np.where(valid, one, np.nan) for one in slope_map.sigma_slope())
     layers.append(
         MapLayer(
-            "slope_error_x", "Slope error dz/dx", "mrad", np.where(valid, slope_map.slope_error_x, np.nan), _MRAD, sigma_x
+            "slope_error_x",
+            "Slope error dz/dx",
+            "mrad",
+            np.where(valid, slope_map.slope_error_x, np.nan),
+            _MRAD,
+            sigma_x,
         )
     )
     removals: tuple[Removals, ...] = ()
@@ -61,7 +66,9 @@ def mirror_view(results: TroughResults) -> MapView:
         if np.isfinite(along[valid]).all():
             removals = tuple(one for one in (slope_removals(slope_map),) if one.parts)
     layers += [
-        MapLayer(f"sigma_{name}", f"Uncertainty of {name} (1 sigma)", "mrad", found[f"sigma_{name}"], _MRAD, None, False)
+        MapLayer(
+            f"sigma_{name}", f"Uncertainty of {name} (1 sigma)", "mrad", found[f"sigma_{name}"], _MRAD, None, False
+        )
         for name in ("theta_r", "theta_ra")
     ]
     if np.isfinite(slope_map.height_m).any():
@@ -163,9 +170,7 @@ def histogram(results: TroughResults) -> ChartView:
     bins = np.linspace(-1.25 * limit, 1.25 * limit, 81)
     middles = 0.5 * (bins[1:] + bins[:-1])
     series = []
-    for (name, values), (color, mark) in zip(
-        both.items(), ((LINE_X, Mark.BARS), (LINE_Y, Mark.STEPS)), strict=True
-    ):
+    for (name, values), (color, mark) in zip(both.items(), ((LINE_X, Mark.BARS), (LINE_Y, Mark.STEPS)), strict=True):
         density = np.histogram(values, bins)[0] / max(values.size, 1) / np.diff(bins)
         series.append(ChartSeries(name, middles, density, color, mark))
     if width > 0:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.reporting.canvas import (
     FAINT,
@@ -95,7 +96,7 @@ def _outlined(stored: StoredOverlay) -> Photo:
 
 
 def _with_marks(
-    results: TroughResults, name: str, image: "np.typing.NDArray[np.uint8]", marks: tuple[PhotoMarks, ...]
+    results: TroughResults, name: str, image: npt.NDArray[np.uint8], marks: tuple[PhotoMarks, ...]
 ) -> Photo:
     camera = results.base.cameras[results.poses[name].camera]
     vertices, lengths = mirror_lines(results)
@@ -134,10 +135,11 @@ def _edge_marks(results: TroughResults, name: str) -> tuple[PhotoMarks, ...]:
     for words, chosen, color, refused in kinds:
         rows = np.flatnonzero(own & chosen)
         rows = rows[:: max(1, -(-rows.size // _MOST_EDGES))]
+        residuals = _MRAD * edges.residual_rad
         labels = [
             FATE_TEXTS[EdgeFate[str(edges.fate[row]).upper()]]
             if refused
-            else f"x {edges.x_m[row]:.2f} m, y {edges.y_m[row]:.2f} m: residual {_MRAD * edges.residual_rad[row]:+.3f} mrad"
+            else f"x {edges.x_m[row]:.2f} m, y {edges.y_m[row]:.2f} m: residual {residuals[row]:+.3f} mrad"
             for row in rows
         ]
         if rows.size:

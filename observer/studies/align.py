@@ -28,6 +28,7 @@ from observer.files import (
     read_absorber,
     read_collector,
     read_overlay,
+    write_collector,
 )
 from observer.product.panel_alignment import LEAST_SHARE, PanelTilts, image_edges, mount_moves, panel_tilts
 from observer.report.figures_alignment import moves_figure
@@ -116,6 +117,7 @@ class Result(InstrumentResult):
             },
         )
         write_table_csv(folder / "overlay.csv", _overlay(self))
+        write_collector(folder / COLLECTOR, self.collector)
         if self.picture is not None:
             (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(self.picture))
         drawn = moves_figure(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))

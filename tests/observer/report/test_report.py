@@ -36,8 +36,8 @@ from observer.photo_edges.views import Shot, View
 from observer.product.pictures import draw_overlay, empty_slices
 from observer.product.slope_map import angle_maps
 from observer.report import pictures as report_pictures
-from observer.report.lines import listed
-from observer.report.maps import mirror_view
+from observer.report.lines import absorber_view, listed
+from observer.report.maps import mirror_view, panel_lines
 from observer.report.results import open_trough
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube, ls2
@@ -398,9 +398,31 @@ def test_the_map_of_the_mirror_has_all_that_is_known(tmp_path) -> None:
     assert np.nanmean(layers["theta_r"].values) > 0.9e-3
     assert np.nanmean(layers["slope_error_x"].values) < -0.9e-3
     np.testing.assert_allclose(layers["theta_r"].sigma, results.angles["sigma_theta_r"])
-    edges = np.concatenate(view.lines)
-    assert set(results.collector.panel_edges_x_m[1:-1]) <= set(edges[:, 0])
-    assert set(results.collector.panel_edges_y_m[1:-1]) <= set(edges[:, 1])
+
+
+def test_edges_of_panels_and_supports_are_drawn_over_the_map() -> None:
+    collector = Collector(
+        5.0,
+        8.0,
+        1.49,
+        0.07,
+        None,
+        panel_edges_x_m=np.array([-2.5, 0.5, 2.5]),
+        panel_edges_y_m=np.array([-4.0, 1.6, 4.0]),
+        support_y_m=np.array([-4.0, 0.0, 4.0]),
+    )
+    lines = [line.tolist() for line in panel_lines(collector)]
+    assert lines == [[[0.5, -4.0], [0.5, 4.0]], [[-2.5, 1.6], [2.5, 1.6]], [[-2.5, 0.0], [2.5, 0.0]]]
+
+
+def test_stations_without_a_value_stand_out(tmp_path) -> None:
+    result_folder(tmp_path)
+    series = {one.name: one for one in absorber_view(open_trough(tmp_path), "xz").series}
+    across, along = (next(one for name, one in series.items() if name.startswith(axis)) for axis in ("X_a", "Z_a"))
+    np.testing.assert_allclose(across.y[[0, 1, 3, 4]], 1.0)
+    np.testing.assert_allclose(along.y, 1.0)
+    np.testing.assert_allclose(along.sigma, 0.1)
+    np.testing.assert_allclose(series["not measured"].x, across.x[2])
 
 
 def test_photos_show_edges_where_the_camera_saw_them_and_why_targets_were_refused(tmp_path) -> None:
@@ -447,7 +469,6 @@ def test_an_absorber_measured_alone_has_its_report(tmp_path) -> None:
     assert "a tube" in first
     assert "1.00 \u00b1 0.20 mm" in first
     assert "1 of 5 stations of the absorber not measured" in first
-    shown = report.absorber(results).text
-    assert shown.count("<img") == 2
-    assert "5 stations" in shown
+    assert first.count("<img") == 1
+    assert "5 stations" in report.absorber(results).text
     assert "too few targets" in report.refused(results).text
