@@ -37,6 +37,8 @@ INSTRUMENT = Instrument(
     pictures={
         "observer-absorber": "observer.report.absorber:picture",
         "observer-alignment": "observer.report.alignment:picture",
+        "observer-compare": "observer.report.compare:picture",
+        "observer-overview": "observer.report.overview:picture",
     },
     synth="data_synth.preset_folders:observer",
     synth_command="data_synth.cli:observer",

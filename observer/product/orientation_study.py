@@ -110,6 +110,11 @@ def theta_r_change(first: SlopeMap, other: SlopeMap) -> FloatArray:
     return np.asarray(np.where(change.valid, angle, np.nan))
 
 
+def change_sigma(first: SlopeMap, other: SlopeMap) -> FloatArray:
+    """Return the standard deviation of `theta_r_change` from the noise of both maps, shape (ny, nx) [rad]."""
+    return np.asarray(np.hypot(first.sigma_random_x, other.sigma_random_x) / (1 + first.slope_x**2))
+
+
 def mirror_change(first: SlopeMap, other: SlopeMap) -> MirrorChange:
     """Say in numbers how the mirror differs between two orientations.
 
@@ -122,6 +127,6 @@ def mirror_change(first: SlopeMap, other: SlopeMap) -> MirrorChange:
     valid = np.isfinite(change)
     if not valid.any():
         raise EstimationError("orientation study: the slope maps have no measured point in common")
-    random = np.hypot(first.sigma_random_x, other.sigma_random_x) / (1 + first.slope_x**2)
+    random = change_sigma(first, other)
     tilt = float(change[valid].mean())
     return MirrorChange(tilt, float(np.std(change[valid])), float(np.sqrt(np.mean(random[valid] ** 2))))

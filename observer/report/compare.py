@@ -1,21 +1,31 @@
 """Sections of the report of a gravity study; each is one cell of its notebook."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.reporting import page
+from heliogauge.reporting.canvas import robust_limit
 from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from observer.files import ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS
+from heliogauge.view.charts import ChartSeries, ChartView
+from heliogauge.view.maps import MapLayer, MapView
+from heliogauge.view.tables import TableColumn, TableView
+from observer.files import COLLECTOR, ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS, read_collector
 from observer.product.orientation_study import SpanSags
 from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
-from observer.report.figures_orientation import Profile, orientation_figure
+from observer.report.figures_orientation import COLORS, Profile, orientation_figure
+from observer.report.maps import panel_lines
 from observer.report.results import Columns, numbers
+from observer.trough.collector import Collector
+
+_MM, _MRAD = 1e3, 1e3
+_CHANGES = ("theta_r_change", "sigma_theta_r_change")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +33,7 @@ class StudyResults:
     """What a folder with a gravity study holds."""
 
     summary: Summary
+    collector: Collector
     profiles: list[Profile]
     sags: list[SpanSags]
     changes: list[OneMap]
@@ -47,11 +58,12 @@ def open_study(folder: str | Path = ".") -> StudyResults:
     if (folder / ORIENTATION_CHANGES).is_file():
         found, attributes = read_arrays(folder / ORIENTATION_CHANGES, ("x", "y"))
         changes = [
-            OneMap(str(name), found["x"], found["y"], found[f"theta_r_change_{k}"].astype(np.float64))
+            OneMap(str(name), found["x"], found["y"], *(found[f"{one}_{k}"].astype(np.float64) for one in _CHANGES))
             for k, name in enumerate(attributes["orientations"], start=1)
         ]
     return StudyResults(
         read_summary(folder),
+        read_collector(folder / COLLECTOR),
         profiles,
         sags,
         changes,
@@ -69,13 +81,79 @@ def _parts(columns: Columns) -> list[tuple[str, Columns]]:
     return found
 
 
+def picture(folder: str | Path) -> MapView | ChartView:
+    """Return how the mirror changes, or the absorber where no mirror was measured twice, from a folder of results."""
+    results = open_study(folder)
+    return change_view(results) or profile_view(results)
+
+
 def head(results: StudyResults) -> Html:
-    """Return title and warnings."""
-    return page.head(results, f"one trough at {len(results.profiles)} orientations")
+    """Return the first screen: verdict, what weight does, how the mirror changes."""
+    summary, table_ = results.summary, results.orientations
+    rows: list[tuple[str, ...]] = [(f"Sag by weight, {ends}", text) for ends, text, *_ in _weights(results)]
+    for k, name in enumerate(table_["result"]):
+        values = [_number(table_, f"theta_r_{key}_rad", k) for key in ("change_rms", "change_noise")]
+        if k and values[0] is not None:
+            noise = "" if values[1] is None else f"noise alone would give {number_text(values[1], None, 'rad')}"
+            rows.append((f"theta_r changed, RMS: {name}", number_text(values[0], None, "rad"), noise))
+    missing = [] if results.by_weight["from_y_m"] else ["no span was measured at two orientations"]
+    line = f"one trough at {len(results.profiles)} orientations; heliogauge {summary.version}"
+    view = change_view(results) or profile_view(results)
+    return page.first_screen(summary.name, line, verdict_of(summary, missing), rows, view)
+
+
+def doubts(results: StudyResults) -> Html:
+    """Return all doubts with all their words."""
+    return page.doubts_box(results)
+
+
+def change_view(results: StudyResults) -> MapView | None:
+    """Return how theta_r changes from the first orientation to each other one; None without two mirrors."""
+    if not results.changes:
+        return None
+    limit = robust_limit(*(_MRAD * one.angle_rad for one in results.changes))
+    first = results.changes[0]
+    layers = [
+        MapLayer(f"change_{k}", f"theta_r at {one.name} minus the first", "mrad", one.angle_rad, _MRAD, one.sigma_rad)
+        for k, one in enumerate(results.changes, start=1)
+    ]
+    layers = [replace(one, limit=limit) for one in layers]
+    rms = ", ".join(f"{one.name} {_MRAD * float(np.sqrt(np.nanmean(one.angle_rad**2))):.3f}" for one in results.changes)
+    shape = first.angle_rad.shape
+    note = f"Without its mean; RMS [mrad]: {rms}. Positive where the mirror's normal turned towards +x."
+    return MapView(
+        "Change of the mirror",
+        first.x_m,
+        first.y_m,
+        tuple(layers),
+        np.zeros(shape, np.uint32),
+        np.ones(shape, np.bool_),
+        note=note,
+        lines=panel_lines(results.collector),
+        figures=[maps_figure(results.changes, CHANGES_TITLE)],
+    )
+
+
+def profile_view(results: StudyResults) -> ChartView:
+    """Return Z_a along the trough at all orientations, from the mean of all."""
+    mean = float(np.nanmean(np.concatenate([one.z_m for one in results.profiles])))
+    series = tuple(
+        ChartSeries(one.label, one.y_m, _MM * (one.z_m - mean), color, sigma=_MM * np.nan_to_num(one.sigma_z_m))
+        for one, color in zip(results.profiles, np.resize(COLORS, len(results.profiles)).tolist(), strict=True)
+    )
+    words = f"from {mean:.4f} m, the mean of all; + away from the mirror"
+    return ChartView("Absorber along the optical axis", "y along the trough [m]", "z [mm]", series, words)
 
 
 def weight(results: StudyResults) -> Html:
     """Return what the tube's weight does to each span, and the bend that it keeps."""
+    names = ("span, y", "sag by weight, downward", "lasting bend across", "lasting bend along the axis", "worst rest")
+    rows = _weights(results)
+    return table(names, rows, numbers=(1, 2, 3, 4)) if rows else Html("<p>No span was measured twice.</p>")
+
+
+def _weights(results: StudyResults) -> list[tuple[str, ...]]:
+    """Return the cells of each span: where it is, its sag by weight, its bends, the worst rest."""
     columns = results.by_weight
     rows = []
     for k in range(len(columns["from_y_m"])):
@@ -83,8 +161,7 @@ def weight(results: StudyResults) -> Html:
         pairs = (("by_weight_m", "sigma_by_weight_m"), ("bend_x_m", "sigma_bend_x_m"), ("bend_z_m", "sigma_bend_z_m"))
         cells = [number_text(float(columns[name][k]), float(columns[sigma][k]), "m", name) for name, sigma in pairs]
         rows.append((f"{ends} m", *cells, f"{float(columns['worst_residual'][k]):.1f} sigma"))
-    names = ("span, y", "sag by weight, downward", "lasting bend across", "lasting bend along the axis", "worst rest")
-    return table(names, rows, numbers=(1, 2, 3, 4)) if rows else Html("<p>No span was measured twice.</p>")
+    return rows
 
 
 def absorber(results: StudyResults) -> Html:
@@ -96,24 +173,29 @@ def absorber(results: StudyResults) -> Html:
     return join(show(orientation_figure(results.profiles, results.sags), caption=note), _orientations(results))
 
 
-def _orientations(results: StudyResults) -> Html:
+def _orientations(results: StudyResults) -> TableView:
     """Return a row for each orientation."""
-    columns = (
+    table_ = results.orientations
+    turns = [float(cell) for cell in table_["orientation_deg"]]
+    shown = [
+        TableColumn("result", table_["result"]),
+        TableColumn("orientation", [f"{turn:g} deg" for turn in turns], turns),
+    ]
+    for key, title, unit in (
         ("absorber_mean_x_m", "mean X_a", "m"),
         ("absorber_mean_z_offset_m", "mean Z_a - focal length", "m"),
         ("absorber_sag_down_m", "largest sag downward", "m"),
         ("theta_r_turned_rad", "theta_r turned", "rad"),
         ("theta_r_change_rms_rad", "theta_r changed, RMS", "rad"),
         ("theta_r_change_noise_rad", "of noise alone", "rad"),
-    )
-    rows = []
-    for k, name in enumerate(results.orientations["result"]):
-        cells = []
-        for key, _, unit in columns:
-            value, sigma = (_number(results.orientations, one, k) for one in (key, f"sigma_{key}"))
-            cells.append("-" if value is None else number_text(value, sigma, unit, key))
-        rows.append((f"{name}, {float(results.orientations['orientation_deg'][k]):g} deg", *cells))
-    return table(("result", *(title for _, title, _ in columns)), rows, numbers=range(1, len(columns) + 1))
+    ):
+        values, sigmas = ([_number(table_, name, k) for k in range(len(turns))] for name in (key, f"sigma_{key}"))
+        texts = [
+            "-" if value is None else number_text(value, sigma, unit, key)
+            for value, sigma in zip(values, sigmas, strict=True)
+        ]
+        shown.append(TableColumn(title, texts, [np.nan if value is None else value for value in values]))
+    return TableView("orientations", tuple(shown))
 
 
 def _number(columns: Columns, key: str, row: int) -> float | None:
@@ -121,18 +203,6 @@ def _number(columns: Columns, key: str, row: int) -> float | None:
     return float(cell) if cell and np.isfinite(float(cell)) else None
 
 
-def mirror(results: StudyResults) -> Html:
-    """Return how the mirror's slopes change."""
-    if not results.changes:
-        return Html("<p>Fewer than two of the results have slopes of the mirror.</p>")
-    note = (
-        "theta_r minus that of the first orientation, without its mean, which the table gives as theta r turned. "
-        "Positive where the mirror's normal turned towards +x. The table gives its RMS, and the RMS that noise alone "
-        "would give."
-    )
-    return show(maps_figure(results.changes, CHANGES_TITLE), caption=note)
-
-
-def making(results: StudyResults) -> Html:
+def inputs(results: StudyResults) -> Html:
     """Return the input files."""
     return page.input_table(results)

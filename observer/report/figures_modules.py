@@ -1,16 +1,14 @@
-"""Figures of several modules side by side: their maps with one scale of colours, their numbers with sigmas."""
+"""Figures of several modules side by side: their maps with one scale of colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heliogauge.reporting.canvas import (
     DIVERGING,
-    FAINT,
     INK,
-    LINE_X,
     MISSING,
     MISSING_HATCH,
     WIDTH_IN,
@@ -44,12 +42,14 @@ class OneMap:
     name: What it is called.
     x_m, y_m (nx,): Nodes [m].
     angle_rad (ny, nx): The angle; NaN where not measured [rad].
+    sigma_rad (ny, nx): Its standard deviation; None where not known [rad].
     """
 
     name: str
     x_m: FloatArray
     y_m: FloatArray
     angle_rad: FloatArray
+    sigma_rad: FloatArray | None = None
 
 
 def modules_figure(maps: Sequence[ModuleMap], angle: str) -> "Figure":
@@ -122,49 +122,3 @@ def _shown(one: ModuleMap, angle: str) -> FloatArray:
     if not np.isfinite(one.theta_r_rad).any():
         return one.theta_r_rad
     return np.asarray(one.theta_r_rad - np.nanmean(one.theta_r_rad))
-
-
-class NumbersPanel(NamedTuple):
-    """What a panel shows with its unit, values of the modules and their standard deviations; None: there is none."""
-
-    title: str
-    values: Sequence[float | None]
-    sigmas: Sequence[float | None]
-
-
-def numbers_figure(names: Sequence[str], panels: Sequence[NumbersPanel]) -> "Figure":
-    """Draw numbers of all modules below each other, so that the odd one out is seen.
-
-    names: The modules, the first at the top.
-    """
-    height = max(0.26 * len(names), 0.6)
-    figure = new_figure(_TOP_IN + 0.2 + height + _BOTTOM_IN, _WIDE_IN)
-    longest = max(len(name) for name in names)
-    left = min(0.3 + 0.075 * longest, 2.4)
-    width = (_WIDE_IN - left - 0.3 - (len(panels) - 1) * 0.35) / len(panels)
-    place = np.arange(len(names))[::-1]
-    for number, (title, values, sigmas) in enumerate(panels):
-        axes = axes_in_inches(figure, left + number * (width + 0.35), _BOTTOM_IN, width, height)
-        known = [k for k, value in enumerate(values) if value is not None]
-        axes.errorbar(
-            [float(values[k] or 0.0) for k in known],
-            [place[k] for k in known],
-            xerr=[float(sigmas[k] or 0.0) for k in known],
-            fmt="o",
-            color=LINE_X,
-            markersize=4,
-            linewidth=1,
-            capsize=2,
-        )
-        axes.set_ylim(-0.6, len(names) - 0.4)
-        axes.set_yticks(place, list(names) if number == 0 else [""] * len(names))
-        axes.grid(visible=True, color="#e4e7ea", linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.set_xlabel(title, fontsize=8.5, color=INK)
-        axes.ticklabel_format(axis="x", useOffset=False)
-        axes.locator_params(axis="x", nbins=5)
-        axes.margins(x=0.15)
-        for side in ("top", "right"):
-            axes.spines[side].set_color(FAINT)
-    add_title(figure, "Modules beside each other", "error bars: 1 sigma")
-    return figure

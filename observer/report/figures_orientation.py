@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLORS = ("#1f6fb2", "#c4511c", "#2b8a4b", "#7a4fa3", "#8a7a1d", "#444b54")
+COLORS = ("#1f6fb2", "#c4511c", "#2b8a4b", "#7a4fa3", "#8a7a1d", "#444b54")
 _LEFT_IN, _PLOT_IN, _STEP_IN = 0.72, 1.75, 2.45
 #: Legends stand beside the plots, where they hide nothing.
 _LEGEND_IN = 2.3
@@ -68,7 +68,7 @@ def _plot(figure: "Figure", bottom_in: float, x_label: str, y_label: str) -> "Ax
 
 def _draw_profiles(axes: "Axes", profiles: Sequence[Profile], axis: str, words: str) -> None:
     reference = 0.0 if axis == "x" else float(np.nanmean(np.concatenate([one.z_m for one in profiles])))
-    for one, color in zip(profiles, np.resize(_COLORS, len(profiles)), strict=True):
+    for one, color in zip(profiles, np.resize(COLORS, len(profiles)), strict=True):
         value, sigma = (one.x_m, one.sigma_x_m) if axis == "x" else (one.z_m, one.sigma_z_m)
         value = 1e3 * (value - reference)
         axes.plot(one.y_m, value, ".-", color=color, linewidth=1.1, markersize=4, label=one.label)
@@ -80,7 +80,7 @@ def _draw_profiles(axes: "Axes", profiles: Sequence[Profile], axis: str, words: 
 
 
 def _draw_sags(axes: "Axes", sags: Sequence[SpanSags]) -> None:
-    for number, (sag, color) in enumerate(zip(sags, np.resize(_COLORS, len(sags)), strict=True), start=1):
+    for number, (sag, color) in enumerate(zip(sags, np.resize(COLORS, len(sags)), strict=True), start=1):
         turn = np.degrees(sag.orientation_rad)
         for value, sigma, marker, name in (
             (sag.sag_x_m, sag.sigma_x_m, "o", "across"),

@@ -1,15 +1,22 @@
 """Sections of the report of several modules; each is one cell of its notebook."""
 
-import html
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.canvas import LINE_X
+from heliogauge.reporting.html import Html, beside, join, show
 from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
+from heliogauge.validate import FloatArray
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.tables import TableColumn, TableView
 from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
-from observer.report.figures_modules import NumbersPanel, modules_figure, numbers_figure
+from observer.report.figures_modules import modules_figure
+from observer.report.sections import numbers_table
 
 _MRAD = 1e3
 #: Columns of the table of modules, and what they are called there.
@@ -21,6 +28,12 @@ _COLUMNS = (
     ("intercept_ratio", "intercept factor", ""),
     ("measured_share", "measured", ""),
     ("photos_count", "photos", ""),
+)
+#: Numbers of each module that a chart shows beside those of the others: name and factor to the printed unit.
+_CHARTS = (
+    ("rms_theta_r_rad", "theta_r RMS [mrad]", _MRAD),
+    ("rms_theta_ra_rad", "theta_ra RMS [mrad]", _MRAD),
+    ("intercept_ratio", "intercept factor", 1.0),
 )
 
 
@@ -37,6 +50,11 @@ class OverviewResults:
         """Return a number of a module; None where there is none."""
         cell = self.table[key][row] if key in self.table else ""
         return float(cell) if cell else None
+
+    def values(self, key: str, rows: list[int]) -> FloatArray:
+        """Return a number of some modules; NaN where there is none."""
+        found = [self.value(key, row) for row in rows]
+        return np.array([np.nan if one is None else one for one in found], dtype=np.float64)
 
     @property
     def measured(self) -> list[int]:
@@ -55,51 +73,82 @@ def open_overview(folder: str | Path = ".") -> OverviewResults:
     return OverviewResults(read_summary(folder), table_, read_maps(folder / OVERVIEW_MAPS), folder)
 
 
+def picture(folder: str | Path) -> ChartView:
+    """Return the slope errors of all modules, from a folder of results."""
+    results = open_overview(folder)
+    return _chart(results, *_CHARTS[0])
+
+
 def head(results: OverviewResults) -> Html:
-    """Return title and warnings."""
-    return page.head(results, f"overview of {len(results.table['name'])} modules")
+    """Return the first screen: verdict, the numbers of all modules, their maps."""
+    summary, count, measured = results.summary, len(results.table["name"]), results.measured
+    missing = [f"{count - len(measured)} of {count} modules not measured"] if len(measured) < count else []
+    shares = results.values("measured_share", measured)
+    holes = shares[np.isfinite(shares) & (1 - shares >= SMALLEST_HOLE_SHARE)]
+    if holes.size:
+        missing.append(
+            f"{holes.size} modules not measured everywhere, {100 * (1 - float(holes.min())):.1f} % missing of the worst"
+        )
+    passed = [f"{len(measured)} modules measured"] if measured else []
+    drawn = show(modules_figure(results.maps, "theta_r")) if results.maps else None
+    line = f"overview of {count} modules; heliogauge {summary.version}"
+    return page.first_screen(summary.name, line, verdict_of(summary, missing, passed), _rows(results), drawn)
 
 
-def modules(results: OverviewResults) -> Html:
-    """Return the table of the modules, each with a link to its own report."""
+def _rows(results: OverviewResults) -> list[tuple[str, str]]:
+    """Return median and range over the modules of the headline numbers."""
     rows = []
-    for row, name in enumerate(results.table["result"]):
-        cells = []
-        for key, _, unit in _COLUMNS:
-            value, sigma = results.value(key, row), results.value(f"sigma_{key}", row)
-            cells.append("" if value is None else number_text(value, sigma, unit, key))
-        rows.append((name, *cells))
-    text = table(("module", *(title for _, title, _ in _COLUMNS)), rows, numbers=range(1, len(_COLUMNS) + 1)).text
-    for name in results.table["result"]:
-        # Modules of one flight lie below the overview; results from elsewhere may have moved.
-        if (results.folder / name / "summary.json").is_file() and not Path(name).is_absolute():
-            cell = f"<td>{html.escape(name)}</td>"
-            link = f'<td><a href="{html.escape(name, quote=True)}/report.html">{html.escape(name)}</a></td>'
-            text = text.replace(cell, link, 1)
-    return join(Html(text), _not_measured(results))
+    for key, title, unit in _COLUMNS:
+        found = results.values(key, results.measured)
+        found = found[np.isfinite(found)]
+        if found.size and key != "photos_count":
+            texts = [number_text(float(one), None, unit, key) for one in (np.median(found), found.min(), found.max())]
+            rows.append((f"{title}, median (range)", f"{texts[0]} ({texts[1]} to {texts[2]})"))
+    return rows
 
 
-def _not_measured(results: OverviewResults) -> Html:
-    reasons = results.table.get("failed", [])
-    rows = [(name, reason) for name, reason in zip(results.table["name"], reasons, strict=False) if reason]
-    return table(("not measured", "why"), rows) if rows else Html("")
+def doubts(results: OverviewResults) -> Html:
+    """Return all doubts with all their words."""
+    return page.doubts_box(results)
+
+
+def modules(results: OverviewResults) -> TableView:
+    """Return the table of the modules, each with a link to its own report, and why some were not measured."""
+    names, rows = results.table["result"], range(len(results.table["result"]))
+    columns = [TableColumn("module", names, links=[_link(results, name) for name in names])]
+    for key, title, unit in _COLUMNS:
+        found = [results.value(key, row) for row in rows]
+        texts = [
+            "" if value is None else number_text(value, results.value(f"sigma_{key}", row), unit, key)
+            for row, value in zip(rows, found, strict=True)
+        ]
+        columns.append(TableColumn(title, texts, [np.nan if value is None else value for value in found]))
+    reasons = results.table.get("failed", [""] * len(names))
+    if any(reasons):
+        columns.append(TableColumn("not measured, because", reasons))
+    return TableView("modules", tuple(columns), [f"module-{name}" for name in names])
+
+
+def _link(results: OverviewResults, name: str) -> str:
+    # Modules of one flight lie below the overview; results from elsewhere may have moved.
+    is_below = not Path(name).is_absolute() and (results.folder / name / "summary.json").is_file()
+    return f"{name}/report.html" if is_below else ""
 
 
 def numbers(results: OverviewResults) -> Html:
-    """Return figures of the numbers."""
+    """Return charts of the numbers, so that the odd one out is seen."""
+    views = [_chart(results, *one) for one in _CHARTS if np.isfinite(results.values(one[0], results.measured)).any()]
+    return beside(*views) if views else Html("")
+
+
+def _chart(results: OverviewResults, key: str, title: str, factor: float) -> ChartView:
     rows = results.measured
+    place = np.arange(1.0, len(rows) + 1)
+    values, sigmas = (factor * results.values(name, rows) for name in (key, f"sigma_{key}"))
     names = [results.table["result"][row] for row in rows]
-    panels = []
-    for key, title, factor in (
-        ("rms_theta_r_rad", "theta_r RMS [mrad]", _MRAD),
-        ("rms_theta_ra_rad", "theta_ra RMS [mrad]", _MRAD),
-        ("intercept_ratio", "intercept factor", 1.0),
-    ):
-        pairs = [(results.value(key, row), results.value(f"sigma_{key}", row)) for row in rows]
-        scaled = [[None if value is None else factor * value for value in pair] for pair in pairs]
-        if any(value is not None for value, _ in scaled):
-            panels.append(NumbersPanel(title, *zip(*scaled, strict=True)))
-    return show(numbers_figure(names, panels)) if panels else Html("")
+    series = ChartSeries("modules", place, values, LINE_X, Mark.POINTS, np.nan_to_num(sigmas), names, size_px=6.0)
+    note = f"in the order of the table: {', '.join(names[:8])}{' ...' if len(names) > 8 else ''}; error bars: 1 sigma"
+    return ChartView(title.partition(" [")[0], "module", title, (series,), note)
 
 
 def maps(results: OverviewResults) -> Html:
@@ -110,12 +159,16 @@ def maps(results: OverviewResults) -> Html:
         "Each module in its own frame: x across the aperture, y along the trough, seen from the front. Positive where "
         "the mirror's normal is turned towards +x. Grey and hatched: not measured; the module's own report says why."
     )
-    return show(modules_figure(results.maps, "theta_ra"), modules_figure(results.maps, "theta_r"), caption=note)
+    return show(modules_figure(results.maps, "theta_ra"), caption=note)
 
 
 def making(results: OverviewResults) -> Html:
-    """Return times and input files."""
-    pieces = [page.input_table(results)]
-    if results.summary.durations_s:
-        pieces.insert(0, page.duration_table(results))
-    return join(*pieces)
+    """Return all numbers, and how long each stage took."""
+    return join(
+        numbers_table(results.summary), *([page.duration_table(results)] if results.summary.durations_s else [])
+    )
+
+
+def inputs(results: OverviewResults) -> Html:
+    """Return the files that were read."""
+    return page.input_table(results)

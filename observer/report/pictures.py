@@ -99,7 +99,7 @@ def _with_marks(
     results: TroughResults, name: str, image: npt.NDArray[np.uint8], marks: tuple[PhotoMarks, ...]
 ) -> Photo:
     camera = results.base.cameras[results.poses[name].camera]
-    vertices, lengths = mirror_lines(results)
+    vertices, lengths = mirror_lines(results.collector)
     places = _in_photo(results, name, vertices)
     pieces = [one for one in np.split(places, np.cumsum(lengths)[:-1]) if np.isfinite(one).all()]
     counts = ", ".join(f"{len(one.xy_px)} {one.name}" for one in marks)

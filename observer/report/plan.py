@@ -1,42 +1,38 @@
 """Sections of the report of a planned pass; each is one cell of its notebook."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y, MapStyle, add_legend, chart_figure, map_figure
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
+from heliogauge.reporting.html import Html, beside, join, show, table, wrap
 from heliogauge.reporting.results import Results, open_results
+from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import read_table_csv
-from heliogauge.validate import FloatArray
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.maps import MapLayer, MapView
+from heliogauge.view.scenes import SceneGroup, SceneView
 from observer.files import COLLECTOR, read_collector
 from observer.report.lines import listed
-from observer.report.maps import with_panels
+from observer.report.maps import panel_lines, with_panels
 from observer.report.results import Columns, numbers
-from observer.report.sections import headline_table
+from observer.report.scene import mirror_lines
+from observer.report.sections import headline_rows, numbers_table
 from observer.trough.collector import Collector
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _MM, _MRAD = 1e3, 1e3
-#: Numbers of the headline table and what they are called there.
+#: Numbers of the first screen and what they are called there.
 LABELS: dict[str, str] = {
     "sigma_theta_r_median_rad": "Sigma of theta_r at a point of the map, median",
     "sigma_theta_r_95_percent_rad": "95 % of the points are below",
     "sigma_slope_x_median_rad": "Sigma of dz/dx at a point of the map, median",
-    "sigma_random_slope_x_median_rad": "its random share, median",
     "measured_share": "Share of the mirror that will be measured",
     "sigma_absorber_x_rms_m": "Sigma of the absorber, X_a",
     "sigma_absorber_z_rms_m": "Sigma of the absorber, Z_a",
     "sigma_camera_position_rms_m": "Sigma of a camera's coordinates, from the targets alone",
     "photos_count": "Photos",
-    "pixel_on_aperture_m": "Pixel on the mirror",
-    "camera_angle_step_rad": "Step of the camera angle from photo to photo",
-    "longitudinal_incidence_deg": "Largest longitudinal incidence",
     "monte_carlo_rms_slope_x_rad": "Monte Carlo: RMS error of dz/dx",
     "monte_carlo_over_sigma_ratio": "Monte Carlo: RMS error over stated sigma",
 }
@@ -69,60 +65,99 @@ def open_plan(folder: str | Path = ".") -> PlanResults:
 
 
 def head(results: PlanResults) -> Html:
-    """Return title and warnings, which say where to fly."""
-    return page.head(results.base, f"plan of a pass over a trough; design: {results.base.slope_map.design}")
+    """Return the first screen: verdict with what will be missing, numbers to expect, the map of their sigmas."""
+    summary, slope_map = results.base.summary, results.base.slope_map
+    unseen = 1 - slope_map.measured_share
+    missing = [f"{100 * unseen:.1f} % of the mirror would not be measured"] if unseen >= SMALLEST_HOLE_SHARE else []
+    line = f"plan of a pass over a trough; design: {slope_map.design}; heliogauge {summary.version}"
+    rows = headline_rows(summary, LABELS)
+    return page.first_screen(summary.name, line, verdict_of(summary, missing), rows, sigma_view(results))
+
+
+def doubts(results: PlanResults) -> Html:
+    """Return all doubts with all their words, which say where to fly."""
+    return page.doubts_box(results.base)
+
+
+def sigma_view(results: PlanResults) -> MapView:
+    """Return the map of the sigmas to be expected."""
+    slope_map = results.base.slope_map
+    turned = 1 + slope_map.slope_x**2
+    layers = tuple(
+        MapLayer(key, name, "mrad", np.where(slope_map.valid, sigma / turned, np.nan), _MRAD, None, False, low=0.0)
+        for key, name, sigma in (
+            ("sigma_theta_r", "Sigma of theta_r to be expected", slope_map.sigma_slope()[0]),
+            ("random", "Its random share: noise and gaps between photos", slope_map.sigma_random_x),
+        )
+    )
+    view = MapView(
+        "What to expect",
+        slope_map.x_m,
+        slope_map.y_m,
+        layers,
+        slope_map.flags,
+        slope_map.aperture,
+        note="Grey: will not be measured. What the two layers do not share is common to the whole map.",
+        lines=panel_lines(results.collector),
+    )
+    # The still picture is the first layer alone.
+    return replace(view, figures=[view.figure()])
 
 
 def overview(results: PlanResults) -> Html:
-    """Return the headline numbers and what they refer to."""
+    """Return all numbers and what they refer to."""
     rows = [(name.replace("_", " "), text) for name, text in results.base.summary.texts.items()]
-    return join(headline_table(results.base.summary, LABELS), table(("", ""), rows))
+    return join(numbers_table(results.base.summary), table(("", ""), rows))
 
 
-def maps(results: PlanResults) -> Html:
-    """Return the map of sigmas to be expected, and why parts of the mirror will be missing."""
+def missing(results: PlanResults) -> Html:
+    """Return why parts of the mirror will be missing."""
     from heliogauge.reporting.figures import flag_map
 
-    slope_map = results.base.slope_map
-    reasons = with_panels(flag_map(slope_map), results.collector)
-    if not slope_map.valid.any():
-        return join(Html("<p>No point of the mirror would be measured.</p>"), show(reasons))
-    sigma = slope_map.sigma_slope()[0] / (1 + slope_map.slope_x**2)
-    own = slope_map.sigma_random_x / (1 + slope_map.slope_x**2)
-    drawn = [
-        _sigma_map(results, sigma, "Sigma of theta_r to be expected"),
-        _sigma_map(results, own, "Its random share: noise and gaps between photos"),
-        reasons,
-    ]
-    missing = results.table("missing.csv") or {"reason": [], "share": []}
-    rows = [(reason, f"{float(share):.2%}") for reason, share in zip(*missing.values(), strict=True)]
-    note = "What the two maps do not share is common to the whole map: cameras, absorber, frame of the targets."
+    reasons = show(with_panels(flag_map(results.base.slope_map), results.collector))
+    columns = results.table("missing.csv") or {"reason": [], "share": []}
+    rows = [(reason, f"{float(share):.2%}") for reason, share in zip(*columns.values(), strict=True)]
     causes = table(("not measured, or doubtful", "share of the mirror"), rows, numbers=(1,)) if rows else Html("")
-    return join(show(*drawn, caption=note), causes)
-
-
-def _sigma_map(results: PlanResults, sigma: FloatArray, title: str) -> "Figure":
-    slope_map = results.base.slope_map
-    values = np.where(slope_map.valid, sigma, np.nan)
-    note = f"median {_MRAD * float(np.nanmedian(values)):.3f} mrad"
-    style = MapStyle(title, "mrad", _MRAD, diverging=False, note=note)
-    return with_panels(map_figure(slope_map, values, style), results.collector)
+    return beside(reasons, causes)
 
 
 def flight(results: PlanResults) -> Html:
-    """Return where photos are taken, across and along the trough."""
-    note = "Every camera with a short line where it looks. Along the trough the mirror is seen from the side."
-    drawn = show(flight_figure(results, "x"), flight_figure(results, "y"), caption=note)
+    """Return where photos are taken, across and along the trough, and in space."""
     shown = {name: cells for name, cells in results.stations.items() if not name.startswith("direction_")}
-    folded = f"<details><summary>{len(shown['name'])} stations</summary>{listed(shown).text}</details>"
-    return join(drawn, Html(folded))
+    stations = listed(shown, "stations")
+    folded = wrap(f"<details><summary>{len(shown['name'])} stations</summary>", [stations], "</details>")
+    views = beside(flight_view(results, "x"), flight_view(results, "y"))
+    return join(views, Html('<p class="caption">Every camera with a short line where it looks.</p>'), folded)
 
 
-def flight_figure(results: PlanResults, axis: str) -> "Figure":
-    """Draw mirror, absorber and cameras from the side.
+def scene(results: PlanResults) -> SceneView:
+    """Return mirror, absorber and cameras as a scene to turn."""
+    stations, collector = results.stations, results.collector
+    eyes, looks = (
+        np.stack([numbers(stations, f"{name}{axis}{end}") for axis in "xyz"], axis=1)
+        for name, end in (("", "_m"), ("direction_", ""))
+    )
+    mirror, lengths = mirror_lines(collector)
+    half = collector.length_m / 2
+    axis = np.array([[0.0, -half, collector.focal_length_m], [0.0, half, collector.focal_length_m]])
+    sigma = numbers(stations, "sigma_position_m")
+    labels = [
+        f"{name}: coordinates known to {_MM * one:.2f} mm" for name, one in zip(stations["name"], sigma, strict=True)
+    ]
+    rays = np.stack([eyes, eyes + 1.2 * looks], axis=1).reshape(-1, 3)
+    groups = (
+        SceneGroup("mirror", mirror, [FAINT], lengths=lengths, size_px=0.8),
+        SceneGroup("absorber", axis, [LINE_Y], lengths=(2,), size_px=3.0),
+        SceneGroup("directions of view", rays, [FAINT], lengths=(2,) * len(eyes), size_px=0.8),
+        SceneGroup("cameras", eyes, [LINE_X], labels=labels, size_px=6),
+    )
+    return SceneView("The pass", groups)
+
+
+def flight_view(results: PlanResults, axis: str) -> ChartView:
+    """Return mirror, absorber and cameras from the side, height over the vertex at one scale [m].
 
     axis: "x": looking along the trough; "y": from beside it.
-    Returns: Height over the vertex against the axis, at one scale [m].
     """
     place, height = (numbers(results.stations, f"{name}_m") for name in (axis, "z"))
     look, down = (numbers(results.stations, f"direction_{name}") for name in (axis, "z"))
@@ -130,44 +165,45 @@ def flight_figure(results: PlanResults, axis: str) -> "Figure":
     title = "The pass, seen along the trough" if axis == "x" else "The pass, seen from beside the trough"
     words = "x across the aperture" if axis == "x" else "y along the trough"
     note = f"sigma of a camera's coordinates {_MM * float(np.median(sigma)):.2f} mm (median), from the targets alone"
-    figure, axes = chart_figure(title, note, f"{words} [m]", "z over the vertex [m]", 4.4)
     collector = results.collector
     half = (collector.aperture_width_m if axis == "x" else collector.length_m) / 2
     fine = np.linspace(-half, half, 101)
     across = fine if axis == "x" else np.zeros_like(fine)
-    axes.plot(fine, collector.surface.height(across, fine - across), color=INK, linewidth=1.6, label="mirror")
+    gap = np.full_like(place, np.nan)
+    looks = [
+        np.stack([start, start + 1.2 * step, gap], axis=1).ravel() for start, step in ((place, look), (height, down))
+    ]
+    series = [
+        ChartSeries("directions of view", looks[0], looks[1], FAINT, size_px=0.7),
+        ChartSeries("mirror", fine, collector.surface.height(across, fine - across), INK, size_px=2.0),
+    ]
+    ends, focus = np.array([-half, half]), np.full(2, collector.focal_length_m)
     if axis == "x":
-        axes.plot(0, collector.focal_length_m, "o", color=LINE_Y, markersize=4, linestyle="none", label="absorber")
+        series.append(ChartSeries("absorber", np.zeros(1), focus[:1], LINE_Y, Mark.POINTS, size_px=6.0))
     else:
-        rim = np.full(2, collector.rim_height_m)
-        axes.plot([-half, half], rim, color=INK, linewidth=0.8)
-        axes.plot([-half, half], np.full(2, collector.focal_length_m), color=LINE_Y, linewidth=2, label="absorber")
-    axes.plot([place, place + 1.2 * look], [height, height + 1.2 * down], color=FAINT, linewidth=0.5)
-    axes.plot(place, height, ".", color=LINE_X, markersize=4, linestyle="none", label="cameras")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_ylim(-0.5, 1.12 * float(height.max()))
-    add_legend(axes, loc="center right")
-    return figure
+        series.append(ChartSeries("rim", ends, np.full(2, collector.rim_height_m), INK))
+        series.append(ChartSeries("absorber", ends, focus, LINE_Y, size_px=2.5))
+    names = results.stations["name"]
+    series.append(ChartSeries("cameras", place, height, LINE_X, Mark.POINTS, labels=names, size_px=5.0))
+    return ChartView(title, f"{words} [m]", "z over the vertex [m]", tuple(series), note, equal=True)
 
 
-def absorber(results: PlanResults) -> Html:
+def absorber(results: PlanResults) -> ChartView | Html:
     """Return how well the absorber will be known."""
     columns = results.table("absorber.csv") or {}
     y, sigma_x, sigma_z = (numbers(columns, name) for name in ("y_m", "sigma_x_a_m", "sigma_z_a_m"))
     if not (sigma_x > 0).any():
         return Html("<p>The absorber's place is not measured.</p>")
-    figure, axes = chart_figure(
+    return ChartView(
         "Sigma of the absorber's place",
-        "where the tube is seen from two sides",
         "y along the trough [m]",
         "sigma [mm]",
-        3.6,
+        (
+            ChartSeries("X_a, across", y, _MM * sigma_x, LINE_X),
+            ChartSeries("Z_a, along the optical axis", y, _MM * sigma_z, LINE_Y),
+        ),
+        "where the tube is seen from two sides",
     )
-    axes.plot(y, _MM * sigma_x, ".-", color=LINE_X, linewidth=1.2, markersize=4, label="X_a, across")
-    axes.plot(y, _MM * sigma_z, ".-", color=LINE_Y, linewidth=1.2, markersize=4, label="Z_a, along the optical axis")
-    axes.set_ylim(bottom=0, top=1.25 * _MM * float(np.nanmax([sigma_x, sigma_z])))
-    add_legend(axes, loc="upper right", ncols=2)
-    return show(figure)
 
 
 def repeated(results: PlanResults) -> Html:
@@ -176,22 +212,25 @@ def repeated(results: PlanResults) -> Html:
     if settling is None or nodes is None:
         return Html("")
     runs, rms = numbers(settling, "runs_count"), numbers(settling, "rms_slope_x_rad")
-    first, axes = chart_figure("RMS error over the map", "as runs are added", "runs", "RMS error of dz/dx [mrad]", 3.6)
-    axes.plot(runs, _MRAD * rms, ".-", color=LINE_X, linewidth=1.2)
-    axes.set_ylim(0, 1.25 * _MRAD * float(rms.max()))
+    settled = ChartSeries("RMS error", runs, _MRAD * rms, LINE_X)
     error, sigma = numbers(nodes, "rms_error_slope_x_rad"), numbers(nodes, "sigma_slope_x_rad")
-    second, axes = chart_figure(
-        "Scatter against stated sigma", "each dot a node", "stated sigma of dz/dx [mrad]", "RMS error [mrad]", 3.6
+    ends = np.array([0.0, _MRAD * float(np.nanpercentile([error, sigma], 99.5))])
+    scatter = (
+        ChartSeries("nodes", _MRAD * sigma, _MRAD * error, LINE_X, Mark.POINTS, size_px=3.0),
+        ChartSeries("equal", ends, ends, INK),
     )
-    axes.plot(_MRAD * sigma, _MRAD * error, ".", color=LINE_X, markersize=2, linestyle="none", alpha=0.5)
-    end = _MRAD * float(np.nanpercentile([error, sigma], 99.5))
-    axes.plot([0, end], [0, end], color=INK, linewidth=0.8, label="equal")
-    axes.set_xlim(0, end)
-    axes.set_ylim(0, end)
-    add_legend(axes, loc="upper left")
-    return join(Html("<h2>Monte Carlo</h2>"), show(first, second))
+    views = beside(
+        ChartView("RMS error over the map", "runs", "RMS error of dz/dx [mrad]", (settled,), "as runs are added"),
+        ChartView("Scatter against stated sigma", "stated sigma of dz/dx [mrad]", "RMS error [mrad]", scatter),
+    )
+    return join(Html("<h2>Monte Carlo</h2>"), views)
 
 
 def making(results: PlanResults) -> Html:
-    """Return times and input files."""
-    return join(page.duration_table(results.base), page.input_table(results.base))
+    """Return how long each stage took."""
+    return page.duration_table(results.base)
+
+
+def inputs(results: PlanResults) -> Html:
+    """Return the files that were read."""
+    return page.input_table(results.base)

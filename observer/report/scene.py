@@ -10,6 +10,7 @@ from heliogauge.results.folder import PhotoPose
 from heliogauge.validate import FloatArray
 from heliogauge.view.scenes import SceneGroup, SceneView
 from observer.report.results import TroughResults, numbers
+from observer.trough.collector import Collector
 
 
 def network(results: TroughResults) -> Html:
@@ -24,7 +25,7 @@ def network(results: TroughResults) -> Html:
         f"{name}: {count} edges of the reflection, position known to {1e3 * one:.1f} mm"
         for name, count, one in zip(names, counts, sigma, strict=True)
     ]
-    mirror, lengths = mirror_lines(results)
+    mirror, lengths = mirror_lines(results.collector)
     targets = results.targets
     known = np.isfinite(targets.xyz_m).all(axis=1)
     groups = [
@@ -60,12 +61,11 @@ def place_sigma_m(pose: PhotoPose) -> float:
     return float(np.sqrt(np.trace(pose.cam_from_world.origin_covariance(pose.covariance))))
 
 
-def mirror_lines(results: TroughResults) -> tuple[FloatArray, tuple[int, ...]]:
+def mirror_lines(collector: Collector) -> tuple[FloatArray, tuple[int, ...]]:
     """Return the panels' edges on the design parabola as lines.
 
     Returns (v, 3): Vertices [m] and the number of each line.
     """
-    collector = results.collector
     fine = np.linspace(collector.panel_edges_x_m[0], collector.panel_edges_x_m[-1], 41)
     lines = [
         np.stack([fine, np.full_like(fine, y), collector.surface.height(fine, np.full_like(fine, y))], axis=1)

@@ -18,8 +18,22 @@ from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.grid import resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
-from observer.files import COLLECTOR, ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS, read_collector
-from observer.product.orientation_study import SpanSags, WeightSag, mirror_change, sag_by_weight, theta_r_change
+from observer.files import (
+    COLLECTOR,
+    ORIENTATION_CHANGES,
+    ORIENTATION_PROFILES,
+    ORIENTATION_SAGS,
+    read_collector,
+    write_collector,
+)
+from observer.product.orientation_study import (
+    SpanSags,
+    WeightSag,
+    change_sigma,
+    mirror_change,
+    sag_by_weight,
+    theta_r_change,
+)
 from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
 from observer.report.figures_orientation import Profile, orientation_figure
 from observer.trough.collector import Collector
@@ -88,6 +102,7 @@ class Comparison(InstrumentResult):
         write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, "y_m"))
         write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
         write_changes(folder / ORIENTATION_CHANGES, changes)
+        write_collector(folder / COLLECTOR, self.orientations[0].collector)
         (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
         if changes:
             (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
@@ -210,7 +225,8 @@ def mirror_changes(result: Comparison) -> list[OneMap]:
         if first is not None and other is not None:
             change = theta_r_change(first, other)
             mean = np.nanmean(change) if np.isfinite(change).any() else 0.0
-            found.append(OneMap(one.profile.label, other.x_m, other.y_m, np.asarray(change - mean)))
+            sigma = np.where(np.isfinite(change), change_sigma(first, other), np.nan)
+            found.append(OneMap(one.profile.label, other.x_m, other.y_m, np.asarray(change - mean), sigma))
     return found
 
 
@@ -236,6 +252,10 @@ def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
     for k, one in enumerate(changes, start=1):
         text = f"theta_r minus that of the first orientation, without its mean: {one.name}"
         arrays.append(LabelledArray(f"theta_r_change_{k}", ("y", "x"), one.angle_rad.astype(np.float32), "rad", text))
+        if one.sigma_rad is not None:
+            words = f"standard deviation of theta_r_change_{k} from the noise of both maps"
+            name = f"sigma_theta_r_change_{k}"
+            arrays.append(LabelledArray(name, ("y", "x"), one.sigma_rad.astype(np.float32), "rad", words))
     write_arrays(path, arrays, {"orientations": [one.name for one in changes]})
 
 

@@ -79,14 +79,18 @@ def test_a_plan_is_written_whole(tmp_path: Path) -> None:
     assert "monte_carlo_not_settled" in [one.code for one in result.doubts]
     assert "plan_beyond_tube" in [one.code for one in result.doubts]
     results = report.open_plan(out)
-    assert "beyond the tube&#x27;s ends" in report.head(results).text
-    assert "95 % of the points are below" in report.overview(results).text
-    counts = [part(results).text.count("<img") for part in (report.maps, report.flight, report.absorber)]
-    assert counts == [3, 2, 1]
+    first = report.head(results).text
+    assert f"{100 * (1 - slope_map.measured_share):.1f} % of the mirror would not be measured" in first
+    assert "95 % of the points are below" in first
+    assert "beyond the tube&#x27;s ends" in report.doubts(results).text
+    parts = (report.head, report.missing, report.flight, report.absorber, report.scene)
+    assert [part(results)._repr_html_().count("<img") for part in parts] == [1, 1, 2, 1, 1]
     assert report.repeated(results).text.count("<img") == 2
-    side = report.flight_figure(results, "x").axes[0]
-    cameras = next(line for line in side.lines if line.get_label() == "cameras")
-    np.testing.assert_allclose(cameras.get_xdata()[[0, -1]], [-2.9, 2.9])
+    side = {one.name: one for one in report.flight_view(results, "x").series}
+    np.testing.assert_allclose(side["cameras"].x[[0, -1]], [-2.9, 2.9])
+    # Every line of sight begins at its camera and ends at a gap.
+    np.testing.assert_allclose(side["directions of view"].x[::3], side["cameras"].x)
+    assert np.isnan(side["directions of view"].y[2::3]).all()
     (out / "monte_carlo.csv").unlink()
     assert report.repeated(results).text == ""
 

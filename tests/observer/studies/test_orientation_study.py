@@ -138,14 +138,22 @@ def test_the_report_has_what_the_study_wrote(tmp_path: Path) -> None:
     np.testing.assert_allclose(image.get_extent()[:2], results.changes[0].x_m[[0, -1]])
     assert "6.00" in report.weight(results).text
     assert "1.01 mrad" in report.absorber(results).text
-    assert report.mirror(results).text.count("<img") == 1
-    assert "2 orientations" in report.head(results).text
+    first = report.head(results).text
+    assert first.count("<img") == 1
+    assert "2 orientations" in first
+    assert "6.00" in first
+    change = report.picture(tmp_path).layers[0]
+    sigma = np.hypot(*(one.sigma_random_x for one in study.maps)) / (1 + study.maps[0].slope_x ** 2)
+    np.testing.assert_allclose(change.sigma, np.where(np.isfinite(change.values), sigma, np.nan), rtol=1e-6)
 
 
 def test_absorber_alone_is_enough(tmp_path: Path) -> None:
     folders = [result_at(tmp_path / f"at{degrees:g}", degrees, with_map=False) for degrees in (0.0, 60.0)]
     found = run(folders)
     assert found.maps == (None, None)
+    found.write(tmp_path)
+    profiles = {one.name: one for one in report.picture(tmp_path).series}
+    assert profiles.keys() == {one.profile.label for one in found.orientations}
     assert found.sags[0] is not None
     np.testing.assert_allclose(found.sags[0].by_weight_m, 6e-3, atol=1e-6)
 

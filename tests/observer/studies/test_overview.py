@@ -69,17 +69,25 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
     write_maps(tmp_path / OVERVIEW_MAPS, [ModuleMap(name, x, y, theta, theta + 1e-3) for name in ("one", "two")])
     results = report.open_overview(tmp_path)
     np.testing.assert_allclose(results.maps[1].theta_r_rad, theta + 1e-3, atol=1e-9)
-    table = report.modules(results).text
+    table = report.modules(results)._repr_html_()
     assert '<a href="two/report.html">two</a>' in table
     assert "3.00 \u00b1 0.10 mrad" in table
     assert "no &lt;targets&gt;" in table
-    assert report.maps(results).text.count("<img") == 2
-    assert report.numbers(results).text.count("<img") == 1
+    assert report.maps(results).text.count("<img") == 1
+    first = report.head(results).text
+    assert first.count("<img") == 1
+    assert "1 of 3 modules not measured" in first
+    assert "3 mrad (3 mrad to 3 mrad)" in first
+    # theta_r and the intercept factor of the modules that were measured.
+    assert report.numbers(results).text.count("<img") == 2
+    chart = report.picture(tmp_path)
+    np.testing.assert_allclose(chart.series[0].y, [3.0, 3.0])
+    np.testing.assert_allclose(chart.series[0].sigma, [0.1, 0.1])
+    assert list(chart.series[0].labels) == ["one", "two"]
     # Half of the aperture at +1.5, half at -1.5 mrad without the mean.
     figure = modules_figure(results.maps, "theta_r")
     assert figure.axes[0].get_title(loc="left") == "one: 1.50 mrad RMS"
     image = figure.axes[0].images[0]
     assert image.origin == "lower"
     assert image.get_extent()[:2] == [-2.5, 2.5]
-    assert "2 modules" not in report.head(results).text
-    assert "overview of 3 modules" in report.head(results).text
+    assert "overview of 3 modules" in first
