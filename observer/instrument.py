@@ -34,12 +34,6 @@ INSTRUMENT = Instrument(
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },
-    pictures={
-        "observer-absorber": "observer.report.absorber:picture",
-        "observer-alignment": "observer.report.alignment:picture",
-        "observer-compare": "observer.report.compare:picture",
-        "observer-overview": "observer.report.overview:picture",
-    },
     synth="data_synth.preset_folders:observer",
     synth_command="data_synth.cli:observer",
 )

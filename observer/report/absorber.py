@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, wrap
+from heliogauge.reporting.html import FirstScreen, Html, join, wrap
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from heliogauge.view.charts import ChartView
 from observer.files import COLLECTOR, read_collector
 from observer.report.lines import absorber_view, listed
 from observer.report.results import Columns, numbers
@@ -53,12 +52,7 @@ def open_absorber(folder: str | Path = ".") -> AbsorberResults:
     return AbsorberResults(folder, read_summary(folder), read_collector(folder / COLLECTOR))
 
 
-def picture(folder: str | Path) -> ChartView:
-    """Return where the absorber runs, from a folder of results."""
-    return absorber_view(open_absorber(folder), "xz")
-
-
-def head(results: AbsorberResults) -> Html:
+def head(results: AbsorberResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, where the absorber runs."""
     summary = results.summary
     line = f"absorber of a trough; {summary.texts.get('design', '')}; heliogauge {summary.version}"

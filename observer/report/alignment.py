@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, wrap
+from heliogauge.reporting.html import FirstScreen, Html, join, wrap
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
@@ -54,11 +54,6 @@ def open_alignment(folder: str | Path = ".") -> AlignmentResults:
     return AlignmentResults(folder, read_summary(folder), read_collector(folder / COLLECTOR), *tables)
 
 
-def picture(folder: str | Path) -> MapView:
-    """Return the panels, from a folder of results."""
-    return panels_view(open_alignment(folder))
-
-
 def panels_view(results: AlignmentResults) -> MapView:
     """Return the mean angles of the panels as a map; its static figure has the moves of the mounts."""
     collector = results.collector
@@ -96,7 +91,7 @@ def panels_view(results: AlignmentResults) -> MapView:
     )
 
 
-def head(results: AlignmentResults) -> Html:
+def head(results: AlignmentResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, the panels."""
     summary = results.summary
     known = int(np.isfinite(numbers(results.panels, "theta_ra_rad")).sum())

@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.canvas import robust_limit
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import FirstScreen, Html, join, show, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.arrays import read_arrays
@@ -81,13 +81,7 @@ def _parts(columns: Columns) -> list[tuple[str, Columns]]:
     return found
 
 
-def picture(folder: str | Path) -> MapView | ChartView:
-    """Return how the mirror changes, or the absorber where no mirror was measured twice, from a folder of results."""
-    results = open_study(folder)
-    return change_view(results) or profile_view(results)
-
-
-def head(results: StudyResults) -> Html:
+def head(results: StudyResults) -> FirstScreen:
     """Return the first screen: verdict, what weight does, how the mirror changes."""
     summary, table_ = results.summary, results.orientations
     rows: list[tuple[str, ...]] = [(f"Sag by weight, {ends}", text) for ends, text, *_ in _weights(results)]

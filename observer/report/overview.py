@@ -1,18 +1,19 @@
 """Sections of the report of several modules; each is one cell of its notebook."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import LINE_X
-from heliogauge.reporting.html import Html, beside, join, show
+from heliogauge.reporting.canvas import LINE_X, robust_limit
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, show
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.tables import TableColumn, TableView
 from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
 from observer.report.figures_modules import modules_figure
@@ -29,6 +30,8 @@ _COLUMNS = (
     ("measured_share", "measured", ""),
     ("photos_count", "photos", ""),
 )
+#: Maps that can be looked into in a page, about 0.1 MB each.
+_MOST_MAPS = 12
 #: Numbers of each module that a chart shows beside those of the others: name and factor to the printed unit.
 _CHARTS = (
     ("rms_theta_r_rad", "theta_r RMS [mrad]", _MRAD),
@@ -73,13 +76,7 @@ def open_overview(folder: str | Path = ".") -> OverviewResults:
     return OverviewResults(read_summary(folder), table_, read_maps(folder / OVERVIEW_MAPS), folder)
 
 
-def picture(folder: str | Path) -> ChartView:
-    """Return the slope errors of all modules, from a folder of results."""
-    results = open_overview(folder)
-    return _chart(results, *_CHARTS[0])
-
-
-def head(results: OverviewResults) -> Html:
+def head(results: OverviewResults) -> FirstScreen:
     """Return the first screen: verdict, the numbers of all modules, their maps."""
     summary, count, measured = results.summary, len(results.table["name"]), results.measured
     missing = [f"{count - len(measured)} of {count} modules not measured"] if len(measured) < count else []
@@ -90,9 +87,42 @@ def head(results: OverviewResults) -> Html:
             f"{holes.size} modules not measured everywhere, {100 * (1 - float(holes.min())):.1f} % missing of the worst"
         )
     passed = [f"{len(measured)} modules measured"] if measured else []
-    drawn = show(modules_figure(results.maps, "theta_r")) if results.maps else None
     line = f"overview of {count} modules; heliogauge {summary.version}"
-    return page.first_screen(summary.name, line, verdict_of(summary, missing, passed), _rows(results), drawn)
+    return page.first_screen(
+        summary.name, line, verdict_of(summary, missing, passed), _rows(results), first_view(results)
+    )
+
+
+def first_view(results: OverviewResults) -> MapView | ChartView:
+    """Return the maps of the modules with the largest errors; numbers where there are no maps on one grid."""
+    still = [modules_figure(results.maps, "theta_r")] if results.maps else []
+    maps_, first = list(results.maps), results.maps[0] if results.maps else None
+    if first is None or any(
+        one.x_m.shape != first.x_m.shape
+        or one.y_m.shape != first.y_m.shape
+        or not np.allclose(one.x_m, first.x_m)
+        or not np.allclose(one.y_m, first.y_m)
+        for one in maps_
+    ):
+        return replace(_chart(results, *_CHARTS[0]), figures=still)
+    fields = {one.name: one.theta_r_rad - _mean(one.theta_r_rad) for one in maps_}
+    shown = sorted(fields, key=lambda name: -_mean(fields[name] ** 2))[:_MOST_MAPS]
+    limit = robust_limit(*(_MRAD * one for one in fields.values()))
+    layers = tuple(
+        MapLayer(name, f"{name}: theta_r without its mean", "mrad", fields[name], _MRAD, limit=limit)
+        for name in fields
+        if name in shown
+    )
+    note = "Positive where the mirror's normal is turned towards +x. Grey: not measured."
+    if len(shown) < len(fields):
+        note += f" The {len(shown)} modules with the largest errors."
+    shape = fields[first.name].shape
+    flags, aperture = np.zeros(shape, np.uint32), np.ones(shape, np.bool_)
+    return MapView("Modules", first.x_m, first.y_m, layers, flags, aperture, note=note, figures=still)
+
+
+def _mean(values: FloatArray) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
 def _rows(results: OverviewResults) -> list[tuple[str, str]]:

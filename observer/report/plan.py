@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
-from heliogauge.reporting.html import Html, beside, join, show, table, wrap
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, show, table, wrap
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import read_table_csv
@@ -64,7 +64,7 @@ def open_plan(folder: str | Path = ".") -> PlanResults:
     )
 
 
-def head(results: PlanResults) -> Html:
+def head(results: PlanResults) -> FirstScreen:
     """Return the first screen: verdict with what will be missing, numbers to expect, the map of their sigmas."""
     summary, slope_map = results.base.summary, results.base.slope_map
     unseen = 1 - slope_map.measured_share

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, table
+from heliogauge.reporting.html import FirstScreen, Html, join, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import Verdict, holes, verdict_of
 from heliogauge.results.folder import Summary, unit_of
@@ -64,7 +64,7 @@ class HasTables(Protocol):
         ...
 
 
-def head(results: TroughResults) -> Html:
+def head(results: TroughResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, the mirror."""
     summary, slope_map = results.base.summary, results.base.slope_map
     line = f"trough, observer; design: {slope_map.design}; heliogauge {summary.version}"

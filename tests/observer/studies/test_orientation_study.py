@@ -142,7 +142,7 @@ def test_the_report_has_what_the_study_wrote(tmp_path: Path) -> None:
     assert first.count("<img") == 1
     assert "2 orientations" in first
     assert "6.00" in first
-    change = report.picture(tmp_path).layers[0]
+    change = report.head(results).picture.layers[0]
     sigma = np.hypot(*(one.sigma_random_x for one in study.maps)) / (1 + study.maps[0].slope_x ** 2)
     np.testing.assert_allclose(change.sigma, np.where(np.isfinite(change.values), sigma, np.nan), rtol=1e-6)
 
@@ -152,7 +152,7 @@ def test_absorber_alone_is_enough(tmp_path: Path) -> None:
     found = run(folders)
     assert found.maps == (None, None)
     found.write(tmp_path)
-    profiles = {one.name: one for one in report.picture(tmp_path).series}
+    profiles = {one.name: one for one in report.head(report.open_study(tmp_path)).picture.series}
     assert profiles.keys() == {one.profile.label for one in found.orientations}
     assert found.sags[0] is not None
     np.testing.assert_allclose(found.sags[0].by_weight_m, 6e-3, atol=1e-6)

@@ -1,5 +1,7 @@
 """One table for several modules."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,7 +82,11 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
     assert "3 mrad (3 mrad to 3 mrad)" in first
     # theta_r and the intercept factor of the modules that were measured.
     assert report.numbers(results).text.count("<img") == 2
-    chart = report.picture(tmp_path)
+    layers = report.head(results).picture.layers
+    assert [layer.key for layer in layers] == ["one", "two"]
+    np.testing.assert_allclose(np.nanmean(np.abs(layers[0].values)), 1.5e-3, rtol=1e-6)
+    # Without maps on one grid the numbers stand there.
+    chart = report.first_view(replace(results, maps=[]))
     np.testing.assert_allclose(chart.series[0].y, [3.0, 3.0])
     np.testing.assert_allclose(chart.series[0].sigma, [0.1, 0.1])
     assert list(chart.series[0].labels) == ["one", "two"]

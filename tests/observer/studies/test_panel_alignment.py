@@ -172,7 +172,7 @@ def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
     assert report.overlay(found).text.count("<img") == 1
     assert report.head(found).text.count("<img") == 1
     assert "panel alignment" in report.head(found).text
-    view = report.picture(out)
+    view = report.head(found).picture
     row, column = (int(np.argmin(np.abs(nodes - place))) for nodes, place in ((view.y_m, 0.5), (view.x_m, 0.5)))
     tilt = read_table_csv(out / "panels.csv")["theta_ra_rad"]
     assert view.layers[0].values[row, column] == pytest.approx(float(tilt[0]))
