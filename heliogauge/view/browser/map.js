@@ -172,14 +172,14 @@
       const make = heliogauge.element;
       const layers = [...spec.layers.map((one) => [one.key, one.name]), ...(this.flags.length ? [[FLAGS, "Flags"]] : [])];
       const option = ([value, name]) => make("option", { value }, name);
-      this.layerSelect = make("select", { change: () => this.choose(this.layerSelect.value) }, ...layers.map(option));
+      this.layerSelect = make("select", { "aria-label": "Layer", change: () => this.choose(this.layerSelect.value) }, ...layers.map(option));
       const words = [...new Set(this.removals.flatMap((one) => one.parts.map((part) => part.removal)))];
-      this.removalSelect = make("select", { change: () => this.remove(this.removalSelect.value) },
+      this.removalSelect = make("select", { "aria-label": "Remove", change: () => this.remove(this.removalSelect.value) },
         ...words.map((word) => option([word, REMOVAL_NAMES[word] || word])));
       this.numbersLine = make("output", { class: "view-numbers", "aria-live": "polite" });
       const modes = [["figure", "as in print"], ["0.99", "99 % of the values"], ["0.95", "95 % of the values"],
         ["0.9", "90 % of the values"], ["1", "all values"], ["hand", "by hand"]];
-      this.modeSelect = make("select", { change: () => this.chooseMode(this.modeSelect.value) }, ...modes.map(option));
+      this.modeSelect = make("select", { "aria-label": "Range of colours", change: () => this.chooseMode(this.modeSelect.value) }, ...modes.map(option));
       const input = (label) => make("input", { type: "number", step: "any", "aria-label": label, change: () => this.byHand() });
       [this.lowInput, this.highInput] = [input("Colours from"), input("Colours to")];
       this.unitText = make("span", { class: "view-note" });
