@@ -1,7 +1,7 @@
 """Draw pictures of networks and cameras for the documentation: ``python docs/images/render_network.py RESULT OUT.png``.
 
 RESULT of a photogrammetric measurement: network seen along y, and coverage of the image. RESULT of a camera
-calibration: uncertainty of the lines of sight and radial distortion, as they lie in the folder.
+calibration: uncertainty of the lines of sight, and residuals of all photos.
 """
 
 import sys
@@ -10,7 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.report.figures import residual_figure, sigma_figure
 from heliogauge.reporting.canvas import png_of
+from heliogauge.results.folder import read_summary
 from photogrammetry.report.charts import residual_map
 from photogrammetry.report.network import open_network
 from photogrammetry.report.scene import network_figure
@@ -23,8 +26,8 @@ COLORS = 48
 
 def drawings(folder: Path) -> list[bytes]:
     """Return the figures of a folder of results as PNG."""
-    if (folder / "sigma_ray.png").is_file():
-        return [(folder / name).read_bytes() for name in ("sigma_ray.png", "radial_profile.png")]
+    if read_summary(folder).kind == "camera":
+        return [png_of(sigma_figure(open_calibration(folder))), png_of(residual_figure(open_calibration(folder)))]
     results = open_network(folder)
     figures = (network_figure(results, 0, 2), residual_map(results).figures[0])
     return [png_of(one) for one in figures]

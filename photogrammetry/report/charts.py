@@ -19,7 +19,8 @@ from heliogauge.reporting.canvas import (
 )
 from heliogauge.validate import FloatArray, IntArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
-from heliogauge.view.maps import MapLayer, MapView
+from heliogauge.view.image_maps import residual_layers
+from heliogauge.view.maps import MapView
 from photogrammetry.report.network import NetworkResults
 
 if TYPE_CHECKING:
@@ -38,38 +39,20 @@ def residual_map(results: NetworkResults) -> MapView:
     """
     camera, used = results.camera, results.used
     longer = max(camera.width_px, camera.height_px)
-    shape = [max(2, round(_CELLS * size / longer)) for size in (camera.height_px, camera.width_px)]
-    steps = camera.height_px / shape[0], camera.width_px / shape[1]
+    sizes = camera.height_px, camera.width_px
+    axes_px: list[FloatArray] = []
+    for size in sizes:
+        cells = max(2, round(_CELLS * size / longer))
+        axes_px.append(np.asarray((np.arange(cells) + 0.5) * size / cells - 0.5, dtype=np.float64))
     own = _of_first_camera(results)
-    pixels, residuals = used.pixels_px[own], used.residuals_px[own]
-    rows, columns = (
-        np.clip(((pixels[:, axis] + 0.5) / step).astype(int), 0, size - 1)
-        for axis, step, size in ((1, steps[0], shape[0]), (0, steps[1], shape[1]))
-    )
-    cell = rows * shape[1] + columns
-
-    def summed(weights: FloatArray | None) -> FloatArray:
-        return np.bincount(cell, weights, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
-
-    count = summed(None)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means: list[FloatArray] = [np.asarray(summed(residuals[:, axis]) / count) for axis in (0, 1)]
-        rms = np.sqrt(summed((residuals**2).sum(axis=1)) / count)
-        sigmas = [np.sqrt(summed(residuals[:, axis] ** 2)) / count for axis in (0, 1)]
-    axes_px: list[FloatArray] = [
-        np.asarray((np.arange(size) + 0.5) * step - 0.5, dtype=np.float64)
-        for size, step in zip(shape, steps, strict=True)
-    ]
+    pixels = used.pixels_px[own]
+    layers = residual_layers(pixels, used.residuals_px[own], axes_px[1], axes_px[0])
+    count, means = np.nan_to_num(layers[3].values), [layers[0].values, layers[1].values]
+    shape = count.shape
     empty = float((count == 0).mean())
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     reach = float(np.hypot(*(pixels - half + 0.5).T).max(initial=0.0)) / float(np.hypot(*half))
     note = f"{empty:.0%} of the cells have no image point; points reach {reach:.0%} of the way to the corners"
-    layers = (
-        MapLayer("mean_x", "Mean residual in x", "px", means[0], sigma=sigmas[0]),
-        MapLayer("mean_y", "Mean residual in y", "px", means[1], sigma=sigmas[1]),
-        MapLayer("rms", "RMS residual", "px", rms, diverging=False, low=0.0),
-        MapLayer("count", "Image points in a cell", "", np.where(count > 0, count, np.nan), diverging=False, low=0.0),
-    )
     edges = [
         np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((camera.height_px, camera.width_px), shape, strict=True)
     ]

@@ -170,14 +170,10 @@ class Result(InstrumentResult):
         return self._summary(headline_numbers(self), texts(self), not_determined(self))
 
     def write_files(self, folder: Path) -> None:
-        """Write cameras, points, tables and figures into an existing folder."""
+        """Write cameras, points and tables into an existing folder."""
         from calibration.camera.files.result_folder import write_tables
-        from calibration.camera.report.figures import all_figures
-        from heliogauge.reporting.canvas import png_of
 
         write_tables(self, folder)
-        for name, figure in all_figures(self).items():
-            (folder / f"{name}.png").write_bytes(png_of(figure))
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""

@@ -1,13 +1,13 @@
-"""Figures of a calibration: uncertainty over the image, radial profile, coverage, residuals, the board's shape."""
+"""Still figures of a calibration: uncertainty over the image, residuals, correlations, the board's shape."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from calibration.camera.files.result import PhotoResult, Result
-from heliogauge.camera.model import PARAMETER_NAMES
+from calibration.camera.files.result import Result
+from calibration.camera.judgement.comparison import Comparison
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.reporting.canvas import (
-    FAINT,
     INK,
     LINE_X,
     LINE_Y,
@@ -17,7 +17,6 @@ from heliogauge.reporting.canvas import (
     add_color_bar,
     add_title,
     axes_in_inches,
-    chart_figure,
     new_figure,
 )
 from heliogauge.validate import FloatArray
@@ -28,21 +27,7 @@ if TYPE_CHECKING:
 
 #: Arrows of residuals are drawn so that the RMS one has this share of the image's diagonal.
 _ARROW_SHARE = 0.02
-
-
-def all_figures(result: Result) -> "dict[str, Figure]":
-    """Draw all figures."""
-    figures = {
-        "sigma_ray": sigma_figure(result),
-        "sigma_projection": projection_figure(result),
-        "radial_profile": profile_figure(result),
-        "coverage": coverage_figure(result),
-        "residuals": residual_figure(result),
-        "board_shape": board_figure(result),
-    }
-    if result.comparison is not None:
-        figures["comparison"] = comparison_figure(result)
-    return figures
+_MOST_ARROWS = 5000
 
 
 class _ImageFigure(NamedTuple):
@@ -53,9 +38,8 @@ class _ImageFigure(NamedTuple):
     box: tuple[float, float, float, float]
 
 
-def _image_axes(result: Result, title: str, note: str) -> _ImageFigure:
+def _image_axes(camera: Camera, title: str, note: str) -> _ImageFigure:
     """Return a figure with axes in pixels of the image, y down."""
-    camera = result.camera
     width = WIDTH_IN - 1.6
     height = min(max(width * camera.height_px / camera.width_px, 1.2), 4.2)
     figure = new_figure(height + 1.15)
@@ -69,9 +53,8 @@ def _image_axes(result: Result, title: str, note: str) -> _ImageFigure:
     return _ImageFigure(figure, axes, box)
 
 
-def _map(result: Result, values: FloatArray, title: str, note: str, unit: str) -> "Figure":
-    figure, axes, box = _image_axes(result, title, note)
-    camera = result.camera
+def _map(camera: Camera, values: FloatArray, title: str, note: str, unit: str) -> "Figure":
+    figure, axes, box = _image_axes(camera, title, note)
     extent = (-0.5, camera.width_px - 0.5, camera.height_px - 0.5, -0.5)
     image = axes.imshow(values, cmap=SEQUENTIAL, extent=extent, aspect="auto", vmin=0.0, interpolation="bilinear")
     add_color_bar(figure, image, box, MapStyle(title, unit), values)
@@ -82,90 +65,29 @@ def sigma_figure(result: Result) -> "Figure":
     """Draw the uncertainty of lines of sight over the image, without a common rotation."""
     sigma = result.sigma
     note = f"1 sigma, best common rotation taken out; RMS {1e3 * sigma.rms_free_rad:.2g} mrad"
-    return _map(result, 1e3 * sigma.sigma_free_rad, "Uncertainty of lines of sight", note, "mrad")
+    return _map(result.camera, 1e3 * sigma.sigma_free_rad, "Uncertainty of lines of sight", note, "mrad")
 
 
-def projection_figure(result: Result) -> "Figure":
-    """Draw the uncertainty of projections over the image."""
-    sigma = result.sigma
-    unit = "m" if result.shape.board.is_metric else "pitches"
-    note = f"1 sigma, pose held, points at {sigma.distance_m:.3g} {unit}; at most {sigma.worst_projection_px:.2g} px"
-    return _map(result, sigma.sigma_projection_px, "Uncertainty of projection", note, "px")
-
-
-def comparison_figure(result: Result, *, with_rotation: bool = False) -> "Figure":
-    """Draw the angle between the lines of sight of both calibrations, the best rotation taken out or not."""
-    one = result.comparison
-    if one is None:
-        return new_figure(1.0)
-    if with_rotation:
-        note = (
-            f"with the rotation; RMS {1e3 * one.raw_rms_rad:.2g} mrad, expected {1e3 * one.raw_expected_rad:.2g} mrad"
-        )
-        return _map(result, 1e3 * one.raw_angle_rad, "Difference with rotation", note, "mrad")
+def comparison_figure(one: Comparison, camera: Camera) -> "Figure":
+    """Draw the angle between the lines of sight of both calibrations, the best rotation taken out."""
     note = f"best rotation taken out; RMS {1e3 * one.rms_rad:.2g} mrad, expected {1e3 * one.expected_rad:.2g} mrad"
-    return _map(result, 1e3 * one.angle_rad, "Difference from the other calibration", note, "mrad")
+    return _map(camera, 1e3 * one.angle_rad, "Difference from the other calibration", note, "mrad")
 
 
-def difference_sigma_figure(result: Result) -> "Figure":
-    """Draw the difference of both calibrations over its sigma, the best rotation taken out."""
-    one = result.comparison
-    if one is None or not np.any(one.sigma_rad):
-        return new_figure(1.0)
-    ratio = one.angle_rad / np.where(one.sigma_rad > 0, one.sigma_rad, np.nan)
-    note = "1 to 2 is chance; both components in squares, best rotation taken out"
-    return _map(result, ratio, "Difference over its sigma", note, "sigma")
-
-
-def profile_figure(result: Result) -> "Figure":
-    """Draw the radial distortion with its band."""
-    profile = result.profile
-    seen = float(np.interp(profile.seen_px, profile.radius_px, profile.sigma_px))
-    figure, axes = chart_figure(
-        "Radial distortion",
-        f"band: 2 sigma, {2 * seen:.2g} px at the farthest measured point (dashed)",
-        "distance from the principal point [px]",
-        "shift outwards [px]",
-    )
-    low, high = profile.shift_px - 2 * profile.sigma_px, profile.shift_px + 2 * profile.sigma_px
-    axes.fill_between(profile.radius_px, low, high, color=LINE_X, alpha=0.25, linewidth=0)
-    axes.plot(profile.radius_px, profile.shift_px, color=LINE_X, linewidth=1.1)
-    axes.axvline(profile.seen_px, color=FAINT, linewidth=0.8, linestyle="--")
-    return figure
-
-
-def coverage_figure(result: Result) -> "Figure":
-    """Draw all measured points in the image."""
-    covered = result.coverage
-    note = f"{covered.share:.0%} of the image's cells have points, out to {covered.radius_share:.0%} of its corners"
-    figure, axes, _ = _image_axes(result, "Where the board was measured", note)
-    for photo in result.photos:
-        used = photo.used
-        axes.plot(*photo.pixels_px[used].T, linestyle="none", marker=".", markersize=1.6, color=LINE_X, alpha=0.6)
-        axes.plot(*photo.pixels_px[~used].T, linestyle="none", marker="x", markersize=4, color=LINE_Y)
-    return figure
-
-
-def residual_figure(result: Result, photo: PhotoResult | None = None) -> "Figure":
-    """Draw the residuals of all photos or of one, enlarged alike."""
+def residual_figure(result: Result) -> "Figure":
+    """Draw the residuals of all photos where they are in the image, with refused points as crosses."""
     camera = result.camera
     diagonal = float(np.hypot(camera.width_px, camera.height_px))
-    factor = _ARROW_SHARE * diagonal / max(result.quality.rms_px, 1e-12)
-    factor = float(f"{factor:.1g}")
-    rms = result.quality.rms_px if photo is None else photo.rms_px
-    title = "Residuals of all photos" if photo is None else photo.name
-    apart = (
-        "" if photo is None or not np.isfinite(photo.kept_apart_px) else f", kept apart {photo.kept_apart_px:.4f} px"
-    )
-    note = f"predicted minus measured, {factor:.0f} times enlarged; RMS {rms:.4f} px{apart}"
-    figure, axes, _ = _image_axes(result, title, note)
-    shown = result.photos if photo is None else (photo,)
-    pixels = np.concatenate([one.pixels_px[one.used] for one in shown])
-    residuals = np.concatenate([one.residuals_px[one.used] for one in shown])
-    axes.quiver(
-        *pixels.T, *residuals.T, angles="xy", scale_units="xy", scale=1 / factor, width=0.0016, color=LINE_X, alpha=0.8
-    )
-    for one in shown:
+    factor = float(f"{_ARROW_SHARE * diagonal / max(result.quality.rms_px, 1e-12):.1g}")
+    note = f"predicted minus measured, {factor:.0f} times enlarged; RMS {result.quality.rms_px:.4f} px"
+    figure, axes, _ = _image_axes(camera, "Residuals of all photos, and where the board was", note)
+    pixels = np.concatenate([one.pixels_px[one.used] for one in result.photos])
+    residuals = np.concatenate([one.residuals_px[one.used] for one in result.photos])
+    # Thousands of arrows are one blue area.
+    few = slice(None, None, max(1, -(-len(pixels) // _MOST_ARROWS)))
+    arrows = (*pixels[few].T, *residuals[few].T)
+    axes.quiver(*arrows, angles="xy", scale_units="xy", scale=1 / factor, width=0.0016, color=LINE_X, alpha=0.8)
+    for one in result.photos:
         axes.plot(*one.pixels_px[~one.used].T, linestyle="none", marker="x", markersize=4, color=LINE_Y)
     return figure
 

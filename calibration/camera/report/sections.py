@@ -9,16 +9,18 @@ import numpy as np
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
 from calibration.camera.files.summary import comparison_lines, verdict_text
-from calibration.camera.report import figures
+from calibration.camera.report import figures, views
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import Html, Shown, beside, join, show, table, table_under_name
 from heliogauge.reporting.notation import number_text
-from heliogauge.results.folder import Summary, read_summary, read_table_csv
+from heliogauge.reporting.verdict import Verdict, verdict_of
+from heliogauge.results.folder import Summary, read_summary
+from heliogauge.view.tables import TableColumn, TableView
 
-#: Photos whose residuals are drawn one by one, the worst first.
-_MOST_PHOTOS = 24
-_MOST_LINES = 100
+_MOST_LINES = 1000
+#: Photos whose points were not used to find the camera fit a little worse than the others.
+_AGREES = 1.5
 _CERTAIN = 0.9999
 _UNITS = {"focal_px": "px", "center_x_px": "px", "center_y_px": "px", "skew": "px"}
 
@@ -45,14 +47,66 @@ def open_report(folder: str | Path = ".") -> CalibrationReport:
     return CalibrationReport(folder, read_summary(folder / "summary.json"), open_calibration(folder))
 
 
-def title(report: CalibrationReport) -> Html:
-    """Return the head of the report: name, size of the image, number of photos, version."""
-    camera, summary = report.result.camera, report.summary
+def first_screen(report: CalibrationReport) -> Html:
+    """Return name, verdict, headline numbers and the map over the image."""
+    result, summary = report.result, report.summary
+    camera = result.camera
     line = (
-        f"calibration of a camera; {camera.width_px} x {camera.height_px} px, {len(report.result.photos)} photos; "
+        f"calibration of a camera; {camera.width_px} x {camera.height_px} px, {len(result.photos)} photos; "
         f"{summary.texts.get('board', '').split(';')[0]}; heliogauge {summary.version}"
     )
-    return page.name_and_line(summary.name, line)
+    return page.first_screen(summary.name, line, verdict(report), _headline(result), views.lens_map(result))
+
+
+def verdict(report: CalibrationReport) -> Verdict:
+    """Return what was checked and found right, what is doubtful, and what is missing."""
+    result, codes = report.result, {one.code for one in report.summary.doubts}
+    missing = []
+    if result.left_out:
+        count = len(result.left_out)
+        missing.append(f"{count} of {count + len(result.photos) + len(result.held_out)} photos left out")
+    passed = []
+    if "coverage_poor" not in codes:
+        passed.append(f"points in {result.coverage.share:.0%} of the image's cells")
+    if np.isfinite(result.kept_apart_px) and result.kept_apart_px < _AGREES * result.quality.rms_px:
+        passed.append(
+            f"photos kept apart fit as well: {result.kept_apart_px:.3g} px against {result.quality.rms_px:.3g} px"
+        )
+    if not codes & {"camera_never_turned", "network_without_roll", "board_never_tilted", "network_without_depth"}:
+        passed.append("the camera was turned, the board tilted, at several distances")
+    return verdict_of(report.summary, missing, passed)
+
+
+def _headline(result: Result) -> list[tuple[str, ...]]:
+    camera, quality, sigma = result.camera, result.quality, result.sigma
+    own, apart = (camera.sigma_parameters[i] for i in range(4)), result.kept_apart_px
+    values = (camera.focal_x_px, camera.focal_y_px, camera.center_x_px, camera.center_y_px)
+    names = ("Focal length in x", "Focal length in y", "Principal point x", "Principal point y")
+    rows: list[tuple[str, ...]] = [
+        (name, number_text(value, float(one), "px")) for name, value, one in zip(names, values, own, strict=True)
+    ]
+    rows.append(
+        (
+            "Sigma of lines of sight",
+            f"{1e6 * sigma.rms_free_rad:.2g} \u00b5rad",
+            "RMS over the image, best rotation taken out",
+        )
+    )
+    rows.append(
+        (
+            "RMS residual",
+            f"{quality.rms_px:.3g} px",
+            "board's shape estimated" if quality.rms_px != quality.rms_as_drawn_px else "",
+        )
+    )
+    if np.isfinite(apart):
+        rows.append(("RMS of photos kept apart", f"{apart:.3g} px", "only their pose fitted"))
+    if np.isfinite(result.held_out_px):
+        rows.append(("RMS of photos held out", f"{result.held_out_px:.3g} px", "only their pose fitted"))
+    if result.comparison is not None:
+        one = result.comparison
+        rows.append(("Difference from the other calibration", f"{1e3 * one.rms_rad:.2g} mrad", verdict_text(one)))
+    return rows
 
 
 def headline(report: CalibrationReport) -> Html:
@@ -77,7 +131,7 @@ def headline(report: CalibrationReport) -> Html:
         ("Residuals over what the pixels' noise lets expect", f"{quality.sigma_factor_ratio:.2f}"),
         ("Image points used, rejected", f"{sum(int(p.used.sum()) for p in result.photos)}, {len(quality.rejected)}"),
     ]
-    return Html(f'<div class="headline">{table(("", ""), rows, numbers=(1,)).text}</div>')
+    return table(("", ""), rows, numbers=(1,))
 
 
 def _pair(*values: tuple[float, float]) -> str:
@@ -116,70 +170,42 @@ def intrinsics_table(report: CalibrationReport) -> Html:
     return join(table(head, rows, numbers=(1, 2, 4)), Html(f'<p class="caption">{note}</p>'))
 
 
-def lens_figures(report: CalibrationReport) -> Html:
+def lens(report: CalibrationReport) -> Html:
     """Return radial profile and correlations."""
-    return show(figures.profile_figure(report.result), figures.correlation_figure(report.result))
+    return beside(views.profile_chart(report.result), show(figures.correlation_figure(report.result)))
 
 
-def uncertainty_figures(report: CalibrationReport) -> Html:
-    """Return the maps of uncertainty over the image."""
-    result = report.result
-    return show(
-        figures.sigma_figure(result),
-        figures.projection_figure(result),
-        caption="Lines of sight: what is left when a pose is estimated with this camera. Projection: pose held.",
-    )
-
-
-def image_figures(report: CalibrationReport) -> Html:
-    """Return coverage and residuals of all photos."""
-    return show(figures.coverage_figure(report.result), figures.residual_figure(report.result))
-
-
-def photo_figures(report: CalibrationReport) -> Html:
-    """Return the residuals photo by photo, the worst first."""
-    photos = sorted(report.result.photos, key=lambda photo: -photo.rms_px)
-    rest = len(photos) - _MOST_PHOTOS
-    caption = "The worst first, all enlarged alike; crosses: rejected points."
-    if rest > 0:
-        caption += f" {rest} better photos are not shown; image_points.csv has them."
-    return show(*(figures.residual_figure(report.result, photo) for photo in photos[:_MOST_PHOTOS]), caption=caption)
+def photos(report: CalibrationReport) -> Shown:
+    """Return the photos with the board's points, and those where no board was found."""
+    return views.photo_view(report.result)
 
 
 def photo_table(report: CalibrationReport) -> Html:
-    """Return a line for each photo, the worst first, then those held out."""
-    rows = []
-    for photo in sorted(report.result.photos, key=lambda one: -one.rms_px):
-        tilt, roll = np.degrees(tilt_and_roll(photo.cam_from_board)).tolist()
-        sigma = np.sqrt(np.diag(photo.covariance))
-        rows.append(
-            (
-                photo.name,
-                f"{int(photo.used.sum())}",
-                f"{int((~photo.used).sum())}",
-                f"{photo.rms_px:.4f}",
-                _pixels(photo.kept_apart_px, "-").removesuffix(" px"),
-                f"{tilt:.0f}",
-                f"{roll:.0f}",
-                f"{np.linalg.norm(photo.cam_from_board.translation_m):.3f}",
-                f"{1e3 * float(np.linalg.norm(sigma[:3])):.3g}",
-                f"{1e3 * float(np.linalg.norm(sigma[3:])):.3g}",
-            )
-        )
-    long, short = ("m", "mm") if report.result.shape.board.is_metric else ("pitches", "\u2030 pitch")
-    head = (
-        "photo",
-        "points",
-        "rej.",
-        "RMS [px]",
-        "kept apart [px]",
-        "tilt [deg]",
-        "roll [deg]",
-        f"distance [{long}]",
-        "\u03c3 rot. [mrad]",
-        f"\u03c3 place [{short}]",
+    """Return a line for each photo, the worst first, with a link to its picture."""
+    result, marks = report.result, views.photo_marks(report.result)
+    chosen = sorted(result.photos, key=lambda one: -one.rms_px)
+    names = [photo.name for photo in chosen]
+    turns = np.degrees([tilt_and_roll(photo.cam_from_board) for photo in chosen]).reshape(-1, 2)
+    sigma = 1e3 * np.sqrt([np.diag(photo.covariance) for photo in chosen]).reshape(-1, 6)
+    rotation, place = np.linalg.norm(sigma[:, :3], axis=1), np.linalg.norm(sigma[:, 3:], axis=1)
+    long, short = ("m", "mm") if result.shape.board.is_metric else ("pitches", "\u2030 pitch")
+    columns = (
+        TableColumn("photo", names, links=[f"#{marks[name]}" if name in marks else "" for name in names]),
+        _column("points", [float(photo.used.sum()) for photo in chosen], ".0f"),
+        _column("refused", [float((~photo.used).sum()) for photo in chosen], ".0f"),
+        _column("RMS [px]", [photo.rms_px for photo in chosen], ".4f"),
+        _column("kept apart [px]", [photo.kept_apart_px for photo in chosen], ".4f"),
+        _column("tilt [deg]", turns[:, 0].tolist(), ".0f"),
+        _column("roll [deg]", turns[:, 1].tolist(), ".0f"),
+        _column(f"distance [{long}]", [float(np.linalg.norm(p.cam_from_board.translation_m)) for p in chosen], ".3f"),
+        _column("\u03c3 rot. [mrad]", rotation.tolist(), ".2g"),
+        _column(f"\u03c3 place [{short}]", place.tolist(), ".2g"),
     )
-    return table(head, rows, numbers=range(1, len(head)))
+    return table_under_name(TableView("Photos, the largest residuals first", columns, most_rows=15))
+
+
+def _column(name: str, values: list[float], form: str) -> TableColumn:
+    return TableColumn(name, [format(value, form) if np.isfinite(value) else "" for value in values], values)
 
 
 def held_out_table(report: CalibrationReport) -> Html:
@@ -210,14 +236,8 @@ def board_section(report: CalibrationReport) -> Html:
     lines = [(name, number_text(value, None, "")) for name, value in stretch]
     head = (f"departure [{unit}]", "RMS", "largest", "sigma, RMS")
     tables = (table(head, rows, numbers=(1, 2, 3)), table(("straight part of it", "1/1000"), lines, numbers=(1,)))
-    return join(
-        *(tables if shape.has_drawing else (Html("<p>Nothing was known of the targets' places.</p>"),)),
-        show(
-            figures.board_figure(report.result),
-            figures.board_sigma_figure(report.result) if shape.sigma_m.any() else None,
-            caption="points.csv and board.csv hold every point with its sigma.",
-        ),
-    )
+    parts = tables if shape.has_drawing else (Html("<p>Nothing was known of the targets' places.</p>"),)
+    return join(views.network_view(report.result), *parts)
 
 
 def _stretch(result: Result) -> list[tuple[str, float]]:
@@ -234,29 +254,26 @@ def _stretch(result: Result) -> list[tuple[str, float]]:
 
 def comparison_section(report: CalibrationReport) -> Html:
     """Return the comparison with another calibration; a sentence where there is none."""
-    result = report.result
-    if result.comparison is None:
+    drawn = views.comparison_map(report.result)
+    if drawn is None or report.result.comparison is None:
         return Html("<p>No other calibration was given (<code>--compare cameras.json</code>).</p>")
-    lines = html.escape("\n".join(comparison_lines(result.comparison)))
-    return join(
-        Html(f"<p>{html.escape(verdict_text(result.comparison))}</p><pre>{lines}</pre>"),
-        show(
-            figures.comparison_figure(result),
-            figures.difference_sigma_figure(result),
-            figures.comparison_figure(result, with_rotation=True),
-        ),
-    )
+    lines = html.escape("\n".join(comparison_lines(report.result.comparison)))
+    return join(Html(f"<p>{html.escape(verdict_text(report.result.comparison))}</p><pre>{lines}</pre>"), drawn)
 
 
 def unused_section(report: CalibrationReport) -> Html:
-    """Return photos left out and points rejected, with the reason."""
-    result = report.result
-    rows = [("photo", name, reason) for name, reason in result.left_out.items()]
-    points = list(read_table_csv(report.folder / "rejected.csv", ("image_point",))["image_point"])
-    rows += [("point", text.rsplit(":", 1)[0], "residual" + text.rsplit(":", 1)[-1]) for text in points[:_MOST_LINES]]
-    if len(points) > _MOST_LINES:
-        rows.append(("point", f"and {len(points) - _MOST_LINES} more", "rejected.csv"))
-    return table(("", "not used", "why"), rows) if rows else Html("<p>Everything was used.</p>")
+    """Return photos left out and points rejected, with the reason and a link to the photo."""
+    result, marks = report.result, views.photo_marks(report.result)
+    points = list(result.quality.rejected)[:_MOST_LINES]
+    what = [*result.left_out, *(text.rsplit(":", 1)[0] for text in points)]
+    why = [*result.left_out.values(), *("residual" + text.rsplit(":", 1)[-1] for text in points)]
+    if not what:
+        return Html("<p>Everything was used.</p>")
+    rest = len(result.quality.rejected) - len(points)
+    more = f"; {rest} more points are in rejected.csv" if rest else ""
+    links = [f"#{marks[name]}" if name in marks else "" for name in what]
+    listed = TableView(f"What was not used{more}", (TableColumn("what", what, links=links), TableColumn("why", why)))
+    return table_under_name(listed)
 
 
 def text_table(report: CalibrationReport) -> Html:

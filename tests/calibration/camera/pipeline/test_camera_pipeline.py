@@ -92,8 +92,6 @@ def test_results_on_disk(chessboard: Result, tmp_path: Path) -> None:
     assert len(read_points_csv(tmp_path / "points.csv").ids) == 54
     summary = read_summary(tmp_path / "summary.json")
     assert summary.numbers["photos_count"] == 8
-    for name in ("sigma_ray", "sigma_projection", "radial_profile", "coverage", "residuals", "board_shape"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 5000
     assert "focal length" in chessboard.headline()
 
 
