@@ -19,6 +19,7 @@ from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, wri
 from data_synth.targets.presets import target_scene
 from deflectometry.pipeline import inputs
 from heliogauge.errors import InputError
+from heliogauge.reporting.notation import number_text
 from photogrammetry.keys.load import load_photogrammetry
 
 QUICK = Options(leave_one_out=False)
@@ -171,6 +172,17 @@ def test_report(good: Result, tmp_path: Path) -> None:
 
     good.write(tmp_path)
     page = build_report(tmp_path).read_text(encoding="utf-8")
-    for words in ("Uncertainty over the image", "Correlation of the intrinsics", "poor coverage", "photo_008.png"):
-        assert words in page
-    assert json.loads((tmp_path / "report.ipynb").read_text(encoding="utf-8"))["cells"]
+    first, _, rest = page.partition("<h2")
+    # Verdict, numbers and the map over the image come before everything else.
+    assert 'class="verdict doubtful"' in first
+    assert "poor coverage" in first
+    assert 'data-view="map"' in first
+    for words in ("Sigma of lines of sight", "Correlation of the intrinsics", "photo_008.png", 'data-view="photo"'):
+        assert words in rest or words in first
+    numbers = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["numbers"]
+    shown = number_text(numbers["focal_x_px"], numbers["sigma_focal_x_px"], "px")
+    assert f"<td>{shown}</td>" in first
+    cells = json.loads((tmp_path / "report.ipynb").read_text(encoding="utf-8"))["cells"]
+    pictures = [line for cell in cells for one in cell.get("outputs", ()) for line in one["data"]["text/html"]]
+    # Each still figure is in the notebook once: two maps, a photo, profile, correlations, the board twice.
+    assert "".join(pictures).count("<img ") == 7
