@@ -1,6 +1,6 @@
 "use strict";
 // Photos with what was found in them: marks, residual vectors, lines. ECharts draws, zooms and moves (figure.js); a photo's
-// marks of one kind are one path, so that tens of thousands stay smooth.
+// marks of one kind are one path or one image, so that tens of thousands stay smooth.
 (() => {
   const MOST_HEIGHT = 0.72; // of the window
   const REACH_PX = 12;
@@ -120,6 +120,7 @@
       this.found = null;
       this.figure.zoom = { x: [0, 100], y: [0, 100] };
       this.figure.leastSpan = Math.min(100 * 16 / Math.max(...read.size), 100);
+      this.each = new Map();
       this.layers();
       this.draw();
       this.readout.textContent = "";
@@ -212,7 +213,6 @@
       // A series without anything keeps the axes.
       if (!option.series.length) option.series.push({ type: "scatter", data: [] });
       figure.chart.setOption(option, { replaceMerge: ["series"] });
-      this.sliderWords.textContent = `${heliogauge.number(this.scale, 3)} times`;
       this.over();
     }
 
@@ -251,28 +251,60 @@
         places[2 * at] = a * one.x[index] + b;
         places[2 * at + 1] = c * one.y[index] + d;
       });
-      const few = seen.length < MANY;
+      if (seen.length > MANY) return this.dots(places, one.color);
       return {
-        type: "heliogauge-marks", shape: { places, radius: few ? 5 : 2, refused: one.refused },
-        style: { fill: "none", stroke: one.color, lineWidth: few ? 1.6 : 1 },
+        type: "heliogauge-marks", shape: { places, radius: 5, refused: one.refused },
+        style: { fill: "none", stroke: one.color, lineWidth: 1.6 },
       };
     }
 
+    // Marks that lie closer than they are wide, as dots in an image: 90,000 paths take a second to draw, dots 5 ms.
+    dots(places, color) {
+      const { box } = this.figure;
+      const ratio = Math.min(devicePixelRatio || 1, 2);
+      const [width, height] = [Math.round(box.width * ratio), Math.round(box.height * ratio)];
+      const canvas = heliogauge.element("canvas", { width, height });
+      const drawing = canvas.getContext("2d");
+      const pixels = drawing.createImageData(width, height);
+      const whole = new Uint32Array(pixels.data.buffer);
+      // Bytes lie as red, green, blue, opacity from the lowest upwards.
+      const [red, green, blue] = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
+      const tint = (255 << 24 | blue << 16 | green << 8 | red) >>> 0;
+      const size = Math.round(2 * ratio);
+      for (let index = 0; index < places.length; index += 2) {
+        const column = Math.round((places[index] - box.left) * ratio - size / 2);
+        const row = Math.round((places[index + 1] - box.top) * ratio - size / 2);
+        for (let y = Math.max(row, 0); y < Math.min(row + size, height); y++) {
+          for (let x = Math.max(column, 0); x < Math.min(column + size, width); x++) whole[y * width + x] = tint;
+        }
+      }
+      drawing.putImageData(pixels, 0, 0);
+      return { type: "image", style: { image: canvas, x: box.left, y: box.top, width: box.width, height: box.height } };
+    }
+
+    // The residuals of what is seen; of very many every n-th, for more would hide each other.
     arrows(one) {
       const [a, b, c, d] = this.affine();
       const { scale } = this;
       // An arrow that begins beside what is seen may reach into it.
       const seen = this.seen(one, 200).filter((index) => Number.isFinite(one.u[index]));
-      const places = new Float32Array(4 * seen.length);
-      seen.forEach((index, at) => {
+      const each = Math.ceil(seen.length / MANY);
+      const kept = each > 1 ? seen.filter((index) => index % each === 0) : seen;
+      const places = new Float32Array(4 * kept.length);
+      kept.forEach((index, at) => {
         const x = a * one.x[index] + b;
         const y = c * one.y[index] + d;
         places.set([x, y, x + a * scale * one.u[index], y + c * scale * one.v[index]], 4 * at);
       });
-      return {
-        type: "heliogauge-strokes", shape: { places, heads: seen.length < MANY ? 5 : 0 },
-        style: { fill: "none", stroke: ARROW, lineWidth: seen.length < MANY ? 1.6 : 1 },
-      };
+      this.each.set(one.name, each);
+      this.tellScale();
+      return { type: "heliogauge-strokes", shape: { places, heads: 5 }, style: { fill: "none", stroke: ARROW, lineWidth: 1.6 } };
+    }
+
+    tellScale() {
+      const each = Math.max(...this.each.values());
+      const words = each > 1 ? `; 1 of ${each} is drawn, zoom in for all` : "";
+      this.sliderWords.textContent = `${heliogauge.number(this.scale, 3)} times${words}`;
     }
 
     lines(one) {

@@ -106,7 +106,7 @@ def test_a_link_opens_its_photo(open_page: Any, again: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("layer", "color"), [("○ used", USED), ("× refused", REFUSED), ("residuals", ARROW), ("outline", OUTLINE)]
+    ("layer", "color"), [("○ used", USED), ("\u00d7 refused", REFUSED), ("residuals", ARROW), ("outline", OUTLINE)]
 )
 def test_layers_are_switched(open_page: Any, layer: str, color: str) -> None:
     page = open_page.body(view())
