@@ -51,6 +51,8 @@ def page_frame(
         f"{'' if served else POLICY_HEAD}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'
+        # Browsers ask for a picture of the page elsewhere unless it is named.
+        '<link rel="icon" href="data:,">'
         f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}</style>\n{assets}</head>\n"
         f"<body><nav><div>{navigation}</div>{switch}</nav><main>\n{body}\n</main></body></html>\n"
     )

@@ -366,7 +366,17 @@
         kept.forEach((point) => put(point, text(point[2]), [-7, 0]));
         if (kept.length) put([...left, high[2]], "z [m]", [-7, -16]);
       }
-      const made = shapes.map(([left, top, words, anchor, name]) => {
+      // Names of axes first: what would cover an earlier label is left out.
+      const taken = [];
+      const free = shapes.sort((one, other) => Boolean(other[4]) - Boolean(one[4])).filter(([left, top, words, anchor]) => {
+        const wide = 7 * words.length + 4;
+        const first = anchor === "end" ? left - wide : left - wide / 2;
+        const box = [first, top - 12, first + wide, top + 3];
+        const covers = taken.some((other) => box[0] < other[2] && box[2] > other[0] && box[1] < other[3] && box[3] > other[1]);
+        if (!covers) taken.push(box);
+        return !covers;
+      });
+      const made = free.map(([left, top, words, anchor, name]) => {
         const label = document.createElementNS("http://www.w3.org/2000/svg", "text");
         const looks = { x: left.toFixed(1), y: top.toFixed(1), "text-anchor": anchor, "font-size": 12, fill: name ? color.ink : color.faint,
           stroke: color.paper, "stroke-width": 3, "paint-order": "stroke" };

@@ -23,8 +23,8 @@ from heliogauge.view.tables import TableColumn, TableView
 
 #: A link to another page: its words and where it leads.
 Link = tuple[str, str]
-# Numbers of the summaries that the table of a folder has columns for.
-_MOST_NUMBERS = 6
+# Columns for numbers where all results are of one kind; numbers in one cell where they are not.
+_MOST_NUMBERS, _FIRST_NUMBERS = 5, 2
 # Pairs of more results than these are compared by their addresses.
 _MOST_CHOICES = 2000
 _SEVERITIES = tuple(Severity)
@@ -111,40 +111,52 @@ def _table(name: str, rows: Sequence[tuple[str, Summary | str]]) -> TableView:
         TableColumn("folder", [address.removesuffix(f"/{REPORT_HTML}") for address, _ in rows]),
         TableColumn("kind", [one.kind if isinstance(one, Summary) else "" for _, one in rows]),
     ]
-    columns += [_number_column(key, rows) for key in _keys_of(summaries)]
     texts, weights = zip(*(_doubts_of(one) for _, one in rows), strict=True)
     columns.append(TableColumn("doubts", texts, numbers=weights))
+    share = "measured_share"
+    if any(share in one.numbers for one in summaries):
+        columns.append(_number_column(share, rows))
+    kinds = {one.kind for one in summaries}
+    if len(kinds) == 1:
+        first = [key for key in summaries[0].numbers if not key.startswith("sigma_") and key != share]
+        columns += [_number_column(key, rows) for key in first[:_MOST_NUMBERS]]
+    else:
+        columns.append(TableColumn("first numbers", [_first_numbers(one) for _, one in rows]))
     return TableView(name, tuple(columns))
 
 
-def _keys_of(summaries: Sequence[Summary]) -> list[str]:
-    """Return the numbers that a table shows: the first ones of each kind, and the share that was measured."""
-    kinds = Counter(one.kind for one in summaries)
-    each = max(1, _MOST_NUMBERS // max(len(kinds), 1))
-    keys: dict[str, None] = {}
-    for kind, _ in kinds.most_common():
-        of_kind = next(one for one in summaries if one.kind == kind)
-        first = [key for key in of_kind.numbers if not key.startswith("sigma_")]
-        keys |= dict.fromkeys(first[:each])
-    share = "measured_share"
-    has_share = any(share in one.numbers for one in summaries)
-    return [*list(keys)[: _MOST_NUMBERS + 2], *([share] if has_share and share not in keys else [])]
+def _first_numbers(one: Summary | str) -> str:
+    """Return the first numbers of a result in words."""
+    if isinstance(one, str):
+        return ""
+    shown = [key for key, value in one.numbers.items() if value is not None and not key.startswith("sigma_")]
+    return "; ".join(f"{_head(key)} {_text(one, key)}" for key in shown[:_FIRST_NUMBERS])
+
+
+def _head(key: str) -> str:
+    """Return what a number is called above a column."""
+    name, _ = _name_and_unit(key)
+    return LABELS.get(name, name.replace("_", " ")).partition(",")[0]
+
+
+def _text(one: Summary, key: str) -> str:
+    name, unit = _name_and_unit(key)
+    value = one.numbers.get(key)
+    return "" if value is None else number_text(value, one.numbers.get(f"sigma_{key}"), unit, name)
+
+
+def _name_and_unit(key: str) -> tuple[str, str]:
+    try:
+        return unit_of(key)
+    except InputError:
+        # Written by a later version; its own page says more.
+        return key, ""
 
 
 def _number_column(key: str, rows: Sequence[tuple[str, Summary | str]]) -> TableColumn:
-    try:
-        name, unit = unit_of(key)
-    except InputError:
-        # Written by a later version; its own page says more.
-        name, unit = key, ""
-    texts, numbers = [], []
-    for _, one in rows:
-        value = one.numbers.get(key) if isinstance(one, Summary) else None
-        sigma = one.numbers.get(f"sigma_{key}") if isinstance(one, Summary) else None
-        texts.append("" if value is None else number_text(value, sigma, unit, name))
-        numbers.append(float("nan") if value is None else float(value))
-    head = LABELS.get(name, name.replace("_", " "))
-    return TableColumn(head.partition(",")[0], texts, numbers=numbers)
+    texts = [_text(one, key) if isinstance(one, Summary) else "" for _, one in rows]
+    values = [one.numbers.get(key) if isinstance(one, Summary) else None for _, one in rows]
+    return TableColumn(_head(key), texts, numbers=[float("nan") if one is None else float(one) for one in values])
 
 
 def _doubts_of(one: Summary | str) -> tuple[str, float]:
