@@ -22,9 +22,11 @@ from heliogauge.running.commands import (
     parse_periods,
     say_doubts,
 )
+from heliogauge.running.slope_commands import add_slope_exports
 
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
 imports = add_formats(app, "import")
+add_slope_exports(add_formats(app, "export"))
 
 
 @app.command("measure")

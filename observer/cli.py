@@ -14,12 +14,15 @@ from heliogauge.running.commands import (
     OutFolder,
     Quiet,
     Verbose,
+    add_formats,
     deliver,
     make_app,
     say_ending,
 )
+from heliogauge.running.slope_commands import add_slope_exports
 
 app = make_app("Photos of the absorber's reflection in a trough -> slope errors, absorber position, intercept factor.")
+add_slope_exports(add_formats(app, "export"))
 
 
 @app.command("measure")

@@ -21,10 +21,12 @@ from heliogauge.running.commands import (
     deliver,
     make_app,
 )
+from heliogauge.running.slope_commands import add_slope_exports
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
 imports = add_formats(app, "import")
 exports = add_formats(app, "export")
+add_slope_exports(exports)
 
 
 @app.command("measure")

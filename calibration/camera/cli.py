@@ -8,17 +8,32 @@ import typer
 from heliogauge.running.commands import (
     AsJson,
     Force,
+    ForceMeasurement,
     Jobs,
     MeasurementFolder,
     NoReport,
     OutFolder,
+    OutMeasurement,
+    OutPath,
     Quiet,
     Verbose,
+    add_formats,
     deliver,
     make_app,
 )
 
 app = make_app("Photos of a calibration board or of targets -> calibrated camera, with covariance.")
+imports = add_formats(app, "import")
+exports = add_formats(app, "export")
+
+CameraPath = Annotated[
+    Path,
+    typer.Argument(metavar="OUT", help="Results of `heliogauge camera measure`, or cameras.json.", show_default=False),
+]
+CameraName = Annotated[
+    str | None, typer.Option("--camera", metavar="NAME", help="Which of several cameras.", show_default=False)
+]
+Replace = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 
 
 @app.command("measure")
@@ -62,3 +77,88 @@ def measure_command(
         as_json=as_json,
         hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
+
+
+@app.command("compare")
+def compare_command(
+    camera: CameraPath,
+    other: Annotated[
+        Path, typer.Argument(metavar="OTHER", help="Another calibration of the same camera.", show_default=False)
+    ],
+) -> None:
+    """Say how far two calibrations differ, as angles between their lines of sight, and whether by more than chance."""
+    from calibration.camera.files.opencv_files import read_calibrated
+    from calibration.camera.files.summary import comparison_lines
+    from calibration.camera.judgement.comparison import compare
+
+    for line in comparison_lines(compare(read_calibrated(camera), read_calibrated(other))):
+        typer.echo(line)
+
+
+@imports.command("opencv")
+def import_opencv_command(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE",
+            help="Calibrations that OpenCV wrote (YAML, XML, JSON), one for each camera.",
+            show_default=False,
+        ),
+    ],
+    out: OutMeasurement,
+    width_px: Annotated[
+        int | None, typer.Option(min=1, help="Width of the images, where the files do not have it.")
+    ] = None,
+    height_px: Annotated[
+        int | None, typer.Option(min=1, help="Height of the images, where the files do not have it.")
+    ] = None,
+    force: ForceMeasurement = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a folder with cameras.json from calibrations made with OpenCV."""
+    from calibration.camera.files.opencv_files import import_opencv
+    from heliogauge.errors import InputError
+
+    if (width_px is None) != (height_px is None):
+        raise InputError("width_px and height_px belong together; give both or none")
+    size = None if width_px is None or height_px is None else (width_px, height_px)
+    lines = import_opencv(files, out, size_px=size, force=force)
+    if not quiet:
+        for line in lines:
+            typer.echo(line)
+        typer.echo(f'{out / "cameras.json"}: use it with file = "cameras.json" in [camera] of a measurement')
+
+
+@exports.command("opencv")
+def export_opencv_command(
+    result: CameraPath,
+    out: OutPath,
+    camera: CameraName = None,
+    force: Replace = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a camera as OpenCV reads it (YAML of cv2.FileStorage)."""
+    from calibration.camera.files.opencv_files import export_camera
+
+    export_camera(result, out, "opencv", name=camera, force=force)
+    if not quiet:
+        typer.echo(out)
+
+
+@exports.command("colmap")
+def export_colmap_command(
+    result: CameraPath,
+    out: OutPath,
+    camera: CameraName = None,
+    force: Replace = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a camera as COLMAP reads it (cameras.txt)."""
+    from calibration.camera.files.opencv_files import export_camera
+
+    export_camera(result, out, "colmap", name=camera, force=force)
+    if not quiet:
+        typer.echo(out)

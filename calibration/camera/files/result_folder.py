@@ -1,6 +1,7 @@
 """Results of a calibration on disk: written whole, read whole again for the report."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -75,16 +76,22 @@ def write_tables(result: Result, folder: Path) -> None:
 
 def _write_other_formats(camera: Camera, folder: Path) -> None:
     """Write the camera as OpenCV and COLMAP read it; a camera with skew is none of theirs."""
-    try:
+    with suppress(InputError):
         write_text(folder / "camera_opencv.yaml", opencv_yaml(camera))
-        model, parameters = to_colmap(camera)
-    except InputError:
-        return
+        write_text(folder / "cameras_colmap.txt", colmap_text(camera))
+
+
+def colmap_text(camera: Camera) -> str:
+    """Return a camera as COLMAP's cameras.txt has it.
+
+    camera: A camera without skew whose polynomial goes from ideal to measured.
+    InputError: COLMAP's models do not hold the camera.
+    """
+    model, parameters = to_colmap(camera)
     numbers = " ".join(repr(value) for value in parameters.tolist())
-    write_text(
-        folder / "cameras_colmap.txt",
+    return (
         "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
-        f"1 {model} {camera.width_px} {camera.height_px} {numbers}\n",
+        f"1 {model} {camera.width_px} {camera.height_px} {numbers}\n"
     )
 
 
