@@ -219,6 +219,7 @@ const heliogauge = (() => {
       try {
         const made = await show(place, spec, section);
         section.classList.add("alive");
+        if (!performance.getEntriesByName("first picture").length) performance.mark("first picture");
         section.dispatchEvent(new Event("shown"));
         return made || {};
       } catch (error) {
