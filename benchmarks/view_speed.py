@@ -69,7 +69,8 @@ ZOOM_MS = """async () => {
 REMOVAL_MS = """async () => {
   const note = [...document.querySelectorAll(".view-note")].find((one) => one.textContent.includes("In view"));
   const before = note.textContent;
-  const changed = new Promise((done) => new MutationObserver(done).observe(note, { childList: true, characterData: true, subtree: true }));
+  const what = { childList: true, characterData: true, subtree: true };
+  const changed = new Promise((done) => new MutationObserver(done).observe(note, what));
   const start = performance.now();
   document.querySelector(".view-figure").dispatchEvent(new KeyboardEvent("keydown", { key: "r", bubbles: true }));
   await changed;
@@ -84,7 +85,8 @@ class Handler(BaseHTTPRequestHandler):
         self._page, self._store = page, store
         super().__init__(*args)
 
-    def do_GET(self):
+    def do_GET(self) -> None:
+        """Answer with the page, or with the array of a number."""
         number = self.path.removeprefix("/data/")
         self.send_response(200)
         content = self._store.contents[int(number)][0] if number.isdigit() else self._page
@@ -93,8 +95,8 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def log_message(self, *args):
-        pass
+    def log_message(self, *args) -> None:
+        """Say nothing."""
 
 
 def large_map() -> SlopeMap:
