@@ -14,7 +14,7 @@
   const SHADES = 512;
   const FLAGS = "flags";
   // A tall mirror fills at most this share of the screen.
-  const MOST_HEIGHT = 0.68;
+  const MOST_HEIGHT = 0.56;
   // Percentiles come from at most this many values.
   const SAMPLES = 60000;
   const REMOVAL_NAMES = { nothing: "nothing", tilt: "tilt", focus: "tilt and focus", quadratic: "tilt, focus, twist" };
@@ -195,7 +195,7 @@
       const side = make("div", {}, this.legendPlace, this.sectionPlace);
       this.place.append(
         make("p", { class: "view-title" }, spec.name),
-        make("div", { class: "view-bar" }, make("label", {}, "Layer", this.layerSelect), this.sectionButton, reset),
+        make("div", { class: "view-bar" }, layers.length > 1 ? make("label", {}, "Layer", this.layerSelect) : null, this.sectionButton, reset),
         ...(words.length > 1 ? [make("div", { class: "view-bar" }, make("label", {}, "Remove", this.removalSelect), this.numbersLine)] : []),
         this.colorsBar, make("div", { class: beside ? "view-map beside" : "view-map" }, this.body, side),
         ...(spec.note ? [make("p", { class: "view-note" }, spec.note)] : []),
@@ -221,8 +221,8 @@
         this.draw();
       }, "Flags painted on the map");
       const hatched = heliogauge.element("span", { class: "view-swatch view-hatched" });
-      const words = this.flags.length ? "no value there. Paint by flag:" : "no value there";
-      legend.prepend(heliogauge.element("span", {}, hatched, words));
+      if (this.flags.length) legend.prepend("Paint by flag:");
+      if (this.hasGaps) legend.prepend(heliogauge.element("span", {}, hatched, "no value there."));
       this.legendPlace.replaceChildren(legend);
     }
 
@@ -264,6 +264,7 @@
       if (turn !== this.turn) return; // the reader has chosen another meanwhile
       this.values = values;
       this.sigma = sigma;
+      this.hasGaps = values.some((value, node) => value !== value && this.aperture[node]);
       this.unitText.textContent = layer.unit;
       this.colorsBar.hidden = this.key === FLAGS;
       await this.range();
@@ -357,11 +358,14 @@
         yAxis: { splitLine: { show: false }, splitNumber: Math.max(Math.round(box.height / 60), 2), axisLabel: { color: color.ink, showMinLabel: false, showMaxLabel: false, ...labels }, nameGap: narrow ? 34 : 44 },
       });
       const bar = this.key !== FLAGS;
+      // Even steps that end with the colours where their numbers are short; otherwise round numbers between.
+      const interval = (this.high - this.low) / (box.height > 250 ? 8 : 4);
+      const even = Math.abs(interval - Number(interval.toPrecision(2))) < 1e-9 * interval;
       option.grid.push({ left: box.left + box.width + 12, top: box.top, width: 14, height: box.height, show: false });
       option.xAxis.push({ gridIndex: 1, type: "value", min: 0, max: 1, show: false });
       option.yAxis.push(heliogauge.axis(this.layer.unit ? `[${this.layer.unit}]` : "", { gridIndex: 1, position: "right", show: bar, min: this.low, max: this.high,
-        interval: (this.high - this.low) / (box.height > 250 ? 8 : 4), nameGap: narrow ? 34 : 44, splitLine: { show: false }, axisLine: { show: false },
-        axisLabel: { color: color.ink, formatter: (value) => heliogauge.tick(Number(value.toPrecision(3))) } }));
+        ...(even ? { interval } : {}), nameGap: narrow ? 34 : 44, splitLine: { show: false }, axisLine: { show: false },
+        axisLabel: { color: color.ink, formatter: heliogauge.tick, showMinLabel: even, showMaxLabel: even } }));
       const custom = (axis, renderItem) => ({ type: "custom", xAxisIndex: axis, yAxisIndex: axis, data: [[0, 0]], silent: true, clip: true, renderItem });
       option.series = [custom(0, () => this.picture()), ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
       this.figure.chart.setOption(option, { replaceMerge: ["series"] });

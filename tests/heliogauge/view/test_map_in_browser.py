@@ -265,3 +265,39 @@ def test_colours_are_those_of_the_static_figures(open_map: Any) -> None:
     table = np.array(sorted(expected))
     assert len(column) > 200
     assert max(np.abs(table - one).sum(axis=1).min() for one in np.array(column)) <= 9
+
+
+def test_the_wheel_scrolls_the_page_until_the_map_is_chosen(open_page: Any, body: str) -> None:
+    page = open_page.body(body + '<div style="height: 3000px"></div>')
+    page.wait_for_selector(f"{MAP}.alive")
+    note = page.locator(f"{MAP} .view-note", has_text="In view")
+    note.wait_for()
+    whole = note.inner_text()
+    box = page.locator(".view-canvas").bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 200)
+    page.mouse.wheel(0, 40)
+    page.wait_for_function("scrollY > 0")
+    page.wait_for_timeout(300)
+    assert note.inner_text() == whole
+    page.evaluate("scrollTo(0, 0)")
+    page.mouse.click(box["x"] + 300, box["y"] + 200)
+    page.mouse.wheel(0, -400)
+    page.wait_for_function(
+        f"![...document.querySelectorAll('.view-note')].some((one) => one.textContent === {whole!r})"
+    )
+    assert page.evaluate("scrollY") == 0
+
+
+def test_a_drag_moves_what_is_seen(open_map: Any) -> None:
+    page = open_map()
+    (place,) = places_of(page, (30, 20))
+    page.keyboard.press("+")
+    page.keyboard.press("+")
+    page.wait_for_timeout(100)
+    before = pointer_at(page)
+    page.mouse.move(*place)
+    page.mouse.down()
+    page.mouse.move(place[0] + 40, place[1] + 25, steps=4)
+    moved = pointer_at(page)
+    page.mouse.up()
+    assert (moved[0] - before[0], moved[1] - before[1]) == pytest.approx((40, 25), abs=12)
