@@ -43,8 +43,10 @@
       });
       // The wheel scrolls the page until the reader has chosen this figure; likewise a finger.
       this.root.addEventListener("pointerdown", () => this.root.focus({ preventScroll: true }));
-      this.root.addEventListener("focus", () => this._activate(true));
-      this.root.addEventListener("blur", () => this._activate(false));
+      this.root.addEventListener("focus", () => this.root.classList.add("active"));
+      this.root.addEventListener("blur", () => this.root.classList.remove("active"));
+      const wheel = (event) => { if (!this.active && !event.ctrlKey) event.stopPropagation(); };
+      for (const name of ["wheel", "mousewheel"]) this.root.addEventListener(name, wheel, { capture: true, passive: true });
       this.root.addEventListener("dblclick", () => this.reset());
       this.root.addEventListener("pointerleave", () => this.hideTip());
       return this;
@@ -54,17 +56,12 @@
       return document.activeElement === this.root;
     }
 
-    _activate(active) {
-      this.root.classList.toggle("active", active);
-      this.chart.setOption({ dataZoom: ["x", "y"].map((id) => ({ id, zoomOnMouseWheel: active || "ctrl" })) });
-    }
-
     // Sets the place of the axes in pixels and their ranges; more: parts of the two axes.
     axes(box, x, y, more) {
       Object.assign(this, { box, x, y, yDown: Boolean(more.yDown) });
       const zoom = (id) => ({
         id, type: "inside", filterMode: "none", [`${id}AxisIndex`]: 0, start: this.zoom[id][0], end: this.zoom[id][1],
-        minSpan: this.leastSpan, zoomOnMouseWheel: this.active || "ctrl", moveOnMouseMove: true,
+        minSpan: this.leastSpan, zoomOnMouseWheel: true, moveOnMouseMove: true,
         preventDefaultMouseMove: false,
       });
       return {
