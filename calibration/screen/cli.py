@@ -27,7 +27,7 @@ def measure_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Evaluate photographs of uniform grey levels: response.csv, response.png, summary.json."""
+    """Evaluate photographs of uniform grey levels: response.csv, summary.json, report.html."""
     from calibration.screen.keys import load_response
     from calibration.screen.pipeline import Options, run
     from heliogauge.errors import InputError
@@ -42,7 +42,7 @@ def measure_command(
         progress,
         force=force,
         quiet=quiet,
-        report=False,
+        report=not no_report,
         as_json=as_json,
         hint="; use it with response_file in [screen] of measurement.toml",
     )

@@ -7,9 +7,12 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.screen.response import ScreenResponse
-from heliogauge.results.folder import Summary, write_table_csv
+from heliogauge.results.folder import Summary, read_columns_csv, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.validate import BoolArray, FloatArray
+
+RESPONSE_FILE = "response.csv"
+_READINGS_FILE = "readings.csv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,14 +76,12 @@ class Result(InstrumentResult):
         return self._summary(numbers, texts)
 
     def write_files(self, folder: Path) -> None:
-        """Write response.csv and response.png into an existing folder."""
-        from calibration.screen.figures import response_figure
-        from heliogauge.reporting.canvas import png_of
-
-        response = self.response
+        """Write response.csv and readings.csv into an existing folder."""
+        response, readings = self.response, self.readings
         columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
-        write_table_csv(folder / "response.csv", {**columns, "sigma_camera_dn": _sigma_dn(response)})
-        (folder / "response.png").write_bytes(png_of(response_figure(self)))
+        write_table_csv(folder / RESPONSE_FILE, {**columns, "sigma_camera_dn": _sigma_dn(response)})
+        every = {"display_level": readings.level, "mean_dn": readings.mean_dn}
+        write_table_csv(folder / _READINGS_FILE, {**every, "saturated": readings.is_saturated.astype(int)})
 
     def headline(self) -> str:
         """Return the headline numbers as lines for the terminal."""
@@ -118,3 +119,24 @@ def nonlinearity(response: ScreenResponse) -> tuple[FloatArray, FloatArray]:
 
 def _sigma_dn(response: ScreenResponse) -> FloatArray:
     return response.sigma_camera_dn if response.sigma_camera_dn is not None else np.zeros(response.camera_dn.size)
+
+
+def read_response(folder: Path) -> ScreenResponse:
+    """Read the response from a folder of results."""
+    names = ("camera_dn", "display_level", "sigma_camera_dn")
+    _, numbers = read_columns_csv(folder / RESPONSE_FILE, (), names)
+    camera_dn, level, sigma = (numbers[name] for name in names)
+    return ScreenResponse(camera_dn=camera_dn, display_level=level, sigma_camera_dn=sigma)
+
+
+def read_readings(folder: Path, summary: Summary) -> GreyReadings:
+    """Read what the camera read of each level from a folder of results.
+
+    summary: Gives the number of pixels.
+    """
+    names = ("display_level", "mean_dn", "saturated")
+    _, numbers = read_columns_csv(folder / _READINGS_FILE, (), names)
+    pixels, spread = (summary.numbers.get(key) or 0 for key in ("pixels_count", "brightness_spread_share"))
+    return GreyReadings(
+        numbers["display_level"], numbers["mean_dn"], numbers["saturated"] > 0, int(pixels), float(spread)
+    )

@@ -17,4 +17,5 @@ INSTRUMENT = Instrument(
             options="calibration.screen.pipeline:Options",
         ),
     ),
+    reports={"response": "calibration.screen:report.ipynb"},
 )

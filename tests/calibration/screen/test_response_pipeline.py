@@ -2,14 +2,14 @@
 
 import csv
 import json
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from calibration.screen.files import Result
+from calibration.screen.files import Result, read_readings, read_response
 from calibration.screen.keys import load_response
 from calibration.screen.pipeline import Options, lit_pixels, run
 from deflectometry import load_deflectometry
@@ -17,6 +17,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.templates import write_template
 from heliogauge.measurement.writer import write_measurement
+from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import read_summary
 from heliogauge.running import cli
 
@@ -202,8 +203,9 @@ def test_files_of_the_result(folder: Path, tmp_path: Path) -> None:
     assert summary.numbers["nonlinearity_share"] == pytest.approx(at**2.2 - at, abs=0.003)
     assert summary.numbers["levels_count"] == 17
     assert len(summary.input_sha256) == 18
-    picture = cv2.imread(str(out / "response.png"))
-    assert picture.shape[1] == 576
+    readings = read_readings(out, summary)
+    np.testing.assert_array_equal(readings.mean_dn, result.readings.mean_dn)
+    np.testing.assert_array_equal(read_response(out).camera_dn, result.response.camera_dn)
 
 
 def test_command_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -216,7 +218,13 @@ def test_command_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
     assert leave("screen", "measure", str(folder), "-o", str(out), "--jobs", "1") == 0
     assert "+-" in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == ["response.csv", "response.png", "summary.json"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "readings.csv",
+        "report.html",
+        "report.ipynb",
+        "response.csv",
+        "summary.json",
+    ]
     assert leave("screen", "measure", str(folder), "-o", str(out)) == 2
     assert "--force" in capsys.readouterr().err
     assert leave("screen", "measure", str(folder), "-o", str(tmp_path / "response.csv")) == 2
@@ -247,3 +255,16 @@ def test_doubts_are_kept_in_the_summary(tmp_path: Path) -> None:
     assert content["doubts"][0]["code"] == "grey_steps_saturated"
     assert content["doubts"][0]["numbers"]["saturated_count"] == 3
     assert content["doubts"][0]["severity"] == "doubt"
+
+
+def test_the_report_says_what_the_files_say(folder: Path, tmp_path: Path) -> None:
+    run(load_response(folder)).write(tmp_path)
+    page = build_report(tmp_path).read_text(encoding="utf-8")
+    first = page.partition("<h2")[0]
+    numbers = read_summary(tmp_path).numbers
+    assert f"{numbers['used_levels_count']} of {numbers['levels_count']}" in first
+    shown = re.search(r"<td>(-?[0-9.]+) \u00b1 ([0-9.]+) %</td>", first)
+    last_digit = 10.0 ** -len(shown[1].partition(".")[2])
+    assert float(shown[1]) == pytest.approx(100 * numbers["nonlinearity_share"], abs=0.51 * last_digit)
+    assert 'data-view="chart"' in first
+    assert page.count('data-view="chart"') == 2
