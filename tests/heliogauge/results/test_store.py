@@ -27,6 +27,7 @@ from heliogauge.results.folder import (
     hash_files,
     read_camera_json,
     read_cameras_json,
+    read_columns_csv,
     read_pixels,
     read_points_csv,
     read_slope_map,
@@ -451,3 +452,41 @@ def test_doubts_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match="code"):
         read_summary(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name,x_m,y_m\na,1.5,2\nb,-3e-7,4\n",
+        "name,x_m,y_m\r\na,1.5,2\r\nb,-3e-7,4\r\n",
+        '"name",x_m,y_m\n"a",1.5,2\nb,-3e-7,4\n',
+        "\ufeffy_m,name,x_m\n2,a,1.5\n\n4, b ,-3e-7",
+    ],
+)
+def test_columns_are_read_the_same_in_every_form(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text, encoding="utf-8", newline="")
+    texts, numbers = read_columns_csv(path, ("name",), ("x_m", "y_m"))
+    assert texts == {"name": ["a", "b"]}
+    np.testing.assert_array_equal(numbers["x_m"], [1.5, -3e-7])
+    np.testing.assert_array_equal(numbers["y_m"], [2.0, 4.0])
+
+
+def test_gaps_in_columns_of_numbers_are_nan(tmp_path: Path) -> None:
+    write_table_csv(tmp_path / "table.csv", {"name": ["a", "b"], "x_m": [1.0, np.nan]})
+    _, numbers = read_columns_csv(tmp_path / "table.csv", ("name",), ("x_m",))
+    np.testing.assert_array_equal(numbers["x_m"], [1.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name,x_m\na,much\n", "column x_m must hold numbers"),
+        ("name,x_m\na,1,2\n", "line 2: 2 cells are needed"),
+        ("name\na\n", "columns x_m are missing"),
+    ],
+)
+def test_bad_columns_are_named(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "table.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_columns_csv(tmp_path / "table.csv", ("name",), ("x_m",))
