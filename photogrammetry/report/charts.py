@@ -26,8 +26,8 @@ from photogrammetry.report.network import NetworkResults
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Cells of the map along the longer side of the image.
-_CELLS = 24
+#: Cells of the map along the longer side of the image: some image points in each, and not more than one sees.
+_LEAST_CELLS, _MOST_CELLS, _POINTS_IN_CELL = 6, 24, 6
 #: Dots in a chart; more are one grey area.
 _MOST_DOTS = 3000
 
@@ -41,8 +41,9 @@ def residual_map(results: NetworkResults) -> MapView:
     longer = max(camera.width_px, camera.height_px)
     sizes = camera.height_px, camera.width_px
     axes_px: list[FloatArray] = []
+    most = np.clip(np.sqrt(len(used.photo) / _POINTS_IN_CELL * longer / min(sizes)), _LEAST_CELLS, _MOST_CELLS)
     for size in sizes:
-        cells = max(2, round(_CELLS * size / longer))
+        cells = max(2, round(float(most) * size / longer))
         axes_px.append(np.asarray((np.arange(cells) + 0.5) * size / cells - 0.5, dtype=np.float64))
     own = _of_first_camera(results)
     pixels = used.pixels_px[own]
@@ -52,7 +53,7 @@ def residual_map(results: NetworkResults) -> MapView:
     empty = float((count == 0).mean())
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     reach = float(np.hypot(*(pixels - half + 0.5).T).max(initial=0.0)) / float(np.hypot(*half))
-    note = f"{empty:.0%} of the cells have no image point; points reach {reach:.0%} of the way to the corners"
+    note = f"{empty:.0%} of the cells without image points; points out to {reach:.0%} of the way to the corners"
     edges = [
         np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((camera.height_px, camera.width_px), shape, strict=True)
     ]
@@ -97,7 +98,7 @@ def _mean_figure(
     typical = float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else 0.0
     scale = 0.6 * float(edges[1][1] - edges[1][0]) / typical if typical > 0 else 1.0
     rms = float(np.sqrt((results.used.residuals_px**2).sum(axis=1).mean())) if len(results.used.photo) else 0.0
-    note = f"predicted minus measured, {scale:.0f} times; all residuals {rms:.4f} px RMS, their means {typical:.4f} px"
+    note = f"{scale:.0f} times; residuals {rms:.3g} px RMS, their means {typical:.3g} px"
     figure, axes = chart_figure("Mean residual in each part of the image", note, "x [px]", "y [px]", height_in=4.0)
     x, y = np.meshgrid(axes_px[1], axes_px[0])
     u, v = scale * means[0], scale * means[1]

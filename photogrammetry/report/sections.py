@@ -113,15 +113,18 @@ def points(results: NetworkResults) -> Shown:
 
 
 def lengths(results: NetworkResults) -> Shown:
-    """Return known lengths against the network, and all that was known beforehand."""
+    """Return known lengths against a network that did not use them."""
     compared = [charts.length_chart(results), tables.length_table(results)]
-    used = tables.constraint_table(results)
     pieces: list[Shown] = [one for one in compared if one is not None]
-    if used is not None:
-        pieces += [Html("<h3>As adjusted</h3>"), used]
     return (
         join(*pieces) if pieces else Html("<p>No length was known: nothing but the residuals checks this network.</p>")
     )
+
+
+def constraints(results: NetworkResults) -> Shown:
+    """Return all that was known beforehand beside what the network has."""
+    used = tables.constraint_table(results)
+    return Html("") if used is None else table_under_name(used)
 
 
 def residuals(results: NetworkResults) -> Shown:

@@ -58,7 +58,12 @@ def shown_number(summary: Summary, key: str) -> str:
         # A sigma is known to two digits at best.
         scaled, unit = (1e6 * value, "\u00b5m") if value < 1e-5 else (1e3 * value, "mm")
         return f"{float(f'{scaled:.2g}'):g} {unit}"
-    return number_text(value, summary.numbers.get(f"sigma_{key}"), unit, name)
+    sigma = summary.numbers.get(f"sigma_{key}")
+    if sigma is None and "rms" in name and unit in ("m", "px"):
+        # What so many residuals or lengths have in common is known to some per cent.
+        scaled, unit = (1e3 * value, "mm") if unit == "m" else (value, unit)
+        return f"{float(f'{scaled:.3g}'):.6g} {unit}"
+    return number_text(value, sigma, unit, name)
 
 
 def headline_rows(summary: Summary, labels: Mapping[str, str] = LABELS) -> list[tuple[str, str]]:
@@ -109,22 +114,22 @@ def point_table(results: NetworkResults) -> TableView | None:
     columns = [
         TableColumn("point", names),
         *(number_column(f"{axis} [mm]", places[:, i], digits) for i, axis in enumerate("xyz")),
-        *(number_column(f"sigma {axis} [mm]", sigma[:, i], digits) for i, axis in enumerate("xyz")),
-        number_column("largest axis [mm]", axes, digits),
+        *(number_column(f"\u03c3 {axis} [mm]", sigma[:, i], digits) for i, axis in enumerate("xyz")),
+        number_column("\u03c3 largest [mm]", axes, digits),
         TableColumn("rays", [str(n) for n in points.n_rays[chosen]], points.n_rays[chosen].astype(float).tolist()),
     ]
     worst = _worst_photos(results, names)
     if worst:
         photos = tuple(results.poses)
         found = [worst.get(name) for name in names]
-        columns += [
-            number_column("largest residual [px]", np.array([np.nan if one is None else one[1] for one in found]), 4),
+        columns.append(
             TableColumn(
-                "in photo",
-                ["" if one is None else photos[one[0]] for one in found],
-                links=[_link(results, "" if one is None else photos[one[0]]) for one in found],
-            ),
-        ]
+                "largest residual",
+                ["" if one is None else f"{one[1]:.4f} px in {photos[one[0]]}" for one in found],
+                [np.nan if one is None else one[1] for one in found],
+                [_link(results, "" if one is None else photos[one[0]]) for one in found],
+            )
+        )
     rest = len(results.known) - len(order)
     more = f"; {grouped(rest)} more certain ones are in points.csv" if rest else ""
     return TableView(f"Points, the least certain first{more}", tuple(columns), most_rows=15)
@@ -226,7 +231,7 @@ def length_table(results: NetworkResults) -> TableView | None:
     ]
     if np.isfinite(values[:, 6]).any():
         found += [number_column("permissible", values[:, 6], digits), TableColumn("verdict", columns["verdict"])]
-    return TableView("Known lengths that the network did not use", tuple(found), most_rows=20)
+    return TableView("Known lengths that the network did not use", tuple(found), most_rows=10)
 
 
 def constraint_table(results: NetworkResults) -> TableView | None:
