@@ -54,16 +54,25 @@ def shown_number(summary: Summary, key: str) -> str:
         return f"1 : {grouped(value)}"
     if key.endswith("_count"):
         return grouped(value)
+    if key.endswith("_ratio") and f"sigma_{key}" not in summary.numbers:
+        return _significant(value, 3)
     if "sigma" in name and unit == "m":
         # A sigma is known to two digits at best.
         scaled, unit = (1e6 * value, "\u00b5m") if value < 1e-5 else (1e3 * value, "mm")
-        return f"{float(f'{scaled:.2g}'):g} {unit}"
+        return f"{_significant(scaled, 2)} {unit}"
     sigma = summary.numbers.get(f"sigma_{key}")
     if sigma is None and "rms" in name and unit in ("m", "px"):
         # What so many residuals or lengths have in common is known to some per cent.
         scaled, unit = (1e3 * value, "mm") if unit == "m" else (value, unit)
-        return f"{float(f'{scaled:.3g}'):.6g} {unit}"
+        return f"{_significant(scaled, 3)} {unit}"
     return number_text(value, sigma, unit, name)
+
+
+def _significant(value: float, digits: int) -> str:
+    """Return a number with so many significant digits, zeros at its end included."""
+    if value == 0 or not np.isfinite(value):
+        return f"{value:g}"
+    return f"{value:.{max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))}f}"
 
 
 def headline_rows(summary: Summary, labels: Mapping[str, str] = LABELS) -> list[tuple[str, str]]:
