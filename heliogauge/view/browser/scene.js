@@ -371,7 +371,7 @@
       const free = shapes.sort((one, other) => Boolean(other[4]) - Boolean(one[4])).filter(([left, top, words, anchor]) => {
         const wide = 7 * words.length + 4;
         const first = anchor === "end" ? left - wide : left - wide / 2;
-        const box = [first, top - 12, first + wide, top + 3];
+        const box = [first, top - 13, first + wide, top + 4];
         const covers = taken.some((other) => box[0] < other[2] && box[2] > other[0] && box[1] < other[3] && box[3] > other[1]);
         if (!covers) taken.push(box);
         return !covers;

@@ -86,12 +86,23 @@ def test_x_is_to_the_right_and_y_up_seen_from_above(open_page: Any) -> None:
     assert x3 == pytest.approx(x0, abs=1)
 
 
-def test_axes_carry_metres(open_page: Any) -> None:
+def test_axes_carry_metres_that_can_be_read(open_page: Any) -> None:
     page = open_page.body(view())
     start(page)
     settle(page)
-    words = page.locator(".view-overlay text").all_text_contents()
-    assert {"x [m]", "y [m]", "z [m]", "1000", "1004", "\u2212500", "100"} <= set(words)
+    labels = page.locator(".view-overlay text")
+    words = labels.all_text_contents()
+    assert {"x [m]", "y [m]", "z [m]"} <= set(words)
+    numbers = [float(one.replace("\u2212", "-")) for one in words if "[" not in one]
+    assert len(numbers) >= 8
+    assert {one for one in numbers if one > 500} <= {1000.0, 1001.0, 1002.0, 1003.0, 1004.0}
+    assert {one for one in numbers if one < 0} <= {-500.0, -499.0, -498.0, -497.0}
+    boxes = [labels.nth(index).bounding_box() for index in range(len(words))]
+    for index, one in enumerate(boxes):
+        for other in boxes[:index]:
+            across = min(one["x"] + one["width"], other["x"] + other["width"]) - max(one["x"], other["x"])
+            down = min(one["y"] + one["height"], other["y"] + other["height"]) - max(one["y"], other["y"])
+            assert min(across, down) < 4
 
 
 def test_keys_and_drag_turn_and_zoom(open_page: Any) -> None:
