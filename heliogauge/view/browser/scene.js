@@ -325,12 +325,12 @@
       const behind = [0, 1].map((axis) => camera.position.getComponent(axis) < controls.target.getComponent(axis));
       const near = [0, 1].map((axis) => behind[axis] ? low[axis] : high[axis]);
       const middle = this.project([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]);
-      const put = (point, words, anchor) => {
+      const put = (point, words, anchor, name = false) => {
         const [left, top, depth] = this.project(point);
         if (depth > 1 || left < 0 || top < 0 || left > this.root.clientWidth || top > this.root.clientHeight) return;
         const away = Math.hypot(left - middle[0], top - middle[1]) || 1;
         const [dx, dy] = anchor || [(left - middle[0]) / away * 16, (top - middle[1]) / away * 13];
-        shapes.push([left + dx, top + dy + 4, words, anchor ? "end" : "middle"]);
+        shapes.push([left + dx, top + dy + 4, words, anchor ? "end" : "middle", name]);
       };
       const digits = Math.max(0, -Math.floor(Math.log10(this.step) + 1e-9));
       const text = (value) => value.toFixed(digits).replace("-", "\u2212");
@@ -364,7 +364,7 @@
         const points = heights.map((z) => [...left, z]);
         const kept = thin(points);
         kept.forEach((point) => put(point, text(point[2]), [-7, 0]));
-        if (kept.length) put([...left, high[2]], "z [m]", [-7, -16]);
+        if (kept.length) put([...left, high[2]], "z [m]", [-7, -20], true);
       }
       // Names of axes first: what would cover an earlier label is left out.
       const taken = [];
