@@ -16,7 +16,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import ServedStore
 from heliogauge.view.maps import MapView, slope_map_view
-from heliogauge.view.server.pages import pieces_page
+from heliogauge.view.server.pages import label_of, pieces_page
 from heliogauge.view.tables import TableColumn, TableView
 
 #: Layers of a map of differences by what they are called there; the others repeat these.
@@ -34,7 +34,7 @@ LAYERS: dict[str, str] = {
 class Side:
     """One of two results that are compared.
 
-    name: What was measured.
+    name: What was measured, and the folder: before and after have one name.
     address: Where its own page is.
     summary: Its numbers; None for a slope map alone.
     map_file: Its slope map; None where it has none.
@@ -158,7 +158,7 @@ def _both(before: Side, after: Side) -> Shown | None:
         joint = math.hypot(*known) if len(known) == 2 else None
         times = abs(b - a) / joint if joint else float("nan")
         texts = [number_text(value, sigma, unit, name) for value, sigma in zip((a, b), sigmas, strict=True)]
-        rows.append((key, *texts, number_text(b - a, joint, unit, name), times))
+        rows.append((label_of(key), *texts, number_text(b - a, joint, unit, name), times))
     if not rows:
         return None
     columns = tuple(zip(*rows, strict=True))

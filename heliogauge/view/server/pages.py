@@ -130,10 +130,10 @@ def _first_numbers(one: Summary | str) -> str:
     if isinstance(one, str):
         return ""
     shown = [key for key, value in one.numbers.items() if value is not None and not key.startswith("sigma_")]
-    return "; ".join(f"{_head(key)} {_text(one, key)}" for key in shown[:_FIRST_NUMBERS])
+    return "; ".join(f"{label_of(key)} {_text(one, key)}" for key in shown[:_FIRST_NUMBERS])
 
 
-def _head(key: str) -> str:
+def label_of(key: str) -> str:
     """Return what a number is called above a column."""
     name, _ = _name_and_unit(key)
     return LABELS.get(name, name.replace("_", " ")).partition(",")[0]
@@ -156,7 +156,7 @@ def _name_and_unit(key: str) -> tuple[str, str]:
 def _number_column(key: str, rows: Sequence[tuple[str, Summary | str]]) -> TableColumn:
     texts = [_text(one, key) if isinstance(one, Summary) else "" for _, one in rows]
     values = [one.numbers.get(key) if isinstance(one, Summary) else None for _, one in rows]
-    return TableColumn(_head(key), texts, numbers=[float("nan") if one is None else float(one) for one in values])
+    return TableColumn(label_of(key), texts, numbers=[float("nan") if one is None else float(one) for one in values])
 
 
 def _doubts_of(one: Summary | str) -> tuple[str, float]:
@@ -183,7 +183,7 @@ def _choice(maps: Sequence[Link]) -> Html:
     depth = "../" * root.count("/")
     return Html(
         f'<h2>Difference of two</h2><form action="{depth}difference" method="get">'
-        f'<label>before <select name="first">{options(0)}</select></label> '
-        f'<label>after <select name="second">{options(1)}</select></label> '
+        f'<label>before <select name="first" aria-label="before">{options(0)}</select></label> '
+        f'<label>after <select name="second" aria-label="after">{options(1)}</select></label> '
         "<button>Show the difference</button></form>"
     )

@@ -131,13 +131,16 @@ class Site:
         """Return one of two results that are compared."""
         opened, inside = self._split(address)
         if opened.only:
-            return Side(opened.only, self.base + quote(address), None, opened.find(opened.only))
+            file = opened.find(opened.only)
+            return Side(f"{file.parent.name}/{file.name}", self.base + quote(address), None, file)
         place = opened.find(inside.removesuffix(REPORT_HTML))
         if not place.is_dir() or not is_result(place):
             raise InputError(f"{place}: no results, so there is nothing to compare")
         opened.refuse_links(place)
         summary, file = read_summary(place), place / SLOPE_MAP_FILE
-        return Side(summary.name, self.base + quote(address), summary, file if file.is_file() else None)
+        return Side(
+            f"{summary.name} ({place.name})", self.base + quote(address), summary, file if file.is_file() else None
+        )
 
     def _difference(self, query: Mapping[str, str]) -> Answer:
         sides = self._side(query.get("first", "")), self._side(query.get("second", ""))
